@@ -1,0 +1,1 @@
+"""Recording minus simulation: where, what, how much, proven on held-out data."""

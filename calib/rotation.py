@@ -1,0 +1,127 @@
+"""Rotations, vectorised: exponentials, products and the integral of a measured rate.
+
+Quaternions are scalar-first ``(w, x, y, z)`` and unit; ``mat_ab`` takes vectors from b to a.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from calib.types import FloatArray
+
+
+def skew(vec: FloatArray) -> FloatArray:
+    """Return the cross-product matrices of (..., 3) vectors: ``skew(a) @ b == cross(a, b)``."""
+    vec = np.asarray(vec, np.float64)
+    out = np.zeros((*vec.shape[:-1], 3, 3))
+    out[..., 0, 1], out[..., 0, 2] = -vec[..., 2], vec[..., 1]
+    out[..., 1, 0], out[..., 1, 2] = vec[..., 2], -vec[..., 0]
+    out[..., 2, 0], out[..., 2, 1] = -vec[..., 1], vec[..., 0]
+    return out
+
+
+def quat_from_rotvec(rotvec: FloatArray) -> FloatArray:
+    """Return unit quaternions (..., 4) of rotation vectors (..., 3), rad."""
+    rotvec = np.asarray(rotvec, np.float64)
+    half = 0.5 * np.linalg.norm(rotvec, axis=-1)
+    out = np.empty((*rotvec.shape[:-1], 4))
+    out[..., 0] = np.cos(half)
+    out[..., 1:] = 0.5 * np.sinc(half / np.pi)[..., None] * rotvec
+    return out
+
+
+def quat_multiply(left: FloatArray, right: FloatArray) -> FloatArray:
+    """Return the Hamilton product of quaternions (..., 4)."""
+    w1, x1, y1, z1 = np.moveaxis(left, -1, 0)
+    w2, x2, y2, z2 = np.moveaxis(right, -1, 0)
+    return np.stack(
+        [
+            w1 * w2 - x1 * x2 - y1 * y2 - z1 * z2,
+            w1 * x2 + x1 * w2 + y1 * z2 - z1 * y2,
+            w1 * y2 - x1 * z2 + y1 * w2 + z1 * x2,
+            w1 * z2 + x1 * y2 - y1 * x2 + z1 * w2,
+        ],
+        axis=-1,
+    )
+
+
+def mat_from_quat(quat: FloatArray) -> FloatArray:
+    """Return matrices (..., 3, 3) of unit quaternions (..., 4): the paper's equation 11."""
+    w, x, y, z = np.moveaxis(quat, -1, 0)
+    out = np.empty((*quat.shape[:-1], 3, 3))
+    out[..., 0, 0] = 1 - 2 * (y * y + z * z)
+    out[..., 0, 1] = 2 * (x * y - w * z)
+    out[..., 0, 2] = 2 * (x * z + w * y)
+    out[..., 1, 0] = 2 * (x * y + w * z)
+    out[..., 1, 1] = 1 - 2 * (x * x + z * z)
+    out[..., 1, 2] = 2 * (y * z - w * x)
+    out[..., 2, 0] = 2 * (x * z - w * y)
+    out[..., 2, 1] = 2 * (y * z + w * x)
+    out[..., 2, 2] = 1 - 2 * (x * x + y * y)
+    return out
+
+
+def quat_from_mat(mat: FloatArray) -> FloatArray:
+    """Return unit quaternions (..., 4), w >= 0, of rotation matrices (..., 3, 3)."""
+    from scipy.spatial.transform import Rotation
+
+    mat = np.asarray(mat, np.float64)
+    quat: FloatArray = Rotation.from_matrix(mat.reshape(-1, 3, 3)).as_quat()[:, [3, 0, 1, 2]]
+    quat *= np.where(quat[:, :1] < 0, -1.0, 1.0)
+    return quat.reshape(*mat.shape[:-2], 4)
+
+
+def mat_from_rotvec(rotvec: FloatArray) -> FloatArray:
+    """Return rotation matrices (..., 3, 3) of rotation vectors (..., 3), rad."""
+    return mat_from_quat(quat_from_rotvec(rotvec))
+
+
+def rate_increments(time: FloatArray, rate: FloatArray) -> FloatArray:
+    """Return the rotation vector over each step, (n - 1, 3) rad, from the rate at its ends.
+
+    Trapezoidal integral plus the coning correction for a rate linear in time over the step:
+    ``dt (w0 + w1)/2 + dt² (w0 x w1)/12``; the error is of fifth order in dt.
+
+    References
+    ----------
+    .. [1] Savage, "Strapdown Inertial Navigation Integration Algorithm Design Part 1", J. Guidance
+       21(1), 1998, the coning integral for a linearly varying rate.
+    """
+    step = np.diff(time)[:, None]
+    first, last = rate[:-1], rate[1:]
+    return 0.5 * step * (first + last) + step**2 / 12 * np.cross(first, last)
+
+
+def cumulative_quat(increments: FloatArray) -> FloatArray:
+    """Return the running product of (n, 4) quaternions: ``out[k] = q[0] q[1] ... q[k]``.
+
+    A block scan: about 2n products in 2 sqrt(n) vectorised steps, no loop over samples.
+    """
+    n = len(increments)
+    width = max(1, int(np.sqrt(n)))
+    rows = -(-n // width)
+    padded = np.zeros((rows * width, 4))
+    padded[:, 0] = 1.0
+    padded[:n] = increments
+    block = padded.reshape(rows, width, 4)
+    for k in range(1, width):
+        block[:, k] = quat_multiply(block[:, k - 1], block[:, k])
+    carry = np.array([1.0, 0.0, 0.0, 0.0])
+    carries = np.empty((rows, 4))
+    for r in range(rows):
+        carries[r] = carry
+        carry = quat_multiply(carry, block[r, -1])
+        carry /= np.linalg.norm(carry)
+    return quat_multiply(carries[:, None, :], block).reshape(-1, 4)[:n]
+
+
+def integrate_rate(time: FloatArray, rate: FloatArray) -> FloatArray:
+    """Return quaternions (n, 4) of ``mat_0k``: the frame at sample k seen from that at sample 0.
+
+    Solves ``d(mat)/dt = mat @ skew(rate)`` from identity at ``time[0]``.
+    """
+    quat = np.zeros((len(time), 4))
+    quat[0, 0] = 1.0
+    if len(time) > 1:
+        quat[1:] = cumulative_quat(quat_from_rotvec(rate_increments(time, rate)))
+    return quat

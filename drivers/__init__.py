@@ -1,0 +1,1 @@
+"""Devices and files in, samples out. Imports `calib`, never `imu_cli`."""

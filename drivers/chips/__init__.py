@@ -1,0 +1,1 @@
+"""Register maps of I2C chips: one file each."""

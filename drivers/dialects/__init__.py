@@ -1,0 +1,1 @@
+"""Serial protocols, bytes to samples, pure: one file each."""

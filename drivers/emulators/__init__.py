@@ -1,0 +1,1 @@
+"""The same chips and devices from the other side of the wire."""

@@ -1,0 +1,1 @@
+"""Recordings on disk: one file per format."""

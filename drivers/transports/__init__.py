@@ -1,0 +1,1 @@
+"""Ways to reach a device: serial port, I2C bus, replayed file, emulator; one file each."""

@@ -1,0 +1,121 @@
+"""The Typer app: finds commands in their folder, and is the only map from errors to exit codes."""
+
+from __future__ import annotations
+
+import ast
+import os
+import sys
+from pathlib import Path
+from typing import Any, NoReturn
+
+import typer
+from typer.core import TyperGroup
+
+COMMANDS = Path(__file__).parent / "commands"
+
+EXIT_CODES = """\
+Exit codes: 0 done · 1 a bug in imu-cal · 2 wrong usage · 3 recording refused · 4 no calibration
+possible · 5 partial calibration · 6 a check said no (verify, --strict, FAIL) · 7 device ·
+8 flash failed, old values restored · 9 flash failed, device state changed · 10 calibration file
+refused · 130 interrupted"""
+
+
+class LazyGroup(TyperGroup):
+    """Imports a command's module only when that command is used: ``--help`` stays fast."""
+
+    def list_commands(self, ctx: Any) -> list[str]:
+        """Return the verbs, from the files in ``commands/``."""
+        return sorted(
+            path.stem.rstrip("_").replace("_", "-")
+            for path in COMMANDS.glob("*.py")
+            if not path.stem.startswith("_")
+        )
+
+    def get_command(self, ctx: Any, name: str) -> Any:
+        """Import the module of one verb and return its command."""
+        path = _module_path(name)
+        if path is None:
+            return None
+        import importlib
+
+        module = importlib.import_module(f"imu_cli.commands.{path.stem}")
+        verb: Any = getattr(module, path.stem)
+        app = typer.Typer(add_completion=False, rich_markup_mode=None)
+        app.command(name)(verb)
+        command = typer.main.get_command(app)
+        command.name = name
+        return command
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run the command; here, and only here, errors become exit codes."""
+        from calib.errors import ImuError
+
+        try:
+            return super().invoke(ctx)
+        except ImuError as error:
+            typer.echo(f"imu-cal: {error}", err=True)
+            ctx.exit(error.exit_code)
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """Write the list of verbs without importing any of them."""
+        rows = []
+        for name in self.list_commands(ctx):
+            path = _module_path(name)
+            if path is not None:
+                rows.append((name, _first_line(path)))
+        with formatter.section("Commands"):
+            formatter.write_dl(rows)
+
+
+def _module_path(name: str) -> Path | None:
+    stem = name.replace("-", "_")
+    for candidate in (stem, f"{stem}_"):
+        path = COMMANDS / f"{candidate}.py"
+        if path.is_file() and not stem.startswith("_"):
+            return path
+    return None
+
+
+def _first_line(path: Path) -> str:
+    return (ast.get_docstring(ast.parse(path.read_text(encoding="utf-8"))) or "").split("\n")[0]
+
+
+app = typer.Typer(
+    cls=LazyGroup,
+    add_completion=True,
+    rich_markup_mode=None,
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    help="Calibrate an IMU, and find the physics that the calibration left out.",
+    epilog=EXIT_CODES,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+
+def _version(value: bool) -> None:  # noqa: FBT001 - Typer calls it with the option's value
+    if value:
+        from importlib.metadata import version
+
+        typer.echo(f"imu-cal {version('imu-cal')}")
+        raise typer.Exit
+
+
+@app.callback()
+def _root(
+    version: bool = typer.Option(  # noqa: FBT001
+        False, "--version", callback=_version, is_eager=True, help="Print the version and end."
+    ),
+) -> None:
+    pass
+
+
+def main() -> NoReturn:
+    """Run the command line."""
+    try:
+        app()
+    except KeyboardInterrupt:
+        sys.exit(130)
+    except BrokenPipeError:
+        # The reader of our output went away (`| head`): end without a traceback at exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    sys.exit(0)
