@@ -1,4 +1,4 @@
-"""Solvers, one file each: an accelerometer's has ``ACCEL_SOLVER``, a gyroscope's ``GYRO_SOLVER``."""
+"""Solvers, one file each: ``ACCEL_SOLVER`` for an accelerometer, ``GYRO_SOLVER`` for a gyroscope."""
 
 from __future__ import annotations
 
