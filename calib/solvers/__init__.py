@@ -1,4 +1,4 @@
-"""Solvers, one file each: ``ACCEL_SOLVER`` for an accelerometer, ``GYRO_SOLVER`` for a gyroscope."""
+"""Solvers, one file each, with an ``ACCEL_SOLVER`` or a ``GYRO_SOLVER``."""
 
 from __future__ import annotations
 
