@@ -13,6 +13,7 @@
     │   ├── InsufficientMotionError     the poses or turns do not determine it
     │   └── NotConvergedError           the solver did not settle
     ├── CalibrationFileError            a calibration file cannot be used  exit 10
+    ├── AddressError                    a device address is not understood exit 2
     └── DriverError                     devices                            exit 7
         ├── DeviceNotFoundError
         ├── DevicePermissionError
@@ -89,6 +90,12 @@ class CalibrationFileError(ImuError, ValueError):
     """A calibration file is damaged, of an unknown version, or in a wrong unit."""
 
     exit_code = 10
+
+
+class AddressError(ImuError, ValueError):
+    """A device address, or an option in it, is not understood."""
+
+    exit_code = 2
 
 
 class DriverError(ImuError):
