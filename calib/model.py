@@ -5,13 +5,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from calib.effects import get_effect
-from calib.effects.base import Signals, State, Term, TransformEffect
+from calib.effects.base import Effect, Signals, State, Term, TransformEffect
 from calib.recording import AXES
 from calib.types import FloatArray
 
@@ -110,20 +110,28 @@ class SensorModel:
     terms: tuple[Term, ...] = ()
     reference_temperature: float = 25.0
 
-    def distort(self, state: State) -> Signals:
-        """Return what the sensor would measure, without noise, in the true `state`."""
+    def __post_init__(self) -> None:
+        for term in self.terms:
+            get_effect(term.effect).check(term.parameters)
+
+    def distort(self, state: State, noise: Signals | None = None) -> Signals:
+        """Return what the sensor would measure in the true `state`.
+
+        ``noise`` is added to the finished signal before it is read out (clipped, rounded).
+        """
         state = replace(state, reference_temperature=self.reference_temperature)
         accel = self.accel.distort(state.force)
         gyro = self.gyro.distort(state.rate)
-        extra = self._additive(state)
-        signals = Signals(accel + extra.accel, gyro + extra.gyro)
-        for term in self.terms:
-            effect = get_effect(term.effect)
-            if isinstance(effect, TransformEffect):
-                signals = effect.transform(state.time, signals, term.parameters)
+        signals = self._add(Signals(accel, gyro), state, sign=1.0)
+        for effect, parameters in self._transforms("signal"):
+            signals = effect.transform(state.time, signals, parameters)
+        if noise is not None:
+            signals = Signals(signals.accel + noise.accel, signals.gyro + noise.gyro)
+        for effect, parameters in self._transforms("readout"):
+            signals = effect.transform(state.time, signals, parameters)
         return signals
 
-    def correct(self, measured: State, *, iterations: int = 4) -> Signals:
+    def correct(self, measured: State, *, iterations: int = 12) -> Signals:
         """Return the true signals from the measured ones: the inverse of `distort`.
 
         Parameters
@@ -131,34 +139,42 @@ class SensorModel:
         measured : State
             With the measured signals as ``force`` and ``rate``.
         iterations : int
-            Of the fixed point ``true = K (measured - bias - terms(true))``. Each gains a factor of
-            the terms' size relative to the signal, so that four leave parts in 10⁹ of 1 % terms.
+            At most so many of the fixed point ``true = K (measured - bias - terms(true))``. Each
+            gains a factor of the terms' size relative to the signal; it ends when nothing moves by
+            more than 10⁻¹⁰ of the largest signal.
         """
         signals = Signals(measured.force, measured.rate)
-        for term in reversed(self.terms):
-            effect = get_effect(term.effect)
-            if isinstance(effect, TransformEffect):
-                signals = effect.inverse(measured.time, signals, term.parameters)
+        for stage in ("readout", "signal"):
+            for effect, parameters in reversed(self._transforms(stage)):
+                signals = effect.inverse(measured.time, signals, parameters)
         accel, gyro = self.accel.correct(signals.accel), self.gyro.correct(signals.gyro)
-        if not self._has_additive:
+        if not any(self._additive()):
             return Signals(accel, gyro)
         measured = replace(measured, reference_temperature=self.reference_temperature)
         for _ in range(iterations):
-            extra = self._additive(replace(measured, force=accel, rate=gyro))
-            accel = self.accel.correct(signals.accel - extra.accel)
-            gyro = self.gyro.correct(signals.gyro - extra.gyro)
+            left = self._add(signals, replace(measured, force=accel, rate=gyro), sign=-1.0)
+            before = accel, gyro
+            accel, gyro = self.accel.correct(left.accel), self.gyro.correct(left.gyro)
+            if _settled(before[0], accel) and _settled(before[1], gyro):
+                break
         return Signals(accel, gyro)
 
-    @property
-    def _has_additive(self) -> bool:
-        return any(not isinstance(get_effect(t.effect), TransformEffect) for t in self.terms)
+    def _transforms(self, stage: str) -> list[tuple[TransformEffect, Mapping[str, float]]]:
+        found = ((get_effect(t.effect), t.parameters) for t in self.terms)
+        return [(e, p) for e, p in found if isinstance(e, TransformEffect) and e.stage == stage]
 
-    def _additive(self, state: State) -> Signals:
-        accel, gyro = np.zeros_like(state.force), np.zeros_like(state.rate)
-        for term in self.terms:
-            effect = get_effect(term.effect)
-            if not isinstance(effect, TransformEffect):
-                extra = effect.contribution(state, term.parameters)
-                accel += extra.accel
-                gyro += extra.gyro
+    def _additive(self) -> Iterator[tuple[Effect, Mapping[str, float]]]:
+        found = ((get_effect(t.effect), t.parameters) for t in self.terms)
+        return ((e, p) for e, p in found if not isinstance(e, TransformEffect))
+
+    def _add(self, signals: Signals, state: State, *, sign: float) -> Signals:
+        accel, gyro = signals.accel.copy(), signals.gyro.copy()
+        for effect, parameters in self._additive():
+            for channel, values in effect.contribution(state, parameters).items():
+                triad, axis = channel.split(".")
+                (accel if triad == "accel" else gyro)[:, AXES.index(axis)] += sign * values
         return Signals(accel, gyro)
+
+
+def _settled(before: FloatArray, after: FloatArray) -> bool:
+    return bool(np.abs(after - before).max() <= 1e-10 * max(1.0, np.abs(after).max()))

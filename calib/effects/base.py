@@ -6,7 +6,10 @@ Two kinds change signals in two ways:
   functions of the *true* state, linear in the parameters once the shape parameters (a time
   constant, a moment) are fixed.
 - A `TransformEffect` acts on the finished signals (a delay, a low-pass, rounding). It also gives
-  columns: its derivative with respect to each parameter at zero, which is how it is detected.
+  columns, which is how it is detected: its derivative with respect to each parameter at zero, or,
+  for a parameter in the unit `PRESENCE`, the whole change that it makes.
+
+A `Column` is sparse: it names only the channels that the parameter touches, each with (n,) values.
 """
 
 from __future__ import annotations
@@ -19,11 +22,21 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
+from calib.recording import AXES
 from calib.types import FloatArray
 
 EffectKind = Literal["sensor", "event", "setup"]
 """A ``sensor`` term belongs in the calibration; an ``event`` happened once in this recording; a
 ``setup`` term belongs to the fixture or the reference."""
+
+
+Column = Mapping[str, FloatArray]
+"""What one unit of a parameter adds, by channel (``accel.x`` ... ``gyro.z``): (n,) arrays in m/s²
+and rad/s. A channel that is not there is untouched."""
+
+PRESENCE = "presence"
+"""Unit of a parameter that only says whether the effect is there: 1, or 0. Its sizes are shape
+parameters (a cut-off, a full scale); its column is the whole change made with that shape."""
 
 
 class Signals(NamedTuple):
@@ -38,27 +51,31 @@ class Parameter:
     """A parameter that enters linearly.
 
     ``typical`` is the size that a consumer part has, in ``unit``; it sets the prior.
+    ``reference_only`` marks a parameter that a recording shows only against a reference (motion
+    capture, a commanded profile, a second sensor), never by itself.
     """
 
     name: str
     unit: str
     typical: float
     channels: tuple[str, ...]
+    reference_only: bool = False
 
 
 @dataclass(frozen=True)
 class ShapeParameter:
     """A parameter that enters nonlinearly, searched between ``low`` and ``high``.
 
-    ``spacing`` is how candidates are spread: ``log`` for time constants, ``linear`` for moments.
-    Bounds of None mean the recording's own span.
+    ``spacing`` is how candidates are spread: ``log`` for time constants, ``linear`` for moments,
+    ``integer`` for codes. Bounds of None mean the recording's own span (of time, or of the signal
+    for a full scale).
     """
 
     name: str
     unit: str
     low: float | None
     high: float | None
-    spacing: Literal["log", "linear"] = "log"
+    spacing: Literal["log", "linear", "integer"] = "log"
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,6 +100,9 @@ class State:
     latitude : float, rad, or None
     vibration : (n, 3) array, (m/s²)², or None
         Short-time variance of the specific force.
+    angular_acceleration : (n, 3) array, rad/s², or None
+        Where it is known exactly, as in simulation; otherwise `rate_dot` differences the rate.
+    gravity : float, m/s²
     """
 
     time: FloatArray
@@ -95,6 +115,8 @@ class State:
     mat_ns: FloatArray | None = None
     latitude: float | None = None
     vibration: FloatArray | None = None
+    angular_acceleration: FloatArray | None = None
+    gravity: float = 9.80665
 
     def derivative(self, values: FloatArray) -> FloatArray:
         """Return the time derivative by second-order differences on uneven times."""
@@ -110,7 +132,17 @@ class State:
     @cached_property
     def rate_dot(self) -> FloatArray:
         """Angular acceleration, rad/s²."""
+        if self.angular_acceleration is not None:
+            return self.angular_acceleration
         return self.derivative(self.rate)
+
+    @cached_property
+    def gravity_direction(self) -> FloatArray:
+        """Unit vector up, in frame s, (n, 3): from the orientation, else along the force."""
+        if self.mat_ns is not None:
+            return self.mat_ns[:, 2, :]
+        size: FloatArray = np.linalg.norm(self.force, axis=1, keepdims=True)
+        return self.force / size
 
     @cached_property
     def warmth(self) -> FloatArray | None:
@@ -121,7 +153,7 @@ class State:
 
     @cached_property
     def temperature_rate(self) -> FloatArray | None:
-        """Rate of temperature, K/s."""
+        """Rate of temperature, K/s, (n,)."""
         return None if self.temperature is None else self.derivative(self.temperature)
 
 
@@ -139,32 +171,63 @@ class Effect(ABC):
     kind: EffectKind = "sensor"
     parameters: tuple[Parameter, ...]
     shape: tuple[ShapeParameter, ...] = ()
+    follows: str
+    """The variable that the residual follows: the abscissa of its plot."""
     needs: str
     """What a recording must contain for the effect to be identified."""
     sentence: str
     """What a technician reads when it was found."""
+    absorbed_by: tuple[str, ...] = ()
+    """Groups of baseline parameters that take up part of it when it is left out."""
+    rivals: tuple[str, ...] = ()
+    """Effects whose columns overlap with its own on common recordings."""
 
     @abstractmethod
-    def columns(self, state: State, shape: Mapping[str, float]) -> dict[str, Signals]:
+    def columns(self, state: State, shape: Mapping[str, float]) -> dict[str, Column]:
         """Return, for each linear parameter, what one unit of it adds to the signals.
 
         An empty dict means that the state lacks what the effect is a function of (no temperature).
         """
 
-    def contribution(self, state: State, parameters: Mapping[str, float]) -> Signals:
-        """Return what the effect adds to the measured signals, with these parameters."""
-        accel, gyro = np.zeros_like(state.force), np.zeros_like(state.rate)
+    def contribution(self, state: State, parameters: Mapping[str, float]) -> dict[str, FloatArray]:
+        """Return what the effect adds to each channel that it touches, with these parameters."""
+        out: dict[str, FloatArray] = {}
         shape = {item.name: parameters[item.name] for item in self.shape}
         for name, column in self.columns(state, shape).items():
             value = parameters.get(name, 0.0)
-            if value:
-                accel += value * column.accel
-                gyro += value * column.gyro
-        return Signals(accel, gyro)
+            if not value:
+                continue
+            for channel, values in column.items():
+                out[channel] = out[channel] + value * values if channel in out else value * values
+        return out
+
+    def check(self, parameters: Mapping[str, float]) -> None:
+        """Check that `parameters` are this effect's own, finite, with every shape parameter there.
+
+        Raises
+        ------
+        ValueError
+            Naming the parameter, and those that the effect has.
+        """
+        linear = [p.name for p in self.parameters]
+        shape = [p.name for p in self.shape]
+        for name, value in parameters.items():
+            if name not in linear and name not in shape:
+                known = ", ".join(linear + shape)
+                raise ValueError(f"`{name}` is no parameter of {self.slug}: it has {known}")
+            if not np.isfinite(value):
+                raise ValueError(f"`{name}` of {self.slug} must be finite, got {value}")
+        missing = [name for name in shape if name not in parameters]
+        if missing:
+            raise ValueError(f"{self.slug} needs `{missing[0]}` as well")
 
 
 class TransformEffect(Effect):
     """An effect that acts on the finished signals rather than adding to them."""
+
+    stage: Literal["signal", "readout"] = "signal"
+    """``signal``: before the output noise is added (a delay, a low-pass); ``readout``: after it
+    (clipping, rounding, a wrong unit)."""
 
     @abstractmethod
     def transform(
@@ -188,3 +251,20 @@ class Term:
 
     effect: str
     parameters: Mapping[str, float] = field(default_factory=dict)
+
+
+def per_axis(
+    triad: str, prefix: str, unit: str, typical: float, *, reference_only: bool = False
+) -> tuple[Parameter, ...]:
+    """Return one parameter for each axis of a triad: ``kx``, ``ky``, ``kz`` for prefix ``k``."""
+    return tuple(
+        Parameter(f"{prefix}{a}", unit, typical, (f"{triad}.{a}",), reference_only) for a in AXES
+    )
+
+
+def axis_columns(triad: str, prefix: str, values: FloatArray) -> dict[str, Column]:
+    """Return the columns of `per_axis` parameters: (n, 3) values, or (n,) for all axes alike."""
+    return {
+        f"{prefix}{a}": {f"{triad}.{a}": values if values.ndim == 1 else values[:, i]}
+        for i, a in enumerate(AXES)
+    }

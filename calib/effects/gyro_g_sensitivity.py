@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from calib.effects.base import Effect, Parameter, Signals, State
+from calib.effects.base import Column, Effect, Parameter, State
 from calib.recording import AXES
 
 
@@ -25,18 +25,17 @@ class GyroGSensitivity(Effect):
         for a in AXES
         for b in AXES
     )
+    follows = "specific force at rest"
     needs = "many static poses: each axis up and down"
     sentence = "The gyro's output at rest changes with the pose: it senses specific force."
+    absorbed_by = ("gyro.bias",)
+    rivals = ("earth_rate", "gyro_g_squared_sensitivity")
 
-    def columns(self, state: State, shape: Mapping[str, float]) -> dict[str, Signals]:
+    def columns(self, state: State, shape: Mapping[str, float]) -> dict[str, Column]:
         """Return the nine columns of ``G f``."""
-        out = {}
-        for i, a in enumerate(AXES):
-            for j, b in enumerate(AXES):
-                gyro = np.zeros_like(state.rate)
-                gyro[:, i] = state.force[:, j]
-                out[f"g{a}{b}"] = Signals(np.zeros_like(state.force), gyro)
-        return out
+        return {
+            f"g{a}{b}": {f"gyro.{a}": state.force[:, j]} for a in AXES for j, b in enumerate(AXES)
+        }
 
 
 EFFECT = GyroGSensitivity()
