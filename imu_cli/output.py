@@ -36,3 +36,87 @@ def print_json(document: Any) -> None:
 def warn(text: str) -> None:
     """Say something that the user should know but that does not stop the work."""
     messages().print(f"[yellow]warning:[/] {text}", soft_wrap=True)
+
+
+def show_unit(serial_number: str, attempts: list[dict[str, Any]], *, as_json: bool) -> None:
+    """Print every attempt of one unit."""
+    from rich.table import Table
+
+    if as_json:
+        print_json(
+            {
+                "format": "imu-cal/history",
+                "version": 1,
+                "serial_number": serial_number,
+                "attempts": attempts,
+            }
+        )
+        return
+    if not attempts:
+        console().print(f"unit {serial_number}: never run")
+        return
+    for attempt in attempts:
+        console().print(
+            f"[bold]{serial_number}[/] attempt {attempt['attempt']} at {attempt['station']}, "
+            f"{attempt['started'][:19]} UTC: [bold]{attempt['outcome']}[/] {attempt['reason']}"
+        )
+        table = Table(box=None, pad_edge=False)
+        for heading in ("check", "value", "low", "high", "", ""):
+            table.add_column(heading, justify="left" if heading in ("check", "") else "right")
+        for check in attempt["checks"]:
+            table.add_row(
+                check["name"],
+                *(
+                    "-" if check[key] is None else f"{check[key]:.5g}"
+                    for key in ("value", "low", "high")
+                ),
+                check["unit"],
+                "ok" if check["passed"] else check["action"],
+            )
+        if attempt["checks"]:
+            console().print(table)
+
+
+def show_line(summary: dict[str, Any], *, as_json: bool) -> None:
+    """Print yield, capability, outliers and drifts of a line."""
+    from rich.table import Table
+
+    if as_json:
+        print_json(summary)
+        return
+    if not summary["runs"]:
+        console().print("no runs yet")
+        return
+    counts = ", ".join(f"{n} {name}" for name, n in summary["outcomes"].items() if n)
+    share = summary["yield"]
+    first = summary["first_pass_yield"]
+    console().print(
+        f"{summary['units']} units in {summary['runs']} runs: {counts}\n"
+        f"yield {'-' if share is None else f'{share:.1%}'}, "
+        f"first pass {'-' if first is None else f'{first:.1%}'}"
+    )
+    table = Table(box=None, pad_edge=False)
+    for heading in ("parameter", "units", "mean", "std dev", "", "Cpk", "95 %"):
+        table.add_column(heading, justify="left" if heading in ("parameter", "") else "right")
+    for row in summary["capability"]:
+        interval = row["cpk_interval"]
+        table.add_row(
+            row["name"],
+            str(row["count"]),
+            f"{row['mean']:.4g}",
+            f"{row['deviation']:.2g}",
+            row["unit"],
+            "-" if row["cpk"] is None else f"{row['cpk']:.2f}",
+            "-" if interval is None else f"{interval[0]:.2f} to {interval[1]:.2f}",
+        )
+    console().print(table)
+    for item in summary["outliers"]:
+        console().print(
+            f"outlier: unit {item['serial_number']}, {item['name']} = {item['value']:.4g} "
+            f"({item['score']:+.1f} robust standard deviations, p = {item['p_value']:.1g})"
+        )
+    for item in summary["drifts"]:
+        console().print(
+            f"drift: station {item['station']}, {item['name']} moves by "
+            f"{item['slope_per_day']:.2g} a day (p = {item['p_value']:.1g})"
+        )
