@@ -92,8 +92,7 @@ def _static_blocks(blocks: _Blocks, width: int) -> BoolArray:
 
 def _moving_mean(values: FloatArray, width: int) -> FloatArray:
     sums = np.concatenate((np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)))
-    mean: FloatArray = (sums[width:] - sums[:-width]) / width
-    return mean
+    return np.asarray((sums[width:] - sums[:-width]) / width, np.float64)
 
 
 def _window_rms(mean: FloatArray, power: FloatArray, width: int) -> FloatArray:
@@ -101,7 +100,7 @@ def _window_rms(mean: FloatArray, power: FloatArray, width: int) -> FloatArray:
     average = _moving_mean(centred, width)
     total = np.square(centred).sum(axis=1) + power
     second = _moving_mean(total[:, None], width)[:, 0] - np.square(average).sum(axis=1)
-    return np.sqrt(np.maximum(second, 0.0))
+    return np.asarray(np.sqrt(np.maximum(second, 0.0)), np.float64)
 
 
 def _runs(mask: BoolArray) -> tuple[IntArray, IntArray]:

@@ -136,8 +136,7 @@ def lower_factor(matrix: FloatArray) -> FloatArray:
             "the readings at rest lie on no ellipsoid: too few directions for this noise, or they "
             "were not taken at rest; record more poses in all directions"
         ) from e
-    lower: FloatArray = factor[::-1, ::-1].T
-    return lower
+    return np.asarray(factor[::-1, ::-1].T, np.float64)
 
 
 def parameters_of(matrix: FloatArray, bias: FloatArray) -> FloatArray:
