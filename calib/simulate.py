@@ -1,0 +1,164 @@
+"""Motion + sensor model + noise -> recording.
+
+``measured = readout(transforms(distort(true)) + noise)``, sampled on the sensor's own clock.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calib.effects.base import Signals
+from calib.model import SensorModel
+from calib.recording import Clock, DeviceInfo, Recording
+from calib.simulation.kinematics import Motion
+from calib.simulation.noise import NoiseModel
+from calib.types import FloatArray, IntArray
+
+
+@dataclass(frozen=True)
+class Sampling:
+    """How the sensor samples, and what its clock says.
+
+    Parameters
+    ----------
+    clock_offset : float, s
+        What the clock shows at the true time 0.
+    clock_scale : float
+        Relative error of its rate: stamps are ``offset + (1 + scale) t``.
+    jitter : float, s
+        Standard deviation of a stamp about that line, cut at 0.4 of the sample interval. Samples
+        themselves are taken evenly.
+    lost : float
+        Probability that a run of samples goes missing at any one sample (counted in ``lost``).
+    lost_run : float
+        Mean length of such a run.
+    clock : {"device", "host", "nominal", "invalid"}
+        What the recording says of its clock.
+    """
+
+    clock_offset: float = 0.0
+    clock_scale: float = 0.0
+    jitter: float = 0.0
+    lost: float = 0.0
+    lost_run: float = 1.0
+    clock: Clock = "device"
+
+    def __post_init__(self) -> None:
+        if not self.clock_scale > -1:
+            raise ValueError(f"`clock_scale` must be above -1, got {self.clock_scale}")
+        if not 0 <= self.lost < 1:
+            raise ValueError(f"`lost` must be in [0, 1), got {self.lost}")
+        if self.lost_run < 1:
+            raise ValueError(f"`lost_run` must be at least 1, got {self.lost_run}")
+        if self.jitter < 0:
+            raise ValueError(f"`jitter` must not be negative, got {self.jitter}")
+
+    def stamps(self, time: FloatArray, *, rng: np.random.Generator) -> FloatArray:
+        """Return what the clock shows at (n,) true times."""
+        shown: FloatArray = self.clock_offset + (1 + self.clock_scale) * time
+        if self.jitter and len(time) > 1:
+            bound = 0.4 * float(np.diff(time).min())
+            shown = shown + np.clip(rng.normal(0.0, self.jitter, len(time)), -bound, bound)
+        return shown
+
+
+IDEAL = Sampling()
+
+
+def simulate(
+    motion: Motion,
+    model: SensorModel,
+    noise: NoiseModel,
+    *,
+    rng: np.random.Generator,
+    rate: float | None = None,
+    time: FloatArray | None = None,
+    device: DeviceInfo | None = None,
+    sampling: Sampling = IDEAL,
+) -> Recording:
+    """Return what a sensor records on a motion.
+
+    Parameters
+    ----------
+    motion : Motion
+    model : SensorModel
+    noise : NoiseModel
+    rng : numpy Generator
+    rate : float, Hz
+        Samples are taken every 1/rate from 0 to the motion's end. Or give
+    time : (n,) array, s
+        the true times of the samples, within the motion.
+    device : DeviceInfo
+        Its full scale clips the output and its LSB rounds it, where they are known.
+    sampling : Sampling
+        Clock and lost samples.
+
+    Raises
+    ------
+    ValueError
+        If not exactly one of `rate` and `time` is given, or it does not fit the motion.
+    """
+    device = DeviceInfo(chip="simulated") if device is None else device
+    true_time = _sample_times(motion, rate, time)
+    state = motion.state(true_time)
+    random = noise.draw(true_time, rng=rng)
+    if state.vibration is not None:
+        shake = np.sqrt(state.vibration) * rng.normal(size=state.force.shape)
+        random = Signals(random.accel + shake @ model.accel.matrix.T, random.gyro)
+    measured = model.distort(state, random)
+    accel = _read_out(measured.accel, device.accel_full_scale, device.accel_lsb)
+    gyro = _read_out(measured.gyro, device.gyro_full_scale, device.gyro_lsb)
+    temperature = state.temperature
+    if temperature is not None and noise.temperature:
+        temperature = temperature + rng.normal(0.0, noise.temperature, len(true_time))
+    stamps = sampling.stamps(true_time, rng=rng)
+    kept, lost = _lose(len(true_time), sampling, rng=rng)
+    if device.rate is None:
+        interval = np.median(np.diff(true_time)) if len(true_time) > 1 else np.inf
+        device = replace(device, rate=float(rate if rate is not None else 1 / interval))
+    return Recording(
+        stamps[kept],
+        accel[kept],
+        gyro[kept],
+        sampling.clock,
+        temperature=None if temperature is None else temperature[kept],
+        lost=lost,
+        device=device,
+        notes={"motion": motion.name},
+    )
+
+
+def _sample_times(motion: Motion, rate: float | None, time: FloatArray | None) -> FloatArray:
+    if (rate is None) == (time is None):
+        raise ValueError("give either `rate` or `time`, and not both")
+    if time is not None:
+        time = np.asarray(time, np.float64)
+        if time.ndim != 1 or not len(time) or (len(time) > 1 and np.diff(time).min() <= 0):
+            raise ValueError("`time` must be (n,), not empty, and increase")
+        return time
+    if rate is None or not (np.isfinite(rate) and rate > 0):
+        raise ValueError(f"`rate` must be positive and finite, got {rate}")
+    return np.arange(int(np.floor(motion.duration * rate + 1e-9)) + 1) / rate
+
+
+def _read_out(values: FloatArray, full_scale: float | None, lsb: float | None) -> FloatArray:
+    """Round to whole counts and clip; two's complement reaches one count less on the upper side."""
+    if full_scale is not None:
+        values = np.clip(values, -full_scale, full_scale - (lsb or 0.0))
+    return values if lsb is None else np.round(values / lsb) * lsb
+
+
+def _lose(n: int, sampling: Sampling, *, rng: np.random.Generator) -> tuple[IntArray, IntArray]:
+    """Return the indices of the samples that arrive, and how many went missing before each."""
+    gone = np.zeros(n, np.bool_)
+    if sampling.lost:
+        starts = np.flatnonzero(rng.random(n) < sampling.lost)
+        for start, length in zip(
+            starts, rng.geometric(1 / sampling.lost_run, len(starts)), strict=True
+        ):
+            gone[start : start + length] = True
+        gone[[0, -1]] = False
+    kept = np.flatnonzero(~gone)
+    return kept, np.diff(kept, prepend=-1) - 1

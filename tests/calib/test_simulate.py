@@ -1,0 +1,181 @@
+"""The simulator: exact motion, and noise of the stated size."""
+
+import numpy as np
+import pytest
+
+from calib.effects.base import Signals
+from calib.model import SensorModel
+from calib.recording import DeviceInfo
+from calib.rotation import integrate_rate, mat_from_quat
+from calib.simulate import Sampling, simulate
+from calib.simulation.bench import bench_protocol
+from calib.simulation.kinematics import Motion
+from calib.simulation.noise import NoiseModel
+
+MOTIONS = {
+    "bench": lambda: bench_protocol(np.random.default_rng(1), poses=6, first_pose=1.0),
+    "bench in the hand": lambda: bench_protocol(
+        np.random.default_rng(2), poses=4, mixed=1.0, hold_tremor=0.3
+    ),
+    "bench of one pose": lambda: bench_protocol(np.random.default_rng(3), poses=1),
+}
+QUIET = NoiseModel()
+
+
+@pytest.fixture(params=MOTIONS)
+def motion(request: pytest.FixtureRequest) -> Motion:
+    return MOTIONS[request.param]()
+
+
+def fine(motion: Motion, rate: float = 2000.0) -> np.ndarray:
+    return np.arange(0.0, min(motion.duration, 20.0), 1 / rate)
+
+
+def test_rate_integrates_to_the_orientation(motion: Motion) -> None:
+    found = []
+    for rate in (1000.0, 2000.0):
+        state = motion.state(fine(motion, rate))
+        found.append(state.mat_ns[0] @ mat_from_quat(integrate_rate(state.time, state.rate)))
+    # The integral's error is of second order in the step: Richardson's extrapolation removes it,
+    # and what is left would be the motion's own.
+    half = found[1][::2][: len(found[0])]
+    extrapolated = half + (half - found[0]) / 3
+    true = motion.state(fine(motion, 1000.0)).mat_ns
+    np.testing.assert_allclose(extrapolated, true, atol=2e-9)
+
+
+def test_angular_acceleration_is_the_derivative_of_the_rate(motion: Motion) -> None:
+    time = fine(motion, 20.0)
+    h = 1e-4
+    slope = (motion.state(time + h).rate - motion.state(time - h).rate) / (2 * h)
+    inside = slice(1, -1)
+    np.testing.assert_allclose(
+        motion.state(time).angular_acceleration[inside], slope[inside], atol=2e-3
+    )
+
+
+def test_force_is_acceleration_and_gravity_in_the_sensor_frame(motion: Motion) -> None:
+    time = fine(motion, 20.0)[1:-1]
+    h = 1e-4
+    path = [motion.kinematics(t).path for t in (time - h, time, time + h)]
+    state = motion.state(time)
+    if path[1] is None:
+        acceleration = np.zeros((len(time), 3))
+    else:
+        acceleration = (path[2].velocity - path[0].velocity) / (2 * h)
+        velocity = (path[2].position - path[0].position) / (2 * h)
+        np.testing.assert_allclose(path[1].velocity, velocity, atol=1e-4)
+    in_n = np.einsum("nij,nj->ni", state.mat_ns, state.force)
+    in_n[:, 2] -= motion.gravity
+    np.testing.assert_allclose(in_n, acceleration, atol=5e-3)
+
+
+def test_statics_are_at_rest() -> None:
+    motion = MOTIONS["bench"]()
+    for start, stop in motion.statics:
+        state = motion.state(np.linspace(start, stop, 50))
+        np.testing.assert_allclose(state.rate, 0.0, atol=1e-12)
+        np.testing.assert_allclose(np.linalg.norm(state.force, axis=1), motion.gravity, rtol=1e-12)
+
+
+def test_since_turn_counts_from_the_end_of_each_turn() -> None:
+    motion = MOTIONS["bench"]()
+    start, stop = motion.turns[1]
+    since = motion.state(np.array([0.0, 0.5 * (start + stop), stop + 0.25])).since_turn
+    np.testing.assert_allclose(since, [np.inf, 0.0, 0.25])
+
+
+def test_without_noise_the_recording_is_the_model() -> None:
+    motion = MOTIONS["bench"]()
+    recording = simulate(motion, SensorModel(), QUIET, rng=np.random.default_rng(0), rate=100.0)
+    state = motion.state(recording.time)
+    np.testing.assert_array_equal(recording.accel, state.force)
+    np.testing.assert_array_equal(recording.gyro, state.rate)
+    assert recording.device.rate == 100.0
+
+
+def test_device_rounds_and_clips() -> None:
+    device = DeviceInfo(accel_lsb=0.5, accel_full_scale=8.0, gyro_lsb=0.25, gyro_full_scale=1.0)
+    recording = simulate(
+        MOTIONS["bench"](),
+        SensorModel(),
+        QUIET,
+        rng=np.random.default_rng(0),
+        rate=100.0,
+        device=device,
+    )
+    assert set(np.unique(recording.accel % 0.5)) == {0.0}
+    assert recording.accel.max() == 7.5
+    assert recording.gyro.min() == -1.0
+    assert recording.gyro.max() == 0.75
+
+
+def test_clock_and_lost_samples() -> None:
+    sampling = Sampling(clock_offset=5.0, clock_scale=1e-3, jitter=1e-3, lost=0.01, lost_run=2.0)
+    recording = simulate(
+        MOTIONS["bench"](),
+        SensorModel(),
+        QUIET,
+        rng=np.random.default_rng(4),
+        rate=100.0,
+        sampling=sampling,
+    )
+    assert recording.samples_lost > 0
+    index = np.cumsum(recording.lost + 1) - 1
+    np.testing.assert_allclose(recording.time, 5.0 + 1.001 * index / 100.0, atol=0.0041)
+    assert np.std(recording.time - 5.0 - 1.001 * index / 100.0) == pytest.approx(1e-3, rel=0.2)
+
+
+def allan_variance(rate: np.ndarray, step: float, average: float) -> float:
+    """Overlapping Allan variance by its definition, at one averaging time."""
+    m = round(average / step)
+    total = np.concatenate([[0.0], np.cumsum(rate)]) * step
+    second = total[2 * m :] - 2 * total[m:-m] + total[: -2 * m]
+    return float(np.mean(second**2) / (2 * (m * step) ** 2))
+
+
+def drawn(model: NoiseModel, *, seconds: float, rate: float) -> Signals:
+    return model.draw(np.arange(0, seconds, 1 / rate), rng=np.random.default_rng(7))
+
+
+def test_white_noise_has_its_density() -> None:
+    noise = drawn(NoiseModel(gyro_noise_density=1e-3), seconds=1000, rate=50.0)
+    assert np.std(noise.gyro) == pytest.approx(1e-3 * np.sqrt(25.0), rel=0.01)
+    found = np.mean([allan_variance(noise.gyro[:, i], 0.02, 1.0) for i in range(3)])
+    assert found == pytest.approx(1e-6 / 2, rel=0.1)
+    assert not noise.accel.any()
+
+
+def test_bias_instability_has_its_floor() -> None:
+    noise = drawn(NoiseModel(accel_bias_instability=1e-3), seconds=20000, rate=10.0)
+    for average in (2.0, 20.0, 200.0):
+        found = np.mean([allan_variance(noise.accel[:, i], 0.1, average) for i in range(3)])
+        assert np.sqrt(found) == pytest.approx(np.sqrt(2 * np.log(2) / np.pi) * 1e-3, rel=0.15)
+
+
+def test_random_walk_grows_as_it_should() -> None:
+    noise = drawn(NoiseModel(gyro_random_walk=1e-3), seconds=20000, rate=10.0)
+    for average in (10.0, 100.0):
+        found = np.mean([allan_variance(noise.gyro[:, i], 0.1, average) for i in range(3)])
+        assert found == pytest.approx(1e-6 * average / 3, rel=0.2)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "name"),
+    [
+        ({}, "rate"),
+        ({"rate": -1.0}, "rate"),
+        ({"rate": 1.0, "time": np.zeros(2)}, "rate"),
+        ({"time": np.zeros(2)}, "time"),
+    ],
+)
+def test_sample_times_are_checked(arguments: dict, name: str) -> None:
+    with pytest.raises(ValueError, match=f"`{name}`"):
+        simulate(
+            MOTIONS["bench"](), SensorModel(), QUIET, rng=np.random.default_rng(0), **arguments
+        )
+
+
+def test_noise_model_refuses_negative_sizes() -> None:
+    with pytest.raises(ValueError, match="`gyro_noise_density`"):
+        NoiseModel(gyro_noise_density=-1.0)
