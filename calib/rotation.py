@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.types import FloatArray
+from calib.types import FloatArray, IntArray
 
 
 def skew(vec: FloatArray) -> FloatArray:
@@ -113,6 +113,14 @@ def cumulative_quat(increments: FloatArray) -> FloatArray:
         carry = quat_multiply(carry, block[r, -1])
         carry /= np.linalg.norm(carry)
     return quat_multiply(carries[:, None, :], block).reshape(-1, 4)[:n]
+
+
+def cumulative_quat_segments(increments: FloatArray, first: IntArray) -> FloatArray:
+    """Return `cumulative_quat` begun anew in each segment ``[first[i], first[i + 1])``."""
+    product = cumulative_quat(increments)
+    before = np.concatenate([[[1.0, 0.0, 0.0, 0.0]], product[first[1:-1] - 1]])
+    before[:, 1:] *= -1
+    return quat_multiply(np.repeat(before, np.diff(first), axis=0), product)
 
 
 def integrate_rate(time: FloatArray, rate: FloatArray) -> FloatArray:

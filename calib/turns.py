@@ -4,6 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
+from calib.poses import Poses
+from calib.recording import Recording
 from calib.types import FloatArray, IntArray
 
 
@@ -30,3 +34,43 @@ class Turns:
 
     def __len__(self) -> int:
         return len(self.start)
+
+    def select(self, which: FloatArray | IntArray | slice) -> Turns:
+        """Return some of the turns: an index array, a mask or a slice."""
+        return Turns(
+            self.before[which],
+            self.after[which],
+            self.start[which],
+            self.stop[which],
+            self.interval[which],
+        )
+
+
+def find_turns(recording: Recording, poses: Poses) -> Turns:
+    """Return the turns of a recording: one between every two poses that follow each other.
+
+    A turn runs from the last sample of the pose before to the first of the pose after, both of
+    them at rest. Motion before the first pose and after the last belongs to no turn: only one of
+    its ends has a known direction of gravity. A stretch in which the sensor was only pushed, or
+    shaken for a minute, is a turn like any other: what it is worth follows from its noise.
+
+    Parameters
+    ----------
+    recording : Recording
+    poses : Poses
+        Of this recording, in the order of time.
+
+    Raises
+    ------
+    ValueError
+        If the poses overlap, are out of order or lie outside of the recording.
+    """
+    start, stop = poses.stop[:-1] - 1, poses.start[1:] + 1
+    order = np.stack([poses.start, poses.stop], axis=1).ravel()
+    if len(poses) and (order[0] < 0 or order[-1] > len(recording) or (np.diff(order) < 0).any()):
+        raise ValueError(
+            f"`poses` must follow each other within the recording's {len(recording)} samples"
+        )
+    index = np.arange(max(len(poses) - 1, 0))
+    interval = np.stack([recording.time[start], recording.time[stop - 1]], axis=1)
+    return Turns(index, index + 1, start, stop, interval)

@@ -1,0 +1,99 @@
+"""The default gyroscope method: recovery, honest errors, robustness, and what it cannot know."""
+
+import numpy as np
+import pytest
+from gyro_motion import GRAVITY, Motion, Truth, protocol, simulate
+
+from calib.fit import Fit
+from calib.model import Triad
+from calib.solvers import gyro_solvers
+from calib.turns import find_turns
+
+GYRO = Triad(
+    [0.01, -0.02, 0.015],
+    [0.02, -0.03, 0.01],
+    np.array([[0, 0.01, -0.02], [0.015, 0, 0.005], [-0.01, 0.02, 0]]),
+)
+TRUTH = np.array(list(GYRO.parameters("gyro").values()))
+
+
+def solve(truth: Truth, accel: Triad | None = None) -> Fit:
+    return gyro_solvers()["rotation_segment_3x3"].solve(
+        truth.recording,
+        truth.poses,
+        find_turns(truth.recording, truth.poses),
+        accel or Triad(),
+        gravity=GRAVITY,
+        options={},
+    )
+
+
+def test_errors_are_what_the_covariance_says() -> None:
+    nees = []
+    for seed in range(40):
+        fit = solve(simulate(Motion(protocol()), GYRO, rng=np.random.default_rng(seed)))
+        error = fit.values - TRUTH
+        nees.append(error @ np.linalg.solve(fit.covariance, error) / 12)
+        assert not fit.undetermined
+    # The mean of 40 chi-squares with 12 degrees of freedom, over 12: 1 +- 0.065.
+    assert 0.75 < np.mean(nees) < 1.25
+
+
+def test_without_noise_the_answer_is_exact() -> None:
+    truth = simulate(
+        Motion(protocol(), rate=400.0),
+        GYRO,
+        rng=np.random.default_rng(0),
+        gyro_noise=1e-9,
+        accel_noise=1e-9,
+    )
+    np.testing.assert_allclose(solve(truth).values, TRUTH, atol=2e-6)
+
+
+def test_several_revolutions_and_large_errors() -> None:
+    gyro = Triad([0.3, -0.6, 0.3], [0.1, -0.05, 0.2])
+    turns = np.concatenate([protocol(), np.pi * np.diag([5.5, 6.5, 0.0])])
+    truth = simulate(Motion(turns, turn=4.0), gyro, rng=np.random.default_rng(3))
+    fit = solve(truth)
+    error = fit.values - np.array(list(gyro.parameters("gyro").values()))
+    assert not fit.excluded
+    assert (np.abs(error / fit.standard_errors) < 4.5).all()
+
+
+def test_a_vertical_axis_is_named_and_the_rest_is_returned() -> None:
+    # z stays vertical in all its turns, and no other axis is turned far.
+    q = np.pi / 2
+    turns = [[q, 0, 0], [-q, 0, 0], [0, q, 0], [0, -q, 0], [0, 0, q], [0, 0, q], [0, 0, -q]] * 3
+    fit = solve(simulate(Motion(np.array(turns)), GYRO, rng=np.random.default_rng(1)))
+    assert "gyro.scale_factor_error.z" in fit.undetermined
+    assert "gyro.scale_factor_error.x" not in fit.undetermined
+    assert any("axis z was vertical" in text and "remount" in text for text in fit.advice)
+    known = np.array([n not in fit.undetermined for n in fit.names])
+    errors = (fit.values - TRUTH)[known] / fit.standard_errors[known]
+    assert (np.abs(errors[3:5]) < 5).all()
+    assert np.isnan(fit.standard_errors[~known]).all()
+
+
+def test_an_axis_that_never_turned_is_named() -> None:
+    q = np.pi / 2
+    turns = np.array([[q, 0, 0], [0, q, 0], [-q, 0, 0], [0, -q, 0]] * 4)
+    fit = solve(simulate(Motion(turns), GYRO, rng=np.random.default_rng(1)))
+    assert set(fit.undetermined) == {
+        "gyro.scale_factor_error.z",
+        "gyro.misalignment.xz",
+        "gyro.misalignment.yz",
+    }
+    assert any("axis z hardly turned" in text for text in fit.advice)
+
+
+@pytest.mark.parametrize("milli_g", [5, 50])
+def test_a_bumped_pose_is_found_and_left_out(milli_g: float) -> None:
+    truth = simulate(Motion(protocol()), GYRO, rng=np.random.default_rng(5))
+    bumped = truth.poses.accel.copy()
+    k = 9
+    side = np.cross(bumped[k], [0.3, 0.5, 0.8])
+    bumped[k] += milli_g / 1000 * GRAVITY * side / np.linalg.norm(side)
+    object.__setattr__(truth.poses, "accel", bumped)
+    fit = solve(truth)
+    assert [e.interval for e in fit.excluded] == [tuple(truth.poses.interval[k])]
+    assert (np.abs((fit.values - TRUTH) / fit.standard_errors) < 4.5).all()
