@@ -1,0 +1,197 @@
+"""Correct a stream with a calibration, batch by batch, as if it were corrected whole.
+
+Baseline is the same for every sample by itself. Some further terms look at a sample's neighbours (a
+rate of temperature, a delay, a low-pass): then the last samples of a batch wait for the next one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from calib.calibration import Calibration
+from calib.effects import get_effect
+from calib.effects.base import State, Term, TransformEffect
+from calib.recording import Recording
+from calib.types import FloatArray
+
+MARGIN = 16
+"""Samples on either side that a term with neighbours needs at least: differences reach one, and the
+fixed point of `SensorModel.correct` repeats them."""
+
+SETTLE = 12.0
+"""Time constants after which a low-pass has forgotten: e⁻¹² is 6 parts in 10⁶."""
+
+
+@dataclass
+class Coverage:
+    """Which part of what was corrected lay outside the calibrated temperature range."""
+
+    samples: int = 0
+    outside: int = 0
+    without_temperature: int = 0
+    low: float = np.inf
+    high: float = -np.inf
+
+
+@dataclass(frozen=True, eq=False)
+class Block:
+    """Samples as arrays: (n,) s, (n, 3) m/s², (n, 3) rad/s, (n,) °C or None. May hold NaN."""
+
+    time: FloatArray
+    accel: FloatArray
+    gyro: FloatArray
+    temperature: FloatArray | None = None
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+
+@dataclass
+class Corrector:
+    """Corrects blocks of one stream in their order.
+
+    Parameters
+    ----------
+    calibration : Calibration
+    interval : float, s
+        Time between samples, by which time constants become numbers of samples.
+    """
+
+    calibration: Calibration
+    interval: float
+    coverage: Coverage = field(default_factory=Coverage)
+    _held: Block | None = None
+    _context: int = 0
+
+    def __post_init__(self) -> None:
+        self.margin = max((self._reach(t) for t in self.calibration.model.terms), default=0)
+        """How many samples the output lags behind the input; 0 for baseline."""
+        model, housing = self.calibration.model, self.calibration.housing
+        rotation = np.eye(3) if housing is None else housing.mat_hs
+        self._affine = []
+        for triad in (model.accel, model.gyro):
+            matrix = rotation @ np.linalg.inv(triad.matrix)
+            self._affine.append((matrix, (matrix @ triad.bias)[:, None]))
+
+    def add(self, block: Block) -> tuple[FloatArray, FloatArray]:
+        """Return the corrected accel and gyro (m, 3) of the next m samples of the stream.
+
+        m is the number that came in, or, with terms that look at neighbours, as many as have all of
+        theirs.
+        """
+        self._cover(block)
+        if not self.calibration.model.terms:
+            return self._baseline(block)
+        if not self.margin:
+            return self._correct(block)
+        return self._advance(block, last=False)
+
+    def finish(self) -> tuple[FloatArray, FloatArray]:
+        """Return the corrected samples that were still waiting for their neighbours."""
+        if self._held is None:
+            return np.zeros((0, 3)), np.zeros((0, 3))
+        return self._advance(None, last=True)
+
+    def _baseline(self, block: Block) -> tuple[FloatArray, FloatArray]:
+        out = []
+        for (matrix, offset), values in zip(self._affine, (block.accel, block.gyro), strict=True):
+            columns = matrix @ values.T
+            columns -= offset
+            out.append(columns.T)
+        return out[0], out[1]
+
+    def _correct(self, block: Block) -> tuple[FloatArray, FloatArray]:
+        if not len(block):
+            return block.accel, block.gyro
+        signals = self.calibration.correct(
+            State(
+                block.time,
+                block.accel,
+                block.gyro,
+                block.temperature,
+                gravity=self.calibration.gravity.value,
+            )
+        )
+        return signals.accel, signals.gyro
+
+    def _advance(self, block: Block | None, *, last: bool) -> tuple[FloatArray, FloatArray]:
+        parts = [part for part in (self._held, block) if part is not None]
+        whole = _concatenate(parts)
+        stop = len(whole) if last else max(self._context, len(whole) - self.margin)
+        if stop == self._context:
+            self._held = whole
+            return np.zeros((0, 3)), np.zeros((0, 3))
+        accel, gyro = self._correct(whole)
+        out = accel[self._context : stop], gyro[self._context : stop]
+        keep = max(0, stop - self.margin)
+        self._held = None if last else _rows(whole, keep)
+        self._context = stop - keep
+        return out
+
+    def _reach(self, term: Term) -> int:
+        """Return how many samples on either side a term looks at."""
+        effect = get_effect(term.effect)
+        if not isinstance(effect, TransformEffect):
+            probe = _Probe(
+                np.arange(3.0), np.ones((3, 3)), np.ones((3, 3)), temperature=np.zeros(3)
+            )
+            effect.contribution(probe, term.parameters)
+            return MARGIN if probe.__dict__.get("asked") else 0
+        units = {p.name: p.unit for p in effect.parameters}
+        units |= {p.name: p.unit for p in effect.shape}
+        seconds = 0.0
+        for name, value in term.parameters.items():
+            if units[name] == "s":
+                seconds = max(seconds, abs(value))
+            elif units[name] == "Hz" and value > 0:
+                seconds = max(seconds, SETTLE / (2 * np.pi * value))
+        return MARGIN + int(np.ceil(seconds / self.interval)) if self.interval > 0 else MARGIN
+
+    def _cover(self, block: Block) -> None:
+        cover, span = self.coverage, self.calibration.temperature
+        cover.samples += len(block)
+        if block.temperature is None:
+            cover.without_temperature += len(block)
+        elif span is not None and len(block):
+            values = block.temperature
+            low, high = float(values.min()), float(values.max())
+            cover.low, cover.high = min(cover.low, low), max(cover.high, high)
+            if low < span.low or high > span.high:
+                cover.outside += int(np.count_nonzero((values < span.low) | (values > span.high)))
+
+
+def correct_recording(calibration: Calibration, recording: Recording) -> Recording:
+    """Return a whole recording in corrected units, in the housing's frame if that is known."""
+    corrector = Corrector(calibration, recording.interval)
+    block = Block(recording.time, recording.accel, recording.gyro, recording.temperature)
+    parts = [corrector.add(block), corrector.finish()]
+    accel = np.concatenate([part[0] for part in parts])
+    gyro = np.concatenate([part[1] for part in parts])
+    return replace(recording, accel=accel, gyro=gyro)
+
+
+class _Probe(State):
+    """A state that remembers whether it was asked for a derivative."""
+
+    def derivative(self, values: FloatArray) -> FloatArray:
+        self.__dict__["asked"] = True
+        return super().derivative(values)
+
+
+def _concatenate(parts: list[Block]) -> Block:
+    if len(parts) == 1:
+        return parts[0]
+    temperatures = [part.temperature for part in parts if part.temperature is not None]
+    return Block(
+        np.concatenate([part.time for part in parts]),
+        np.concatenate([part.accel for part in parts]),
+        np.concatenate([part.gyro for part in parts]),
+        np.concatenate(temperatures) if len(temperatures) == len(parts) else None,
+    )
+
+
+def _rows(block: Block, start: int) -> Block:
+    temperature = None if block.temperature is None else block.temperature[start:]
+    return Block(block.time[start:], block.accel[start:], block.gyro[start:], temperature)
