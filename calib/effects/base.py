@@ -21,6 +21,7 @@ from functools import cached_property
 from typing import Literal, NamedTuple
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from calib.recording import AXES
 from calib.types import FloatArray
@@ -33,6 +34,9 @@ EffectKind = Literal["sensor", "event", "setup"]
 Column = Mapping[str, FloatArray]
 """What one unit of a parameter adds, by channel (``accel.x`` ... ``gyro.z``): (n,) arrays in m/s²
 and rad/s. A channel that is not there is untouched."""
+
+G = 9.80665
+"""Standard gravity, m/s²: what data sheets mean by g."""
 
 PRESENCE = "presence"
 """Unit of a parameter that only says whether the effect is there: 1, or 0. Its sizes are shape
@@ -68,7 +72,7 @@ class ShapeParameter:
 
     ``spacing`` is how candidates are spread: ``log`` for time constants, ``linear`` for moments,
     ``integer`` for codes. Bounds of None mean the recording's own span (of time, or of the signal
-    for a full scale).
+    for a full scale). An ``optional`` one may be left out of a `Term`: that part is not there then.
     """
 
     name: str
@@ -76,6 +80,7 @@ class ShapeParameter:
     low: float | None
     high: float | None
     spacing: Literal["log", "linear", "integer"] = "log"
+    optional: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +99,7 @@ class State:
     power_on : float, s
         The moment that warm-up is counted from.
     since_turn : (n,) array, s, or None
-        Time since the last turn ended; NaN or large before the first.
+        Time since the last turn ended, on through the next turn; infinite before the first.
     mat_ns : (n, 3, 3) array or None
         Orientation, where it is known; ``earth_rate`` needs it.
     latitude : float, rad, or None
@@ -102,6 +107,8 @@ class State:
         Short-time variance of the specific force.
     angular_acceleration : (n, 3) array, rad/s², or None
         Where it is known exactly, as in simulation; otherwise `rate_dot` differences the rate.
+    temperature_slope : (n,) array, K/s, or None
+        The same of temperature; otherwise `temperature_rate` fits it.
     gravity : float, m/s²
     """
 
@@ -116,13 +123,18 @@ class State:
     latitude: float | None = None
     vibration: FloatArray | None = None
     angular_acceleration: FloatArray | None = None
+    temperature_slope: FloatArray | None = None
     gravity: float = 9.80665
 
     def derivative(self, values: FloatArray) -> FloatArray:
-        """Return the time derivative by second-order differences on uneven times."""
-        if len(self.time) < 3:
-            return np.zeros_like(values)
-        return np.gradient(values, self.time, axis=0)
+        """Return the time derivative of (n, ...) values, of their cubic spline through all times.
+
+        Second-order differences would lose 6 % of a 10 Hz tremor at 100 Hz, a spline 0.1 %.
+        """
+        if len(self.time) < 4:
+            return np.gradient(values, self.time, axis=0) if len(self.time) > 2 else 0.0 * values
+        slope: FloatArray = CubicSpline(self.time, values)(self.time, 1)
+        return slope
 
     @cached_property
     def force_dot(self) -> FloatArray:
@@ -153,8 +165,31 @@ class State:
 
     @cached_property
     def temperature_rate(self) -> FloatArray | None:
-        """Rate of temperature, K/s, (n,)."""
-        return None if self.temperature is None else self.derivative(self.temperature)
+        """Rate of temperature, K/s, (n,): the slope of a line through 20 s about each sample.
+
+        A sensor's thermometer is far too noisy to be differenced from sample to sample.
+        """
+        if self.temperature is None or self.temperature_slope is not None:
+            return self.temperature_slope
+        return local_slope(self.time, self.temperature, window=20.0)
+
+
+def local_slope(time: FloatArray, values: FloatArray, *, window: float) -> FloatArray:
+    """Return the least-squares slope of (n,) values over `window` seconds about each time."""
+    if len(time) < 2:
+        return np.zeros_like(values)
+    t, x = time - time.mean(), values - values.mean()
+    sums = np.zeros((4, len(t) + 1))
+    np.cumsum([t, x, t * t, t * x], axis=1, out=sums[:, 1:])
+    first = np.searchsorted(t, t - 0.5 * window)
+    last = np.searchsorted(t, t + 0.5 * window, side="right")
+    # At a gap at least the neighbours count.
+    index = np.arange(len(t))
+    first, last = np.minimum(first, np.maximum(index - 1, 0)), np.maximum(last, index + 1)
+    count = last - first
+    st, sx, stt, stx = sums[:, last] - sums[:, first]
+    slope: FloatArray = (stx - st * sx / count) / (stt - st * st / count)
+    return slope
 
 
 class Effect(ABC):
@@ -192,7 +227,7 @@ class Effect(ABC):
     def contribution(self, state: State, parameters: Mapping[str, float]) -> dict[str, FloatArray]:
         """Return what the effect adds to each channel that it touches, with these parameters."""
         out: dict[str, FloatArray] = {}
-        shape = {item.name: parameters[item.name] for item in self.shape}
+        shape = {p.name: parameters[p.name] for p in self.shape if p.name in parameters}
         for name, column in self.columns(state, shape).items():
             value = parameters.get(name, 0.0)
             if not value:
@@ -217,7 +252,7 @@ class Effect(ABC):
                 raise ValueError(f"`{name}` is no parameter of {self.slug}: it has {known}")
             if not np.isfinite(value):
                 raise ValueError(f"`{name}` of {self.slug} must be finite, got {value}")
-        missing = [name for name in shape if name not in parameters]
+        missing = [p.name for p in self.shape if not p.optional and p.name not in parameters]
         if missing:
             raise ValueError(f"{self.slug} needs `{missing[0]}` as well")
 

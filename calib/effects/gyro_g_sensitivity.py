@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from calib.effects.base import Column, Effect, Parameter, State
+from calib.effects.base import Column, Effect, G, Parameter, State
 from calib.recording import AXES
 
 
@@ -21,7 +21,7 @@ class GyroGSensitivity(Effect):
         "(MPU-6050 product specification rev. 3.4, linear acceleration sensitivity)"
     )
     parameters = tuple(
-        Parameter(f"g{a}{b}", "(rad/s)/(m/s²)", np.radians(0.1) / 9.80665, (f"gyro.{a}",))
+        Parameter(f"g{a}{b}", "(rad/s)/(m/s²)", np.radians(0.1) / G, (f"gyro.{a}",))
         for a in AXES
         for b in AXES
     )

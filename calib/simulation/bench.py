@@ -106,9 +106,7 @@ def bench_protocol(
         tuple(segments),
         temperature=None
         if temperature is None
-        else lambda time: (
-            temperature + warm_up * (1 - np.exp(-np.maximum(time - power_on, 0.0) / warm_up_time))
-        ),
+        else lambda time: temperature + warm_up * (1 - np.exp((power_on - time) / warm_up_time)),
         power_on=power_on,
         gravity=gravity,
     )

@@ -159,6 +159,7 @@ class Motion:
             latitude=self.latitude,
             vibration=None if self.vibration is None else self.vibration(time) ** 2,
             angular_acceleration=turning.rate_dot,
+            temperature_slope=self._temperature_slope(time),
             gravity=self.gravity,
         )
 
@@ -168,6 +169,11 @@ class Motion:
             return None
         last = np.searchsorted(turns[:, 1], time, side="right") - 1
         since: FloatArray = np.where(last >= 0, time - turns[np.maximum(last, 0), 1], np.inf)
-        moving = np.searchsorted(turns[:, 0], time, side="right") - 1 > last
-        since[moving] = 0.0
         return since
+
+    def _temperature_slope(self, time: FloatArray) -> FloatArray | None:
+        if self.temperature is None:
+            return None
+        h = 1e-3
+        slope: FloatArray = (self.temperature(time + h) - self.temperature(time - h)) / (2 * h)
+        return slope

@@ -18,10 +18,8 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from scipy.signal import lfilter
 
-from calib.effects.base import Signals
+from calib.effects.base import G, Signals
 from calib.types import FloatArray
-
-G = 9.80665
 
 
 @dataclass(frozen=True)

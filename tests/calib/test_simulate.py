@@ -82,7 +82,7 @@ def test_since_turn_counts_from_the_end_of_each_turn() -> None:
     motion = MOTIONS["bench"]()
     start, stop = motion.turns[1]
     since = motion.state(np.array([0.0, 0.5 * (start + stop), stop + 0.25])).since_turn
-    np.testing.assert_allclose(since, [np.inf, 0.0, 0.25])
+    np.testing.assert_allclose(since, [np.inf, 0.5 * (start + stop) - motion.turns[0, 1], 0.25])
 
 
 def test_without_noise_the_recording_is_the_model() -> None:

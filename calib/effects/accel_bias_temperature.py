@@ -1,0 +1,45 @@
+"""Bias of the accelerometer that follows temperature."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from calib.effects.base import Column, Effect, G, State, axis_columns, per_axis
+
+
+class AccelBiasTemperature(Effect):
+    """``f_m,i += k_i T + q_i T²``."""
+
+    slug = "accel_bias_temperature"
+    title = "accel bias temperature coefficient"
+    equation = "f_m,i += k_i T + q_i T²"
+    source = (
+        "MPU-6050 product specification rev. 3.4: zero-g output varies by 35 to 60 mg over "
+        "70 K, 0.5 mg/K; the square is an estimate, a third of it at 30 K"
+    )
+    parameters = (
+        *per_axis("accel", "k", "(m/s²)/K", 0.5e-3 * G),
+        *per_axis("accel", "q", "(m/s²)/K²", 0.005e-3 * G),
+    )
+    follows = "temperature"
+    needs = "a temperature span that does not just rise with time or pose"
+    sentence = "The accelerometer reads off by an amount that follows temperature."
+    absorbed_by = ("accel.bias", "accel.scale_factor_error")
+    rivals = (
+        "accel_warm_up",
+        "accel_scale_temperature",
+        "accel_temperature_rate",
+        "accel_bias_step",
+    )
+
+    def columns(self, state: State, shape: Mapping[str, float]) -> dict[str, Column]:
+        """Return temperature and its square, on each axis; nothing where it was not measured."""
+        if state.warmth is None:
+            return {}
+        return {
+            **axis_columns("accel", "k", state.warmth),
+            **axis_columns("accel", "q", state.warmth**2),
+        }
+
+
+EFFECT = AccelBiasTemperature()

@@ -1,0 +1,41 @@
+"""The three accelerometer axes do not sit at one point."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from calib.effects.base import Column, Effect, Parameter, State
+from calib.recording import AXES
+from calib.rotation import skew
+
+
+class AccelSizeEffect(Effect):
+    """``f_m,i += (w x (w x r_i) + dw/dt x r_i)_i, r_x = 0``."""
+
+    slug = "accel_size_effect"
+    title = "accel size effect"
+    equation = "f_m,i += (w x (w x r_i) + dw/dt x r_i)_i, r_x = 0"
+    source = (
+        "IEEE Std 1293-2018 (size effect); 1 mm is the spacing of proof masses in a small "
+        "package, 10 mm with separate parts"
+    )
+    parameters = tuple(
+        Parameter(f"r{a}{b}", "m", 1e-3, (f"accel.{a}",)) for a in ("y", "z") for b in AXES
+    )
+    follows = "rate squared and angular acceleration"
+    needs = "fast turns about several axes, from rest to rest"
+    sentence = "While it turns fast, the three axes of the accelerometer disagree: they sit apart."
+    rivals = ("accel_lever_arm", "time_offset", "inter_axis_skew")
+
+    def columns(self, state: State, shape: Mapping[str, float]) -> dict[str, Column]:
+        """Return rows y and z of ``skew(w)² + skew(dw/dt)``: positions relative to the x axis."""
+        turn = skew(state.rate)
+        gradient = turn @ turn + skew(state.rate_dot)
+        return {
+            f"r{a}{b}": {f"accel.{a}": gradient[:, AXES.index(a), j]}
+            for a in ("y", "z")
+            for j, b in enumerate(AXES)
+        }
+
+
+EFFECT = AccelSizeEffect()

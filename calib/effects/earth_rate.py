@@ -1,0 +1,49 @@
+"""The Earth's rotation, which a gyro at rest senses."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from calib.effects.base import Column, Effect, Parameter, State
+from calib.recording import AXES
+
+
+class EarthRate(Effect):
+    """``w_m += mat_sn (east, north, up)``."""
+
+    slug = "earth_rate"
+    title = "Earth rate"
+    equation = "w_m += mat_sn (east, north, up)"
+    source = (
+        "IERS Conventions (2010): 7.2921150e-5 rad/s; its north part goes with the cosine "
+        "of latitude, its part up with the sine. At 45 degrees each is 5.16e-5 rad/s, 3 "
+        "mdps"
+    )
+    kind = "setup"
+    parameters = tuple(
+        Parameter(name, "rad/s", 5.16e-5, ("gyro.x", "gyro.y", "gyro.z"))
+        for name in ("east", "north", "up")
+    )
+    follows = "heading and tilt at rest"
+    needs = (
+        "a quiet gyro, long statics, several headings; its part up equals an isotropic "
+        "g-sensitivity"
+    )
+    sentence = "The gyro at rest senses the Earth's rotation."
+    absorbed_by = ("gyro.bias",)
+    rivals = ("gyro_g_sensitivity",)
+
+    def columns(self, state: State, shape: Mapping[str, float]) -> dict[str, Column]:
+        """Return the axes of frame n in the sensor frame; nothing where orientation is not known.
+
+        Where heading is known only up to a constant, east and north are rotated by it.
+        """
+        if state.mat_ns is None:
+            return {}
+        return {
+            name: {f"gyro.{a}": state.mat_ns[:, row, i] for i, a in enumerate(AXES)}
+            for row, name in enumerate(("east", "north", "up"))
+        }
+
+
+EFFECT = EarthRate()
