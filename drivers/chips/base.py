@@ -231,12 +231,16 @@ class Device:
 
 @dataclass(frozen=True)
 class Setup:
-    """How a chip is to run: full scales in g and degree/s, rate in Hz, low-pass in Hz (or None)."""
+    """How a chip is to run: full scales in g and degree/s, rate in Hz, low-pass in Hz (or None).
+
+    ``firmware`` is what a BMI270 needs uploaded; its maker's file, which the user supplies.
+    """
 
     accel_range: float
     gyro_range: float
     rate: float
     bandwidth: float | None = None
+    firmware: bytes | None = None
 
 
 @dataclass(frozen=True)
@@ -326,7 +330,8 @@ class Chip(ABC):
     def decode(self, data: bytes) -> Samples:
         """Take bursts of the data registers apart."""
         rows = np.frombuffer(data, self.frame)
-        temperature = self.celsius(rows["temperature"]) if "temperature" in self.frame.fields else None  # type: ignore[operator]
+        measured = "temperature" in (self.frame.names or ())
+        temperature = self.celsius(rows["temperature"]) if measured else None
         return Samples(rows["accel"].astype(np.int16), rows["gyro"].astype(np.int16), temperature)
 
     def sleep(self, device: Device) -> None:  # noqa: B027 - most chips need nothing
@@ -363,12 +368,12 @@ class Chip(ABC):
         self.nearest_rate(setup.rate)
         if setup.bandwidth is not None and setup.bandwidth not in self.bandwidths:
             names = ", ".join(f"{b:g}" for b in self.bandwidths)
-            raise ValueError(f"`filter` {setup.bandwidth:g} Hz is not one of {self.name}'s: {names}")
+            raise ValueError(
+                f"`filter` {setup.bandwidth:g} Hz is not one of {self.name}'s: {names}"
+            )
 
 
-def _row(
-    table: tuple[Sensitivity, ...], full_scale: float, unit: str, chip: str
-) -> Sensitivity:
+def _row(table: tuple[Sensitivity, ...], full_scale: float, unit: str, chip: str) -> Sensitivity:
     for row in table:
         if math.isclose(row.full_scale, full_scale, rel_tol=1e-3):
             return row

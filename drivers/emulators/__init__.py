@@ -10,5 +10,8 @@ from drivers.emulators.base import Emulator
 
 @cache
 def emulators() -> dict[str, Emulator]:
-    """Return every emulated device of this folder by its name."""
-    return discover(__name__, __path__, attribute="EMULATOR", kind=Emulator, key="name")
+    """Return every emulated device by its name: those of this folder, and the I2C chips."""
+    from drivers.emulators.i2c_chips import chip_emulators
+
+    found = discover(__name__, __path__, attribute="EMULATOR", kind=Emulator, key="name")
+    return found | chip_emulators()

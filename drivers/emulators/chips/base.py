@@ -10,7 +10,7 @@ from __future__ import annotations
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,16 +18,15 @@ from numpy.typing import NDArray
 from calib.types import FloatArray
 from drivers.chips import get_chip
 from drivers.chips.base import STANDARD_GRAVITY, BiasField, BiasRegisters, Field, Register
+from drivers.emulators.base import EmulatedSensor
 
 MOST_AT_ONCE = 8192
 """Samples made in one go; after a longer pause the ones before them would be lost anyway."""
 
 
-class Source(Protocol):
-    """What the sensing elements give, errors and noise included, before any user register."""
-
-    def __call__(self, time: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return accel (n, 3) m/s², gyro (n, 3) rad/s and temperature (n,) °C at times in s."""
+Source = Callable[[float], EmulatedSensor]
+"""From a rate (Hz) to the sensing elements sampled at it: what they give, errors and noise
+included, before any user register. Sample k is at k / rate on the device's own time."""
 
 
 class ChipModel(ABC):
@@ -60,16 +59,17 @@ class ChipModel(ABC):
         self.chip = get_chip(self.chip_name)
         self.part = part or next(iter(self.chip.models.values()))
         self.source = source
-        self.transactions = 0
         self.dropped = 0
         self.bank = 0
         self.pointer = 0
         self.fifo = bytearray()
         self._clock = clock
         self._origin = clock()
-        self._last = 0.0
-        self._fraction = 0.0
+        self._rate = 0.0
+        self._index = 0
+        self._unseen = False
         self._memory: dict[int, bytearray] = {}
+        self._sensor: EmulatedSensor | None = None
         rng = np.random.default_rng([seed, 0x7213])
         self._trim_bytes = self._make_trim(rng)
         self.power_cycle()
@@ -78,17 +78,18 @@ class ChipModel(ABC):
 
     def write(self, data: bytes) -> None:
         """Take one write transaction: a register's address, then bytes from there on."""
-        self._catch_up()
+        self._catch_up(observed=False)
         if not data:
             return
         self.pointer = data[0]
         for value in data[1:]:
             self._write_byte(self.pointer, value)
             self.pointer = self._next(self.pointer)
+        self._follow_rate()
 
     def read(self, count: int) -> bytes:
         """Answer one read transaction from the register that was addressed last."""
-        self._catch_up()
+        self._catch_up(observed=True)
         port = self._read_port(self.pointer, count)
         if port is not None:
             return port
@@ -109,7 +110,7 @@ class ChipModel(ABC):
             self.poke(register, value)
         identity = next(k for k, part in self.chip.models.items() if part == self.part)
         self.poke(self.chip.identity, identity)
-        self._changed()
+        self._follow_rate()
 
     # ---- what a model says about its chip ----
 
@@ -130,8 +131,12 @@ class ChipModel(ABC):
         """Return what the temperature registers hold, before rounding."""
 
     @abstractmethod
+    def fifo_runs(self) -> bool:
+        """Whether samples go into the FIFO."""
+
+    @abstractmethod
     def fifo_bytes(self, rows: NDArray[Any]) -> tuple[bytes, int]:
-        """Return samples as the FIFO frames them, and the size of one; (b"", 1) if it is off."""
+        """Return samples as the FIFO frames them, and the size of one."""
 
     def fifo_overflowed(self) -> None:  # noqa: B027 - some chips say nothing
         """Raise the chip's overflow flag."""
@@ -180,7 +185,6 @@ class ChipModel(ABC):
         if address == self.chip.identity.address and self.bank == (self.chip.identity.bank or 0):
             return
         self._page(self.bank)[address] = self.on_write(address, value) & 0xFF
-        self._changed()
 
     def _read_byte(self, address: int) -> int:
         select = self.chip.bank_select
@@ -194,38 +198,43 @@ class ChipModel(ABC):
         """Return the device's own time, s."""
         return self._clock() - self._origin
 
-    def _catch_up(self) -> None:
-        now = self.now()
-        rate = self.rate()
-        due = (now - self._last) * rate + self._fraction
-        count = int(due)
-        # Time before a change of rate belongs to the old rate: `_changed` comes here first.
-        self._fraction = due - count if rate else 0.0
-        start = self._last
-        self._last = now
-        if not count:
+    def _catch_up(self, *, observed: bool) -> None:
+        """Make the samples that are due; skip their making where nobody can see them."""
+        index = int(self.now() * self._rate)
+        first, self._index = self._index, index
+        if not self.fifo_runs():
+            self._unseen |= index > first
+            if observed and self._unseen:
+                self._unseen = False
+                self._emit(index - 1, index)
             return
-        if count > MOST_AT_ONCE:
-            self.dropped += count - MOST_AT_ONCE
+        if index <= first:
+            return
+        if index - first > MOST_AT_ONCE:
+            self.dropped += index - first - MOST_AT_ONCE
             self.fifo_overflowed()
-            count = MOST_AT_ONCE
-        del start
-        times = now - (np.arange(count)[::-1] + self._fraction) / rate
-        self._emit(times)
+            first = index - MOST_AT_ONCE
+        self._unseen = False
+        self._emit(first, index)
 
-    def _changed(self) -> None:
-        """Follow a change of registers; the bias registers' effect is looked up per batch."""
+    def _follow_rate(self) -> None:
+        # Every write caught up at the old rate first; what follows is at the new one.
+        rate = self.rate()
+        if rate != self._rate:
+            self._rate, self._index = rate, int(self.now() * rate)
 
-    def _emit(self, times: FloatArray) -> None:
-        rows = self._rows(times)
+    def _emit(self, first: int, last: int) -> None:
+        rows = self._rows(first, last)
         data = self.chip.data
         page = self._page(data.bank)
         page[data.address : data.address + rows.dtype.itemsize] = rows[-1:].tobytes()
         self.new_sample()
+        if not self.fifo_runs():
+            return
         framed, size = self.fifo_bytes(rows)
         self.fifo += framed
         excess = len(self.fifo) - self.chip.fifo_size
-        if framed and excess > 0:
+        if excess > 0:
             self.drop_oldest(excess, size)
             self.fifo_overflowed()
 
@@ -234,16 +243,18 @@ class ChipModel(ABC):
         self.dropped += -(-excess // size)
         del self.fifo[:excess]
 
-    def _rows(self, times: FloatArray) -> NDArray[Any]:
-        accel, gyro, temperature = self.source(times)
+    def _rows(self, first: int, last: int) -> NDArray[Any]:
+        if self._sensor is None or self._sensor.rate != self._rate:
+            self._sensor = self.source(self._rate)
+        (accel, gyro), temperature = self._sensor.measure(first, last)
         accel_row, gyro_row = self._sensitivities()
         shift = self.bias_shift()
         accel = (accel + shift[:3]) * (accel_row / STANDARD_GRAVITY)
         gyro = (gyro + shift[3:]) * (gyro_row * 180 / np.pi)
-        rows = np.zeros(len(times), self.chip.frame)
+        rows = np.zeros(last - first, self.chip.frame)
         rows["accel"] = _to_counts(accel)
         rows["gyro"] = _to_counts(gyro)
-        if "temperature" in rows.dtype.fields:  # type: ignore[operator]
+        if "temperature" in (rows.dtype.names or ()):
             rows["temperature"] = _to_counts(self.temperature_counts(temperature))
         return rows
 

@@ -36,10 +36,11 @@ class Mpu6500Model(ChipModel):
     def temperature_counts(self, celsius: FloatArray) -> FloatArray:
         return (celsius - 21) * 333.87
 
+    def fifo_runs(self) -> bool:
+        return bool(self.peek(r.FIFO_ENABLE) and self.peek(r.FIFO_EN) & r.FIFO_ALL)
+
     def fifo_bytes(self, rows: NDArray[Any]) -> tuple[bytes, int]:
         enable = self.peek(r.FIFO_EN)
-        if not self.peek(r.FIFO_ENABLE) or not enable & r.FIFO_ALL:
-            return b"", 1
         words = rows.view(">i2").reshape(-1, 7)
         # In the order of the data registers: accelerometer, temperature, gyroscope x, y, z.
         columns = [enable & 0x08] * 3 + [enable & bit for bit in (0x80, 0x40, 0x20, 0x10)]
