@@ -1,0 +1,109 @@
+"""The native form: an Arrow IPC stream that grows batch by batch.
+
+A recording that was killed can be read up to its last whole batch. The clean end is the stream's
+own end mark (``FF FF FF FF 00 00 00 00``); without it the recording says ``complete=False``.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from typing import Any
+
+import pyarrow as pa
+
+from calib.errors import RecordingFormatError
+from calib.recording import Recording
+from drivers.formats.base import Format, ReadOptions, Source, Writer
+from drivers.formats.columns import add_table, assembler_of, no_samples, schema_of, to_batch
+
+CONTINUATION = b"\xff\xff\xff\xff"
+END = CONTINUATION + b"\0\0\0\0"
+MAX_SCHEMA = 1 << 24
+
+
+class ArrowWriter(Writer):
+    """Appends batches to an Arrow IPC stream, each readable as soon as it is written."""
+
+    def _start(self, batch: Recording) -> None:
+        self._schema = schema_of(batch)
+        self._file = open(self._target, "wb", buffering=0)  # noqa: SIM115 - closed in _finish
+        self._stream = pa.ipc.new_stream(self._file, self._schema)
+
+    def _append(self, batch: Recording) -> None:
+        self._stream.write_batch(to_batch(batch, self._schema))
+
+    def flush(self) -> None:
+        """Hand what was appended to the disk: after this a power cut does not lose it."""
+        if self._last is not None:
+            os.fsync(self._file.fileno())
+
+    def _finish(self) -> None:
+        self._stream.close()
+        os.fsync(self._file.fileno())
+        self._file.close()
+
+    def _abandon(self) -> None:
+        self._file.close()  # no end mark: it was not a clean end
+
+
+class Arrow(Format):
+    """Arrow IPC stream."""
+
+    name = "arrow"
+    title = "Arrow IPC stream"
+    suffixes = (".arrow", ".arrows")
+    writer = ArrowWriter
+
+    def sniff(self, head: bytes) -> bool:
+        """Look for the continuation mark and a schema message of believable length."""
+        if len(head) < 8 or not head.startswith(CONTINUATION):
+            return False
+        return 0 < int.from_bytes(head[4:8], "little") < MAX_SCHEMA
+
+    def batches(self, source: Source, options: ReadOptions) -> Iterator[Recording]:
+        """Read whole batches up to the end mark, or up to where the file was cut."""
+        name, buffer = str(source.path), source.buffer
+        try:
+            reader = pa.ipc.open_stream(buffer)
+        except (pa.ArrowInvalid, OSError) as error:
+            raise RecordingFormatError(
+                f"{name} was cut or damaged before its first sample: {error}"
+            ) from error
+        assembler = assembler_of(reader.schema, name=name, drop_invalid=options.drop_invalid)
+        ended = buffer.slice(max(0, buffer.size - len(END))).to_pybytes() == END
+        if not ended:
+            assembler.complete = False
+            assembler.notes["cut"] = "no end mark; read up to the last whole batch"
+        if options.batch is None:
+            parts = list(_parts(reader, name, ended=ended))
+            tables = [pa.Table.from_batches(parts)] if parts else []
+        else:
+            tables = (  # type: ignore[assignment]
+                part.slice(at, options.batch)
+                for part in _parts(reader, name, ended=ended)
+                for at in range(0, part.num_rows, options.batch)
+            )
+        for table in tables:
+            recording = add_table(assembler, table)
+            if recording is not None:
+                yield recording
+        if not assembler.rows:
+            raise no_samples(name)
+
+
+FORMAT = Arrow()
+
+
+def _parts(reader: Any, name: str, *, ended: bool) -> Iterator[Any]:
+    while True:
+        try:
+            part = reader.read_next_batch()
+        except StopIteration:
+            return
+        except (pa.ArrowInvalid, OSError) as error:
+            if ended:
+                raise RecordingFormatError(f"{name} is damaged: {error}") from error
+            return
+        if part.num_rows:
+            yield part

@@ -1,0 +1,171 @@
+"""From columns in SI units to checked recordings: invalid rows are named, or become gaps."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from calib.errors import InvalidSampleError
+from calib.recording import CHANNELS, Clock, DeviceInfo, Recording
+from calib.types import BoolArray, FloatArray, IntArray
+
+MAX_REVERSAL = 1.0
+"""s; rows out of order may be dropped, but not a clock that started again."""
+
+
+@dataclass
+class Assembler:
+    """Makes the batches of one recording, whatever file they come from.
+
+    Keeps what runs on from batch to batch: the last time, the number of rows, and rows that were
+    dropped at the end of a batch and so are lost before the next one.
+
+    Parameters
+    ----------
+    name : str
+        The file, for messages.
+    drop_invalid : bool
+        Leave rows out that are not finite or whose time does not increase, and count them in
+        ``lost``; otherwise they are refused.
+    row_name : function from row number (from 0) to str
+        What a person calls that row: "line 17".
+    """
+
+    name: str
+    clock: Clock
+    device: DeviceInfo
+    drop_invalid: bool
+    row_name: Callable[[int], str] = lambda row: f"row {row + 1}"
+    notes: dict[str, str] = field(default_factory=dict)
+    complete: bool = True
+    rows: int = 0
+    dropped: int = 0
+    _pending: int = 0
+    _last: float = -np.inf
+
+    def add(
+        self,
+        time: FloatArray,
+        accel: FloatArray,
+        gyro: FloatArray,
+        temperature: FloatArray | None = None,
+        lost: IntArray | None = None,
+    ) -> Recording | None:
+        """Return one batch, or None if no row of it can be used.
+
+        Raises
+        ------
+        InvalidSampleError
+            If a row is not finite or its time does not increase, unless ``drop_invalid``.
+        """
+        first = self.rows
+        self.rows += len(time)
+        if len(time) == 0:
+            return None
+        bad = self._not_finite(time, accel, gyro, temperature, first)
+        late = self._not_increasing(time, bad, first)
+        if late is not None:
+            bad = late if bad is None else np.logical_or(bad, late)
+        lost = np.zeros(len(time), np.int64) if lost is None else np.array(lost, np.int64)
+        if bad is not None:
+            lost, keep = self._gap(bad, lost)
+            if not keep.any():
+                return None
+            time, accel, gyro, lost = time[keep], accel[keep], gyro[keep], lost[keep]
+            temperature = None if temperature is None else temperature[keep]
+        elif self._pending:
+            lost[0] += self._pending
+            self._pending = 0
+        self._last = float(time[-1])
+        return Recording(
+            time=time,
+            accel=accel,
+            gyro=gyro,
+            clock=self.clock,
+            temperature=temperature,
+            lost=lost,
+            device=self.device,
+            complete=self.complete,
+            notes=self._notes(),
+        )
+
+    def _notes(self) -> Mapping[str, str]:
+        if not self.dropped:
+            return self.notes
+        return self.notes | {"dropped_rows": str(self.dropped)}
+
+    def _not_finite(
+        self,
+        time: FloatArray,
+        accel: FloatArray,
+        gyro: FloatArray,
+        temperature: FloatArray | None,
+        first: int,
+    ) -> BoolArray | None:
+        columns = [time[:, None], accel, gyro]
+        names = ["time", *CHANNELS]
+        if temperature is not None:
+            columns.append(temperature[:, None])
+            names.append("temperature")
+        # A sum is finite if all terms are; look closer only if it is not.
+        with np.errstate(over="ignore", invalid="ignore"):
+            if all(np.isfinite(c.sum()) for c in columns):
+                return None
+        finite = np.hstack([np.isfinite(c) for c in columns])
+        bad: BoolArray = ~finite.all(axis=1)
+        if not bad.any():
+            return None
+        if not self.drop_invalid:
+            row = int(np.argmax(bad))
+            column = int(np.argmin(finite[row]))
+            value = np.hstack([c[row] for c in columns])[column]
+            raise InvalidSampleError(
+                f"{self.name}, {self.row_name(first + row)}: {names[column]} is {value}, "
+                f"expected a finite number ({int(bad.sum())} such rows). --drop-invalid leaves these rows "
+                "out and counts them as lost samples"
+            )
+        return bad
+
+    def _not_increasing(
+        self, time: FloatArray, bad: BoolArray | None, first: int
+    ) -> BoolArray | None:
+        step = np.diff(time, prepend=self._last)
+        if bad is None and step.min() > 0:
+            return None
+        usable = time if bad is None else np.where(bad, -np.inf, time)
+        latest = np.maximum.accumulate(np.concatenate([[self._last], usable[:-1]]))
+        late: BoolArray = time <= latest
+        if bad is not None:
+            late &= ~bad
+        if not late.any():
+            return None
+        row = int(np.argmax(late))
+        what = (
+            f"{self.name}, {self.row_name(first + row)}: time does not increase: {time[row]:.9g} s "
+            f"after {latest[row]:.9g} s"
+        )
+        if not self.drop_invalid:
+            raise InvalidSampleError(
+                f"{what}, expected later ({int(late.sum())} such rows). --drop-invalid leaves "
+                "these rows out; if the clock started again, split the file there"
+            )
+        back = float((latest - time)[late].max())
+        if back > MAX_REVERSAL:
+            raise InvalidSampleError(
+                f"{what}: the clock went back by {back:.3g} s, which is no row out of order. Split "
+                "the file there and give both parts"
+            )
+        return late
+
+    def _gap(self, bad: BoolArray, lost: IntArray) -> tuple[IntArray, BoolArray]:
+        """Move what is lost with, and before, bad rows to the next good row."""
+        keep = ~bad
+        self.dropped += int(bad.sum())
+        total = np.cumsum(lost + bad) + self._pending
+        kept = total[keep]
+        out = lost.copy()
+        out[keep] = np.diff(kept, prepend=0)
+        self._pending = int(total[-1] - (kept[-1] if kept.size else 0))
+        return out, keep

@@ -1,0 +1,146 @@
+"""What a recording format is: how it is recognised, read batch by batch, and written."""
+
+from __future__ import annotations
+
+import os
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, ClassVar, Self
+
+from calib.recording import Recording
+
+if TYPE_CHECKING:
+    from drivers.formats.profile import Profile
+
+HEAD = 1 << 16
+"""Bytes at the start of a file by which its format is recognised."""
+
+
+@dataclass(frozen=True)
+class Source:
+    """A file that is there and is not empty; `drivers.formats.find_source` makes it."""
+
+    path: Path
+    head: bytes
+    regular: bool = True
+    """False for a pipe: it can be read once, from start to end."""
+
+    @cached_property
+    def buffer(self) -> Any:
+        """All bytes as a pyarrow buffer: mapped, not copied, where the file is a regular one."""
+        import pyarrow as pa
+
+        if self.regular:
+            with pa.memory_map(str(self.path)) as mapped:
+                return mapped.read_buffer()
+        return pa.py_buffer(self.head)
+
+
+@dataclass(frozen=True)
+class ReadOptions:
+    """What the user says about a recording.
+
+    ``batch`` is the number of samples to hold at once; None reads the file as a whole.
+    """
+
+    profile: Profile | None = None
+    imu: int | None = None
+    drop_invalid: bool = False
+    batch: int | None = None
+
+
+class Writer(ABC):
+    """Appends batches of one recording to a file; a context manager.
+
+    With ``atomic`` the file appears under its name only when the writer is closed without an error;
+    otherwise it grows in place.
+    """
+
+    def __init__(self, path: str | os.PathLike[str], *, atomic: bool = False) -> None:
+        self.path = Path(path)
+        self.atomic = atomic
+        self._target = self.path.with_name(f"{self.path.name}.part") if atomic else self.path
+        self._last: Recording | None = None
+
+    def append(self, batch: Recording) -> None:
+        """Write the next samples; time runs on from those before."""
+        if self._last is None:
+            self._start(batch)
+        elif (batch.temperature is None) != (self._last.temperature is None):
+            raise ValueError("`batch` must have a temperature exactly if the ones before it have")
+        elif batch.time[0] <= self._last.time[-1]:
+            raise ValueError(
+                f"`batch` must go on after {self._last.time[-1]:.9g} s, it starts at "
+                f"{batch.time[0]:.9g} s"
+            )
+        self._append(batch)
+        self._last = batch
+
+    def flush(self) -> None:  # noqa: B027 - formats that are written at the end have nothing to do
+        """Hand what was appended to the disk, so that a power cut does not lose it."""
+
+    @abstractmethod
+    def _start(self, batch: Recording) -> None:
+        """Open the file and write what comes before the samples."""
+
+    @abstractmethod
+    def _append(self, batch: Recording) -> None:
+        """Write one batch."""
+
+    @abstractmethod
+    def _finish(self) -> None:
+        """Mark the clean end and close the file."""
+
+    def _abandon(self) -> None:
+        """Close the file without marking a clean end."""
+        self._finish()
+
+    def close(self) -> None:
+        """Mark the clean end; harmless if nothing was appended or it is closed already."""
+        if self._last is None:
+            return
+        self._last = None
+        self._finish()
+        if self.atomic:
+            os.replace(self._target, self.path)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if error is None:
+            self.close()
+        elif self._last is not None:
+            self._last = None
+            self._abandon()
+            if self.atomic:
+                self._target.unlink(missing_ok=True)
+
+
+class Format(ABC):
+    """One file format. Subclasses set the class attributes; without ``writer`` it is read only."""
+
+    name: ClassVar[str]
+    title: ClassVar[str]
+    """A few words, for messages."""
+    suffixes: ClassVar[tuple[str, ...]] = ()
+    """Lower case, with the dot."""
+    binary: ClassVar[bool] = True
+    writer: ClassVar[type[Writer] | None] = None
+
+    @abstractmethod
+    def sniff(self, head: bytes) -> bool:
+        """Return whether a file that starts with these bytes is of this format."""
+
+    @abstractmethod
+    def batches(self, source: Source, options: ReadOptions) -> Iterator[Recording]:
+        """Read the samples in order, at most ``options.batch`` of them at a time."""

@@ -1,0 +1,147 @@
+"""Interchange text form: comma-separated values in SI, with ``# key: value`` lines above.
+
+Header ``time,accel_x,accel_y,accel_z,gyro_x,gyro_y,gyro_z[,temperature][,lost]`` in s, m/s², rad/s,
+°C and counts. Columns may stand in any order; others are passed over.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator
+from typing import IO
+
+import pyarrow as pa
+from pyarrow import csv
+
+from calib.errors import RecordingFormatError
+from calib.recording import Recording
+from drivers.formats.base import Format, ReadOptions, Source, Writer
+from drivers.formats.columns import (
+    OPTIONAL,
+    REQUIRED,
+    add_table,
+    from_text,
+    no_samples,
+    schema_of,
+    to_batch,
+    to_text,
+)
+from drivers.formats.text import TextTable, decode_head
+
+
+class CsvWriter(Writer):
+    """Appends rows to a CSV file in SI; numbers are written so that they read back exactly."""
+
+    def _start(self, batch: Recording) -> None:
+        self._schema = schema_of(batch)
+        self._file: IO[bytes] = open(self._target, "wb")  # noqa: SIM115 - closed in _finish
+        lines = [f"# {_quote(key)}: {_quote(value)}" for key, value in to_text(batch).items()]
+        lines.append(",".join(self._schema.names))
+        self._file.write(("\n".join(lines) + "\n").encode())
+
+    def _append(self, batch: Recording) -> None:
+        options = csv.WriteOptions(include_header=False)
+        csv.write_csv(to_batch(batch, self._schema), self._file, options)
+
+    def flush(self) -> None:
+        """Hand what was appended to the disk."""
+        if self._last is not None:
+            self._file.flush()
+            os.fsync(self._file.fileno())
+
+    def _finish(self) -> None:
+        self._file.close()
+
+
+class Csv(Format):
+    """CSV in SI."""
+
+    name = "csv"
+    title = "CSV in SI units"
+    suffixes = (".csv", ".txt")
+    binary = False
+    writer = CsvWriter
+
+    def sniff(self, head: bytes) -> bool:
+        """Look for our header below comment lines."""
+        text = decode_head(head)
+        return text is not None and _header(text) is not None
+
+    def batches(self, source: Source, options: ReadOptions) -> Iterator[Recording]:
+        """Read rows by pyarrow's CSV reader; a cut last line is left out and noted."""
+        text = decode_head(source.head) or ""
+        header = _header(text)
+        if header is None:
+            raise RecordingFormatError(f"{source.path}: no header {','.join(REQUIRED)}")
+        line, names = header
+        missing = [name for name in REQUIRED if name not in names]
+        if missing:
+            raise RecordingFormatError(
+                f"{source.path}: the header has no column {', '.join(missing)}; expected "
+                f"{','.join(REQUIRED)}[,temperature][,lost] in s, m/s², rad/s, °C and counts"
+            )
+        meta = _comments(text.splitlines()[:line])
+        assembler = from_text(meta, name=str(source.path), drop_invalid=options.drop_invalid)
+        wanted = [name for name in (*REQUIRED, *OPTIONAL) if name in names]
+        table = TextTable(source, delimiter=",", names=names, skip_lines=line + 1)
+        assembler.row_name = table.line_name
+        if table.cut:
+            assembler.complete = False
+            assembler.notes["cut"] = table.cut
+        types = dict.fromkeys(wanted, pa.float64())
+        for part in table.read(types, batch=options.batch):
+            recording = add_table(assembler, part)
+            if recording is not None:
+                yield recording
+        if not assembler.rows:
+            raise no_samples(str(source.path))
+
+
+FORMAT = Csv()
+
+
+def _header(text: str) -> tuple[int, list[str]] | None:
+    """Return the line number (from 0) of the header and its names, if there is one of ours."""
+    for number, line in enumerate(text.splitlines()):
+        if line.startswith("#") or not line.strip():
+            continue
+        names = [name.strip().strip('"') for name in line.split(",")]
+        if "time" in names and len({*names} & {*REQUIRED}) > 1:
+            return number, names
+        return None
+    return None
+
+
+def _comments(lines: list[str]) -> dict[str, str]:
+    out = {}
+    for line in lines:
+        text = line.lstrip("# \t").rstrip("\r\n")
+        if not text:
+            continue
+        if text.startswith('"'):
+            try:
+                key, end = json.JSONDecoder().raw_decode(text)
+            except ValueError:
+                key, end = text, len(text)
+            rest = text[end:].lstrip()
+            value = rest[1:] if rest.startswith(":") else rest
+        else:
+            key, _, value = text.partition(":")
+        out[str(key).strip()] = _unquote(value.strip())
+    return out
+
+
+def _quote(text: str) -> str:
+    """Return text that stands in a comment line as it is, or else as a JSON string."""
+    plain = text == text.strip() and text.isprintable() and not set('":#') & set(text)
+    return text if plain and text else json.dumps(text)
+
+
+def _unquote(text: str) -> str:
+    if text.startswith('"'):
+        try:
+            return str(json.loads(text))
+        except ValueError:
+            return text
+    return text
