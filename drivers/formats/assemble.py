@@ -67,7 +67,7 @@ class Assembler:
         bad = self._not_finite(time, accel, gyro, temperature, first)
         late = self._not_increasing(time, bad, first)
         if late is not None:
-            bad = late if bad is None else np.logical_or(bad, late)
+            bad = late if bad is None else np.stack([bad, late]).any(axis=0)
         lost = np.zeros(len(time), np.int64) if lost is None else np.array(lost, np.int64)
         if bad is not None:
             lost, keep = self._gap(bad, lost)
@@ -123,8 +123,8 @@ class Assembler:
             value = np.hstack([c[row] for c in columns])[column]
             raise InvalidSampleError(
                 f"{self.name}, {self.row_name(first + row)}: {names[column]} is {value}, "
-                f"expected a finite number ({int(bad.sum())} such rows). --drop-invalid leaves these rows "
-                "out and counts them as lost samples"
+                f"expected a finite number ({int(bad.sum())} such rows). --drop-invalid leaves "
+                "these rows out and counts them as lost samples"
             )
         return bad
 

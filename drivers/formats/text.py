@@ -197,7 +197,7 @@ def _find_newline(buffer: Any, start: int) -> int:
 
 
 def _last_newline(buffer: Any, start: int) -> int:
-    stop = buffer.size
+    stop = int(buffer.size)
     while stop > start:
         begin = max(start, stop - BLOCK)
         at = int(buffer.slice(begin, stop - begin).to_pybytes().rfind(b"\n"))
