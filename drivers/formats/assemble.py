@@ -67,7 +67,7 @@ class Assembler:
         bad = self._not_finite(time, accel, gyro, temperature, first)
         late = self._not_increasing(time, bad, first)
         if late is not None:
-            bad = late if bad is None else np.stack([bad, late]).any(axis=0)
+            bad = late if bad is None else np.logical_or.reduce([bad, late])
         lost = np.zeros(len(time), np.int64) if lost is None else np.array(lost, np.int64)
         if bad is not None:
             lost, keep = self._gap(bad, lost)
@@ -114,7 +114,7 @@ class Assembler:
             if all(np.isfinite(c.sum()) for c in columns):
                 return None
         finite = np.hstack([np.isfinite(c) for c in columns])
-        bad: BoolArray = ~finite.all(axis=1)
+        bad: BoolArray = np.logical_not(finite.all(axis=1, keepdims=True))[:, 0]
         if not bad.any():
             return None
         if not self.drop_invalid:
