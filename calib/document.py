@@ -5,8 +5,10 @@ Every number stands beside its unit. The published schema is ``schemas/calibrati
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, fields
+from importlib import resources
 from typing import Any
 
 import numpy as np
@@ -63,6 +65,13 @@ _KEYS = (
     "events",
     "provenance",
 )
+
+
+def schema() -> dict[str, Any]:
+    """Return the published JSON Schema of the document."""
+    text = resources.files("calib").joinpath("schemas/calibration.schema.json").read_text("utf-8")
+    published: dict[str, Any] = json.loads(text)
+    return published
 
 
 def to_document(calibration: Calibration) -> dict[str, Any]:

@@ -118,6 +118,8 @@ def cumulative_quat(increments: FloatArray) -> FloatArray:
 def cumulative_quat_segments(increments: FloatArray, first: IntArray) -> FloatArray:
     """Return `cumulative_quat` begun anew in each segment ``[first[i], first[i + 1])``."""
     product = cumulative_quat(increments)
+    if not len(product):
+        return product
     before = np.concatenate([[[1.0, 0.0, 0.0, 0.0]], product[first[1:-1] - 1]])
     before[:, 1:] *= -1
     return quat_multiply(np.repeat(before, np.diff(first), axis=0), product)

@@ -33,6 +33,19 @@ def print_json(document: Any) -> None:
     sys.stdout.write("\n")
 
 
+def print_lines(*items: Any) -> None:
+    """Print lines of text and tables as results; lines are not wrapped, tables fit the screen."""
+    for item in items:
+        console().print(item, soft_wrap=isinstance(item, str))
+
+
+def write_bytes(data: bytes) -> None:
+    """Pass bytes of a stream on to standard output at once."""
+    if data:
+        sys.stdout.buffer.write(data)
+        sys.stdout.buffer.flush()
+
+
 def warn(text: str) -> None:
     """Say something that the user should know but that does not stop the work."""
     messages().print(f"[yellow]warning:[/] {text}", soft_wrap=True)

@@ -1,0 +1,264 @@
+"""From recordings of one device to its `Calibration`: poses, accelerometer, turns, gyroscope."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import TypeVar
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from calib.calibration import (
+    Calibration,
+    Gravity,
+    Noise,
+    PoseTable,
+    Provenance,
+    TemperatureRange,
+    TriadSummary,
+)
+from calib.errors import InsufficientMotionError, RecordingError
+from calib.fit import Exclusion, Fit
+from calib.model import SensorModel
+from calib.poses import Poses
+from calib.recording import Recording
+from calib.solvers import accel_solvers, gyro_solvers
+from calib.statics import find_poses
+from calib.turns import Turns, find_turns
+from calib.types import FloatArray
+
+T = TypeVar("T")
+
+ACCEL_METHOD = "maximum_likelihood"
+GYRO_METHOD = "rotation_segment_3x3"
+
+DISTINCT = np.radians(10.0)
+"""Poses whose gravity differs by less than this are one pose: more than a table's tilt."""
+
+LONGEST_GAP = 0.05
+"""s; a turn with a longer gap is left out. A hand turns at up to 20 rad/s² or so: bridged by a
+straight line, this gap costs 20 * 0.05³ / 12 rad, a hundredth of a degree."""
+
+
+def calibrate(
+    recordings: Recording | Sequence[Recording],
+    *,
+    gravity: Gravity | float,
+    accel_method: str = ACCEL_METHOD,
+    gyro_method: str = GYRO_METHOD,
+    options: Mapping[str, object] | None = None,
+    provenance: Provenance | None = None,
+) -> Calibration:
+    """Calibrate a device from what it recorded at rest in several poses, and turning between them.
+
+    Parameters
+    ----------
+    recordings : Recording or sequence of Recording
+        All of one device. No turn is read across the border of two.
+    gravity : Gravity or float, m/s²
+    accel_method, gyro_method : str
+        Names of solvers.
+    options : mapping, optional
+        What a gyroscope method needs beyond the recording, such as ``table_rate`` (rad/s).
+    provenance : Provenance, optional
+        Its device is filled in from the recording.
+
+    Returns
+    -------
+    Calibration
+        With `undetermined` parameters where the recordings do not tell.
+
+    Raises
+    ------
+    RecordingError
+        If the recordings are of different devices.
+    InsufficientMotionError
+        If the sensor was never at rest, or in one pose only.
+    ValueError
+        If a method is unknown, or an option that it needs is missing.
+    """
+    parts = [recordings] if isinstance(recordings, Recording) else list(recordings)
+    gravity = gravity if isinstance(gravity, Gravity) else Gravity(gravity, "given")
+    if not 9.7 < gravity.value < 9.9:
+        raise ValueError(
+            f"`gravity` must be between 9.7 and 9.9 m/s², as on Earth, got {gravity.value:g}"
+        )
+    solve_accel = _choose(accel_solvers(), "accel_method", accel_method).solve
+    solve_gyro = _choose(gyro_solvers(), "gyro_method", gyro_method).solve
+    recording, poses, borders = join(parts)
+    _check_poses(recording, poses)
+
+    accel = solve_accel(poses, gravity=gravity.value)
+    turns, left_out = _usable_turns(recording, find_turns(recording, poses), borders)
+    gyro = solve_gyro(
+        recording, poses, turns, accel.triad, gravity=gravity.value, options=options or {}
+    )
+    gyro = replace(gyro, excluded=(*gyro.excluded, *left_out))
+
+    names, covariance, undetermined = _merge(accel, gyro)
+    temperature, reference = None, 25.0
+    if poses.temperature is not None:
+        reference = round(float(poses.temperature.mean()), 2)
+        temperature = TemperatureRange(
+            float(poses.temperature.min()), float(poses.temperature.max())
+        )
+    provenance = provenance or Provenance()
+    return Calibration(
+        SensorModel(accel.triad, gyro.triad, (), reference),
+        names,
+        covariance,
+        undetermined,
+        gravity,
+        accel=TriadSummary.from_fit(accel),
+        gyro=TriadSummary.from_fit(gyro),
+        temperature=temperature,
+        noise=noise_at_rest(recording, poses),
+        poses=PoseTable.from_poses(poses),
+        provenance=replace(provenance, device=recording.device),
+    )
+
+
+def join(parts: Sequence[Recording]) -> tuple[Recording, Poses, tuple[int, ...]]:
+    """Return recordings of one device as one, its poses, and the samples at which parts begin.
+
+    A part that does not begin after the one before it is moved to begin a second after it.
+
+    Raises
+    ------
+    RecordingError
+        If the parts are of different devices.
+    """
+    if not parts:
+        raise ValueError("`parts` must hold a recording")
+    if len(parts) == 1:
+        return parts[0], find_poses(parts[0]), ()
+    for name in ("chip", "serial_number"):
+        seen = {getattr(part.device, name) for part in parts} - {""}
+        if len(seen) > 1:
+            raise RecordingError(
+                f"the recordings are of different devices ({name} {', '.join(sorted(seen))}): "
+                "calibrate each by itself"
+            )
+    shifts, borders, samples, end = [], [], 0, -np.inf
+    for part in parts:
+        start = float(part.time[0])
+        shift = 0.0 if start > end else end + 1.0 - start
+        shifts.append(shift)
+        borders.append(samples)
+        samples += len(part)
+        end = float(part.time[-1]) + shift
+    time = np.concatenate([p.time + shift for p, shift in zip(parts, shifts, strict=True)])
+    temperatures = [part.temperature for part in parts if part.temperature is not None]
+    whole = Recording(
+        time=time,
+        accel=np.concatenate([part.accel for part in parts]),
+        gyro=np.concatenate([part.gyro for part in parts]),
+        clock=parts[0].clock,
+        temperature=np.concatenate(temperatures) if len(temperatures) == len(parts) else None,
+        lost=np.concatenate([part.lost for part in parts if part.lost is not None]),
+        device=parts[0].device,
+        complete=all(part.complete for part in parts),
+        notes=parts[0].notes,
+    )
+    found = [find_poses(part) for part in parts]
+    return whole, _join_poses(found, borders, shifts), tuple(borders[1:])
+
+
+def noise_at_rest(recording: Recording, poses: Poses) -> Noise | None:
+    """Return the white noise of each channel: the median over the poses of their variance."""
+    if not len(poses) or recording.interval <= 0:
+        return None
+    rate = 1.0 / recording.interval
+    variances = np.array(
+        [
+            [recording.accel[a:b].var(axis=0, ddof=1), recording.gyro[a:b].var(axis=0, ddof=1)]
+            for a, b in zip(poses.start, poses.stop, strict=True)
+        ]
+    )
+    density = np.sqrt(np.median(variances, axis=0) * 2.0 / rate)
+    return Noise(rate, density[0], density[1])
+
+
+def distinct_poses(accel: FloatArray) -> int:
+    """Return how many of (k, 3) readings at rest are `DISTINCT` in direction."""
+    directions = accel / np.linalg.norm(accel, axis=1, keepdims=True)
+    kept: list[FloatArray] = []
+    for direction in directions:
+        if all(direction @ other < np.cos(DISTINCT) for other in kept):
+            kept.append(direction)
+    return len(kept)
+
+
+def _choose(solvers: Mapping[str, T], label: str, name: str) -> T:
+    if name not in solvers:
+        raise ValueError(f"`{label}` must be one of {', '.join(solvers)}, got {name!r}")
+    return solvers[name]
+
+
+def _check_poses(recording: Recording, poses: Poses) -> None:
+    advice = (
+        "lay the sensor down in ten or more different poses, at rest for 3 s in each, and turn it "
+        "by 90° or more from one to the next"
+    )
+    if not len(poses):
+        raise InsufficientMotionError(
+            f"no static pose in {recording.duration:.4g} s: the sensor was never at rest for a "
+            f"second; {advice}"
+        )
+    if distinct_poses(poses.accel) < 2:
+        raise InsufficientMotionError(
+            f"one pose only in {recording.duration:.4g} s: gravity never changed direction by more "
+            f"than {np.degrees(DISTINCT):.0f}°, so scale factors and bias cannot be told apart; "
+            f"{advice}"
+        )
+
+
+def _usable_turns(
+    recording: Recording, turns: Turns, borders: tuple[int, ...]
+) -> tuple[Turns, tuple[Exclusion, ...]]:
+    """Leave out what lies across a border of two recordings, or across a gap."""
+    assert recording.lost is not None
+    step = np.diff(recording.time)
+    limit = max(LONGEST_GAP, 3 * recording.interval)
+    gaps = np.flatnonzero(step > limit)
+    keep = np.ones(len(turns), bool)
+    for border in borders:
+        keep &= ~((turns.start < border) & (border < turns.stop))
+    inside = keep & (np.searchsorted(gaps, turns.stop - 1) > np.searchsorted(gaps, turns.start))
+    left_out = tuple(
+        Exclusion(
+            (float(turns.interval[k, 0]), float(turns.interval[k, 1])),
+            0.0,
+            f"samples are missing for {step[turns.start[k] : turns.stop[k] - 1].max():.3g} s",
+        )
+        for k in np.flatnonzero(inside)
+    )
+    keep &= ~inside
+    return (turns if keep.all() else turns.select(keep)), left_out
+
+
+def _merge(accel: Fit, gyro: Fit) -> tuple[tuple[str, ...], FloatArray, tuple[str, ...]]:
+    """Return the determined names of both fits, their covariance, and what is undetermined."""
+    names: list[str] = []
+    blocks = []
+    for fit in (accel, gyro):
+        known = [k for k, name in enumerate(fit.names) if name not in fit.undetermined]
+        names += [fit.names[k] for k in known]
+        blocks.append(fit.covariance[np.ix_(known, known)])
+    return tuple(names), block_diag(*blocks), (*accel.undetermined, *gyro.undetermined)
+
+
+def _join_poses(found: Sequence[Poses], borders: Sequence[int], shifts: Sequence[float]) -> Poses:
+    temperatures = [poses.temperature for poses in found if poses.temperature is not None]
+    pairs = list(zip(found, borders, shifts, strict=True))
+    return Poses(
+        start=np.concatenate([poses.start + border for poses, border, _ in pairs]),
+        stop=np.concatenate([poses.stop + border for poses, border, _ in pairs]),
+        interval=np.concatenate([poses.interval + shift for poses, _, shift in pairs]),
+        accel=np.concatenate([poses.accel for poses in found]),
+        gyro=np.concatenate([poses.gyro for poses in found]),
+        accel_covariance=np.concatenate([poses.accel_covariance for poses in found]),
+        gyro_covariance=np.concatenate([poses.gyro_covariance for poses in found]),
+        temperature=np.concatenate(temperatures) if len(temperatures) == len(found) else None,
+    )
