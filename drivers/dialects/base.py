@@ -1,0 +1,122 @@
+"""What a serial dialect is: bytes to samples, pure and incremental, and what it says when it fails.
+
+A `Dialect` is stateless; its `Parser` is fed with whatever chunks arrive, keeps an incomplete tail,
+finds its way again after garbage, and counts what it could not use.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections import Counter, deque
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from calib.recording import DeviceInfo
+from calib.types import FloatArray, IntArray
+
+STANDARD_GRAVITY = 9.80665
+DEGREE = np.pi / 180.0
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """What a parser found, in SI units.
+
+    Parameters
+    ----------
+    accel, gyro : (n, 3) arrays, m/s² and rad/s
+    lost : (n,) array of int
+        Samples known to be missing just before each one.
+    temperature : (n,) array, °C, or None
+    ticks : (n,) array, s, or None
+        The device's own clock as it was sent, wrapping at `Parser.clock_period`.
+    """
+
+    accel: FloatArray
+    gyro: FloatArray
+    lost: IntArray
+    temperature: FloatArray | None = None
+    ticks: FloatArray | None = None
+
+    def __len__(self) -> int:
+        return int(self.lost.size)
+
+    @classmethod
+    def none(cls) -> Samples:
+        """Return an empty batch."""
+        return cls(np.empty((0, 3)), np.empty((0, 3)), np.empty(0, np.int64))
+
+
+@dataclass(frozen=True)
+class Reply:
+    """A device's answer to a command, such as a register or a parameter value."""
+
+    key: str
+    values: tuple[Any, ...]
+
+
+class Parser(ABC):
+    """Turns one stream's bytes into samples. Subclasses override `_parse`."""
+
+    clock_period: float | None = None
+    """When the device's clock wraps around, s; None if it does not, or if there is none."""
+
+    def __init__(self) -> None:
+        self.counters: Counter[str] = Counter()
+        """``skipped_bytes``, ``damaged_frames``, ... : everything that became no sample."""
+        self.replies: deque[Reply] = deque(maxlen=1000)
+        self.info = DeviceInfo()
+        self.accepted_bytes = 0
+        self._rest = b""
+
+    def feed(self, data: bytes) -> Samples:
+        """Take the next bytes and return the samples that they complete."""
+        buffer = self._rest + data if self._rest else data
+        if not buffer:
+            return Samples.none()
+        samples, used = self._parse(buffer)
+        self._rest = buffer[used:]
+        return samples
+
+    def finish(self) -> None:
+        """Count an incomplete tail: nothing more will come."""
+        if self._rest:
+            self.counters["incomplete_bytes"] += len(self._rest)
+        self._rest = b""
+
+    def _count(self, name: str, number: int) -> None:
+        if number:
+            self.counters[name] += number
+
+    @abstractmethod
+    def _parse(self, buffer: bytes) -> tuple[Samples, int]:
+        """Return the samples in `buffer` and how many of its bytes are done with."""
+
+
+class Dialect(ABC):
+    """One serial protocol. A file of this folder sets ``DIALECT`` to an instance."""
+
+    name: str
+    summary: str
+    default_baud: int = 115200
+    options: Mapping[str, str] = {}
+    """Options in the address and what they mean."""
+
+    @abstractmethod
+    def parser(self, options: Mapping[str, str]) -> Parser:
+        """Return a new parser.
+
+        Raises
+        ------
+        ValueError
+            If an option has a value that is not understood.
+        """
+
+    def recognise(self, data: bytes) -> float:
+        """Return the fraction of `data` that is whole frames of this dialect, 0 to 1."""
+        parser = self.parser({})
+        parser.feed(data)
+        return parser.accepted_bytes / max(len(data), 1)
