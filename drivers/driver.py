@@ -90,6 +90,13 @@ class Driver(ABC):
             raise ValueError(f"{self.address} is not open")
         return None if self.ended else self._read(timeout)
 
+    def finish(self) -> Recording | None:
+        """Return the samples that were read but not handed out yet, as the stream ends here."""
+        return None if self.ended or not self.is_open else self._finish()
+
+    def _finish(self) -> Recording | None:
+        return None
+
     def __enter__(self) -> Self:
         self.open()
         return self

@@ -8,14 +8,14 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections import Counter, deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from calib.recording import DeviceInfo
-from calib.types import FloatArray, IntArray
+from calib.types import BoolArray, FloatArray, IntArray
 
 STANDARD_GRAVITY = 9.80665
 DEGREE = np.pi / 180.0
@@ -43,6 +43,35 @@ class Samples:
 
     def __len__(self) -> int:
         return int(self.lost.size)
+
+    def where(self, keep: BoolArray) -> Samples:
+        """Return the samples that are kept; what was lost before the others stays counted."""
+        total = np.cumsum(self.lost)[keep]
+        return Samples(
+            self.accel[keep],
+            self.gyro[keep],
+            np.diff(total, prepend=0),
+            None if self.temperature is None else self.temperature[keep],
+            None if self.ticks is None else self.ticks[keep],
+        )
+
+    @classmethod
+    def join(cls, parts: Sequence[Samples]) -> Samples:
+        """Return the parts as one batch; all or none of them have a temperature, and ticks."""
+        if len(parts) == 1:
+            return parts[0]
+
+        def joined(name: str) -> FloatArray | None:
+            values = [getattr(part, name) for part in parts]
+            return None if values[0] is None else np.concatenate(values)
+
+        return cls(
+            np.concatenate([part.accel for part in parts]),
+            np.concatenate([part.gyro for part in parts]),
+            np.concatenate([part.lost for part in parts]),
+            joined("temperature"),
+            joined("ticks"),
+        )
 
     @classmethod
     def none(cls) -> Samples:

@@ -1,8 +1,8 @@
 """WitMotion (WT901 family): 11-byte frames ``55 TT`` with four s16 and a sum.
 
 Acceleration (51) and angular rate (52) come in two frames; a sample is a 52 that follows its 51
-with no byte lost or damaged between them. Units: 51 is 16 g and its fourth word temperature/100 °C; 52
-is 2000 dps, full scale 32768.
+with no byte lost or damaged between them. Units: 51 is 16 g and its fourth word is
+temperature/100 °C; 52 is 2000 dps, full scale 32768.
 
 Source: WITMOTION/WitStandardProtocol_JY901.
 """

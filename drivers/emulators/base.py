@@ -16,6 +16,7 @@ import numpy as np
 
 from calib.effects.base import Signals, State
 from calib.model import SensorModel, Triad
+from calib.simulation.bench import bench_protocol
 from calib.types import FloatArray
 from drivers.address import Address
 from drivers.driver import Driver
@@ -177,11 +178,19 @@ def draw_model(generator: np.random.Generator) -> SensorModel:
     return SensorModel(accel, triad(2.0 * DEGREE, ones - np.eye(3)))
 
 
-def still(rate: float, seed: int) -> State:
+def _still(rate: float, seed: int) -> State:
     """Rest level, z up, at 25 °C, for ever."""
     force = np.array([[0.0, 0.0, STANDARD_GRAVITY]])
-    return State(time=np.zeros(1), force=force, rate=np.zeros((1, 3)), temperature=np.full(1, 25.0))
+    return State(
+        time=np.zeros(1), force=force, rate=np.zeros((1, 3)), temperature=np.full(1, 25.0)
+    )
 
 
-MOTIONS: dict[str, Callable[[float, int], State]] = {"still": still}
+def _bench(rate: float, seed: int) -> State:
+    """Thirty static poses with hand turns between them."""
+    motion = bench_protocol(np.random.default_rng(seed))
+    return motion.state(np.arange(int(motion.duration * rate)) / rate)
+
+
+MOTIONS: dict[str, Callable[[float, int], State]] = {"still": _still, "bench": _bench}
 """Motion scripts by name: from rate (Hz) and seed to the true state at that rate."""
