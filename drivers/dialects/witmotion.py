@@ -39,7 +39,7 @@ def read_register(register: int) -> bytes:
     return struct.pack("<BBBH", 0xFF, 0xAA, 0x27, register)
 
 
-def frame(kind: int, words: FloatArray | IntArray) -> Bytes:
+def frame(kind: int, words: FloatArray) -> Bytes:
     """Return frames of one kind, (n, 11), from (n, 4) words that are rounded and clipped to s16."""
     values = np.clip(np.rint(words), -32768, 32767).astype("<i2")
     rows = np.empty((values.shape[0], LENGTH), np.uint8)

@@ -181,9 +181,7 @@ def draw_model(generator: np.random.Generator) -> SensorModel:
 def _still(rate: float, seed: int) -> State:
     """Rest level, z up, at 25 °C, for ever."""
     force = np.array([[0.0, 0.0, STANDARD_GRAVITY]])
-    return State(
-        time=np.zeros(1), force=force, rate=np.zeros((1, 3)), temperature=np.full(1, 25.0)
-    )
+    return State(time=np.zeros(1), force=force, rate=np.zeros((1, 3)), temperature=np.full(1, 25.0))
 
 
 def _bench(rate: float, seed: int) -> State:

@@ -31,7 +31,7 @@ class SerialDevice(ABC):
     def stream(self, start: int, stop: int) -> bytes:
         """Return the frames of samples ``[start, stop)``."""
 
-    def receive(self, data: bytes) -> bytes:  # noqa: ARG002 - a device that only talks
+    def receive(self, data: bytes) -> bytes:
         """Take bytes from the host and return the answer."""
         return b""
 

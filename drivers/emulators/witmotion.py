@@ -67,7 +67,8 @@ class WitMotionDevice(SerialDevice):
             self.unlocked = value == UNLOCKED
         elif register == READ_REGISTER:
             words = [self.registers.get(value + k, 0) for k in range(4)]
-            return frame(REGISTER, np.array([words]).astype(np.uint16).view(np.int16)).tobytes()
+            signed = np.array([words], np.uint16).view(np.int16).astype(np.float64)
+            return frame(REGISTER, signed).tobytes()
         elif not self.unlocked:
             pass  # a locked device ignores every write
         elif register == SAVE_REGISTER:
