@@ -6,6 +6,7 @@ r"""Import profiles: how to read someone else's recording, in a small TOML file.
     format = "text"                       # or "hdf5", "mimu4444"; text if left out
     rate = 100.0                          # Hz, where there is no time column
     rate_pattern = '^Fs,(\d+)'            # or: found in the lines above the samples
+    rate_attribute = "sampling_rate"      # or: an attribute of an HDF5 file
 
     [text]
     skip_lines = 4                        # lines above the column names
@@ -131,6 +132,7 @@ class Profile:
     temperature: TemperatureColumn | None = None
     rate: float | None = None
     rate_pattern: re.Pattern[str] | None = None
+    rate_attribute: str = ""
     skip_lines: int = 0
     header: bool = False
     delimiter: str | None = None
@@ -234,6 +236,7 @@ def parse_profile(text: str, *, name: str) -> Profile:
         temperature=_temperature(top.table("temperature")),
         rate=rate,
         rate_pattern=top.pattern("rate_pattern"),
+        rate_attribute=top.text("rate_attribute"),
         skip_lines=int(layout.number("skip_lines") or 0),
         header=layout.flag("header"),
         delimiter=layout.text("delimiter") or None,
