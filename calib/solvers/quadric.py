@@ -152,18 +152,6 @@ def triad_of(values: FloatArray) -> Triad:
     return Triad.from_matrix(matrix, values[:3])
 
 
-def jacobian(true: FloatArray, inverse: FloatArray) -> FloatArray:
-    """Return d(|f| - g)/d(parameters), (n, 9), of the corrected readings f = K (a - b), (n, 3).
-
-    ``dr = -n.T (db + dT f)`` with ``n = K.T f / |f|``.
-    """
-    normal = (true / np.linalg.norm(true, axis=1)[:, None]) @ inverse
-    out = np.empty((len(true), 9))
-    out[:, :3] = -normal
-    out[:, 3:] = -normal[:, ROWS] * true[:, COLUMNS]
-    return out
-
-
 def algebraic_fit(
     method: str, poses: Poses, quadric: Quadric, triad: Triad, *, gravity: float
 ) -> Fit:
