@@ -99,8 +99,8 @@ def solve(poses: Poses, *, gravity: float) -> Fit:
     advice = _advice(parts, values, gravity) if undetermined.any() else ()
     if undetermined.all():
         raise InsufficientMotionError(
-            f"{len(poses)} pose{'s' if len(poses) != 1 else ''} seen, which determine no parameter of "
-            "the accelerometer: " + "; ".join(advice)
+            f"{len(poses)} pose{'s' if len(poses) != 1 else ''} seen, which determine no parameter "
+            "of the accelerometer: " + "; ".join(advice)
         )
     return make_fit(
         "maximum_likelihood",
