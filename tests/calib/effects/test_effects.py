@@ -1,0 +1,351 @@
+"""Every effect of the catalogue: whole, consistent with its own columns, and invertible."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calib.effects import effects, get_effect
+from calib.effects.base import PRESENCE, Effect, Signals, State, Term, TransformEffect
+from calib.model import SensorModel, Triad
+from calib.recording import AXES, CHANNELS
+from calib.simulation.bench import bench_protocol
+
+CATALOGUE = [
+    "gyro_misalignment",
+    "gyro_g_sensitivity",
+    "gyro_g_squared_sensitivity",
+    "gyro_scale_asymmetry",
+    "gyro_scale_quadratic",
+    "gyro_scale_nonlinearity",
+    "gyro_anisoinertia",
+    "gyro_bias_temperature",
+    "gyro_scale_temperature",
+    "gyro_temperature_rate",
+    "gyro_warm_up",
+    "gyro_bias_step",
+    "gyro_vibration_rectification",
+    "earth_rate",
+    "accel_quadratic",
+    "accel_cubic",
+    "accel_cross_product",
+    "accel_scale_asymmetry",
+    "accel_bias_temperature",
+    "accel_scale_temperature",
+    "accel_temperature_rate",
+    "accel_warm_up",
+    "accel_bias_step",
+    "accel_settling",
+    "accel_lever_arm",
+    "accel_size_effect",
+    "accel_vibration_rectification",
+    "time_offset",
+    "inter_axis_skew",
+    "clock_scale",
+    "bandwidth",
+    "dropped_samples",
+    "saturation",
+    "quantization",
+    "unit_error",
+    "axis_error",
+    "gravity_magnitude",
+    "reference_tilt",
+    "reference_misalignment",
+]
+SHAPES = {
+    "tau": 30.0,
+    "moment": 20.0,
+    "accel_cutoff": 20.0,
+    "gyro_cutoff": 15.0,
+    "accel_full_scale": 9.0,
+    "gyro_full_scale": 2.0,
+    "accel_lsb": 1e-3,
+    "gyro_lsb": 1e-4,
+    "accel_axes": 13,
+    "gyro_axes": 7,
+}
+LOSSY = {"saturation", "quantization", "dropped_samples", "bandwidth"}
+"""What `inverse` cannot undo, or not everywhere; each has a test of its own."""
+
+everyone = pytest.mark.parametrize("slug", CATALOGUE)
+
+
+@pytest.fixture(scope="module")
+def state() -> State:
+    motion = bench_protocol(np.random.default_rng(5), poses=8, first_pose=1.0, tremor=0.1)
+    state = motion.state(np.arange(0.0, motion.duration, 0.0025))
+    shaken = 0.1 + 0.05 * np.sin(state.time[:, None] + np.arange(3))
+    return replace(state, vibration=shaken, latitude=0.8)
+
+
+def shape_of(effect: Effect) -> dict[str, float]:
+    return {p.name: SHAPES[p.name] for p in effect.shape if p.name in SHAPES}
+
+
+def values_of(effect: Effect) -> dict[str, float]:
+    rng = np.random.default_rng(len(effect.slug))
+    linear = {
+        p.name: 1.0 if p.unit == PRESENCE else 0.5 * p.typical * rng.choice([-1.0, 1.0])
+        for p in effect.parameters
+    }
+    return {**linear, **shape_of(effect)}
+
+
+def rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def stacked(signals: Signals) -> dict[str, np.ndarray]:
+    whole = np.hstack([signals.accel, signals.gyro])
+    return {c: whole[:, i] for i, c in enumerate(CHANNELS)}
+
+
+def test_the_catalogue_is_whole() -> None:
+    assert set(CATALOGUE) <= set(effects())
+
+
+@everyone
+def test_is_fully_described(slug: str) -> None:
+    effect = get_effect(slug)
+    for name in ("title", "equation", "source", "follows", "needs", "sentence"):
+        text = getattr(effect, name)
+        assert text, name
+        assert text == text.strip(), name
+    assert effect.sentence.endswith(".")
+    assert effect.parameters or effect.shape
+    names = [p.name for p in effect.parameters + effect.shape]
+    assert len(set(names)) == len(names)
+    for parameter in effect.parameters:
+        assert parameter.typical > 0
+        assert parameter.unit
+        assert parameter.channels
+        assert set(parameter.channels) <= set(CHANNELS)
+    groups = {"bias", "scale_factor_error", "misalignment"}
+    for absorber in effect.absorbed_by:
+        triad, group = absorber.split(".")
+        assert triad in ("accel", "gyro")
+        assert group in groups
+    assert set(effect.rivals) <= set(effects()) - {slug}
+
+
+@everyone
+def test_columns_touch_the_channels_that_they_say(slug: str, state: State) -> None:
+    effect = get_effect(slug)
+    columns = effect.columns(state, shape_of(effect))
+    assert list(columns) == [p.name for p in effect.parameters]
+    for parameter in effect.parameters:
+        column = columns[parameter.name]
+        assert set(column) == set(parameter.channels)
+        for values in column.values():
+            assert values.shape == state.time.shape
+            assert np.isfinite(values).all()
+        assert any(np.abs(values).max() > 0 for values in column.values())
+
+
+@everyone
+def test_columns_are_the_derivative_of_what_the_model_does(slug: str, state: State) -> None:
+    effect = get_effect(slug)
+    bare = SensorModel().distort(state)
+    columns = effect.columns(state, shape_of(effect))
+    for parameter in effect.parameters:
+        step = 1.0 if parameter.unit == PRESENCE else 1e-3 * parameter.typical
+        term = Term(slug, {**shape_of(effect), parameter.name: step})
+        if parameter.unit == PRESENCE:
+            off = {p.name: 0.0 for p in effect.parameters if p.name != parameter.name}
+            term = Term(slug, {**term.parameters, **off})
+        changed = stacked(SensorModel(terms=(term,)).distort(state))
+        for channel, before in stacked(bare).items():
+            found = (changed[channel] - before) / step
+            expected = columns[parameter.name].get(channel, np.zeros_like(before))
+            size = max(rms(v) for v in columns[parameter.name].values())
+            assert rms(found - expected) <= 5e-3 * size, channel
+
+
+@everyone
+def test_correct_inverts_distort(slug: str, state: State) -> None:
+    if slug in LOSSY:
+        pytest.skip("loses information; has a test of its own")
+    model = SensorModel(
+        Triad(np.array([0.3, -0.2, 0.1]), np.array([0.02, -0.01, 0.03])),
+        Triad(np.array([0.02, -0.01, 0.03]), np.array([0.01, -0.02, 0.03])),
+        (Term(slug, values_of(get_effect(slug))),),
+    )
+    measured = model.distort(state)
+    true = model.correct(
+        replace(state, force=measured.accel, rate=measured.gyro, angular_acceleration=None)
+    )
+    inside = slice(200, -200)  # a shifted signal has nothing to take beyond its ends
+    bare = replace(model, terms=()).distort(state)
+    for found, expected, changed, before in zip(
+        true, (state.force, state.rate), measured, bare, strict=True
+    ):
+        size, left = rms((changed - before)[inside]), rms((found - expected)[inside])
+        assert left <= 1e-9 + 0.02 * size
+
+
+@everyone
+def test_needs_what_it_is_a_function_of(slug: str, state: State) -> None:
+    effect = get_effect(slug)
+    bare = replace(
+        state,
+        temperature=None,
+        temperature_slope=None,
+        vibration=None,
+        mat_ns=None,
+        since_turn=None,
+    )
+    columns = effect.columns(bare, shape_of(effect))
+    lacking = {
+        *(s for s in CATALOGUE if "temperature" in s or "vibration" in s),
+        "earth_rate",
+        "reference_tilt",
+        "accel_settling",
+    }
+    assert (columns == {}) == (slug in lacking)
+
+
+@everyone
+def test_terms_are_checked(slug: str) -> None:
+    with pytest.raises(ValueError, match="`nonsense` is no parameter"):
+        SensorModel(terms=(Term(slug, {**values_of(get_effect(slug)), "nonsense": 1.0}),))
+    needed = [p.name for p in get_effect(slug).shape if not p.optional]
+    if needed:
+        with pytest.raises(ValueError, match=f"needs `{needed[0]}`"):
+            SensorModel(terms=(Term(slug, {}),))
+
+
+def test_size_effect_is_the_difference_of_two_lever_arms(state: State) -> None:
+    arm = {f"r{a}": v for a, v in zip(AXES, (0.004, -0.002, 0.003), strict=True)}
+    whole = get_effect("accel_lever_arm").contribution(state, arm)
+    apart = {f"ry{a}": v for a, v in zip(AXES, (0.004, -0.002, 0.003), strict=True)}
+    part = get_effect("accel_size_effect").contribution(state, apart)
+    assert set(part) == {"accel.y"}
+    np.testing.assert_allclose(part["accel.y"], whole["accel.y"])
+
+
+def test_lever_arm_is_the_acceleration_of_a_point_off_the_centre() -> None:
+    """At a steady rate w about z, a point at x = r feels -w² r along x."""
+    time = np.arange(0.0, 1.0, 0.01)
+    rate = np.tile([0.0, 0.0, 5.0], (len(time), 1))
+    found = get_effect("accel_lever_arm").contribution(
+        State(time, np.zeros_like(rate), rate), {"rx": 0.1}
+    )
+    np.testing.assert_allclose(found["accel.x"], -2.5)
+    np.testing.assert_allclose(found["accel.y"], 0.0, atol=1e-12)
+
+
+def test_earth_rate_at_rest_is_the_same_vector_seen_from_each_pose(state: State) -> None:
+    term = {"north": 4e-5, "up": 6e-5}
+    seen = get_effect("earth_rate").contribution(state, term)
+    in_s = np.stack([seen[f"gyro.{a}"] for a in AXES], axis=1)
+    assert state.mat_ns is not None
+    in_n = np.einsum("nij,nj->ni", state.mat_ns, in_s)
+    np.testing.assert_allclose(in_n, np.tile([0, 4e-5, 6e-5], (len(in_n), 1)), atol=1e-12)
+
+
+def test_rate_of_temperature_is_fitted_through_its_noise() -> None:
+    time = np.arange(0.0, 300.0, 0.01)
+    noise = np.random.default_rng(3).normal(0, 0.03, len(time))
+    state = State(
+        time, np.zeros((len(time), 3)), np.zeros((len(time), 3)), 20 + 0.02 * time + noise
+    )
+    assert state.temperature_rate is not None
+    assert np.abs(state.temperature_rate - 0.02).max() < 3e-3
+    assert np.abs(state.temperature_rate[1500:-1500] - 0.02).max() < 8e-4
+
+
+def smooth(time: np.ndarray) -> Signals:
+    wave = np.stack([np.sin(2 * np.pi * f * time + p) for f, p in ((1, 0), (2, 1), (3, 2))], axis=1)
+    return Signals(9.0 * wave, 2.0 * wave)
+
+
+TIME = np.arange(0.0, 10.0, 0.01)
+
+
+def transforms(slug: str) -> TransformEffect:
+    effect = get_effect(slug)
+    assert isinstance(effect, TransformEffect)
+    return effect
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_bandwidth_has_the_gain_of_its_filter_and_is_undone(order: int) -> None:
+    effect, parameters = transforms("bandwidth"), {"gyro_cutoff": 8.0, "order": order}
+    frequency = 5.0
+    true = np.sin(2 * np.pi * frequency * TIME)[:, None] * np.ones(3)
+    found = effect.transform(TIME, Signals(true, true), parameters)
+    np.testing.assert_array_equal(found.accel, true)
+    s = 1j * frequency / 8.0
+    gain = 1 / (1 + s) if order == 1 else 1 / (1 + np.sqrt(2) * s + s * s)
+    expected = np.imag(gain * np.exp(2j * np.pi * frequency * TIME))
+    np.testing.assert_allclose(found.gyro[200:, 0], expected[200:], atol=0.01)
+    back = effect.inverse(TIME, found, parameters)
+    np.testing.assert_allclose(back.gyro[200:-50], true[200:-50], atol=0.02)
+
+
+def test_saturation_cuts_and_keeps_the_rest() -> None:
+    found = transforms("saturation").transform(TIME, smooth(TIME), {"gyro_full_scale": 1.0})
+    assert np.abs(found.gyro).max() == 1.0
+    kept = np.abs(smooth(TIME).gyro) < 1.0
+    np.testing.assert_array_equal(found.gyro[kept], smooth(TIME).gyro[kept])
+    np.testing.assert_array_equal(found.accel, smooth(TIME).accel)
+
+
+def test_quantization_rounds_to_whole_counts() -> None:
+    found = transforms("quantization").transform(TIME, smooth(TIME), {"accel_lsb": 0.25})
+    np.testing.assert_array_equal(found.accel % 0.25, 0.0)
+    assert np.abs(found.accel - smooth(TIME).accel).max() <= 0.125
+
+
+@pytest.mark.parametrize("count", [1, 3, -2])
+def test_dropped_samples_move_the_rest_and_are_put_back(count: int) -> None:
+    effect, parameters = transforms("dropped_samples"), {"count": count, "moment": 4.0}
+    true = smooth(TIME)
+    found = effect.transform(TIME, true, parameters)
+    np.testing.assert_allclose(found.gyro[:400], true.gyro[:400], atol=1e-12)
+    np.testing.assert_allclose(found.gyro[410:900], true.gyro[410 + count : 900 + count], atol=1e-9)
+    back = effect.inverse(TIME, found, parameters)
+    np.testing.assert_allclose(back.gyro[:900], true.gyro[:900], atol=5e-3)
+
+
+def test_a_dropped_sample_costs_one_step_of_angle() -> None:
+    effect, true = transforms("dropped_samples"), smooth(TIME)
+    column = effect.columns(State(TIME, *true), {"moment": 4.0})["count"]["gyro.x"]
+    k = int(np.argmax(TIME >= 4.0))
+    lost = np.trapezoid(column, TIME)
+    assert lost == pytest.approx(0.01 * (true.gyro[-1, 0] - true.gyro[k, 0]), abs=1e-3)
+
+
+def test_clock_scale_stretches_time_from_the_first_sample() -> None:
+    found = transforms("clock_scale").transform(TIME, smooth(TIME), {"scale": 0.01})
+    at = TIME / 1.01
+    np.testing.assert_allclose(found.gyro[:-200], smooth(at).gyro[:-200], atol=1e-5)
+
+
+def test_time_offset_delays_the_gyro() -> None:
+    found = transforms("time_offset").transform(TIME, smooth(TIME), {"gyro_delay": 0.004})
+    expected = smooth(TIME - 0.004).gyro
+    np.testing.assert_allclose(found.gyro[20:-50], expected[20:-50], atol=1e-5)
+    np.testing.assert_array_equal(found.accel, smooth(TIME).accel)
+
+
+def test_axis_orders_are_all_different_and_named() -> None:
+    from calib.effects.axis_error import ORDERS, describe_order, signed_permutation
+
+    matrices = {signed_permutation(k).tobytes() for k in range(len(ORDERS))}
+    assert len(matrices) == 48
+    np.testing.assert_array_equal(signed_permutation(0), np.eye(3))
+    number = next(k for k in range(48) if describe_order(k) == "x: -y, y: x, z: z")
+    np.testing.assert_array_equal(signed_permutation(number) @ [1.0, 2.0, 3.0], [-2.0, 1.0, 3.0])
+    with pytest.raises(ValueError, match="`gyro_axes`"):
+        SensorModel(terms=(Term("axis_error", {"gyro_axes": 48}),))
+
+
+def test_unit_mistakes_are_named() -> None:
+    from calib.effects.unit_error import nearest_mistake
+
+    assert nearest_mistake(57.0) == "deg/s declared as rad/s"
+    assert nearest_mistake(2.1) == "twice the full scale assumed"
+    assert nearest_mistake(1.0) is None
+    with pytest.raises(ValueError, match="`accel` of unit_error"):
+        SensorModel(terms=(Term("unit_error", {"accel": -1.0}),))
