@@ -20,7 +20,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from imu_cli.line.quantity import parse_quantity
+from imu_cli.line.quantity import parse_quantity, split_quantity
 
 Action = Literal["fail", "warn", "allow"]
 ACTIONS = ("fail", "warn", "allow")
@@ -108,6 +108,8 @@ class Limits:
                     raise ValueError(
                         f"limit {name!r}: write {entry[key]!r} with its unit, in quotes"
                     )
+                if key in entry:
+                    split_quantity(entry[key])
             action = _action(entry.get("action", "fail"), name)
             parsed.append(
                 Limit(name, entry.get("min"), entry.get("max"), entry.get("max_abs"), action)

@@ -46,17 +46,20 @@ def parse_quantity(text: str, *, unit: str) -> float:
     ValueError
         If it is no number with a unit, or its unit measures something else.
     """
+    value, measures = split_quantity(text)
+    if measures != unit:
+        known = ", ".join(name for name, (si, _) in _TO_SI.items() if si == unit and name)
+        raise ValueError(f"{text!r} is not in units of {unit}; use one of {known}")
+    return value
+
+
+def split_quantity(text: str) -> tuple[float, str]:
+    """Return a quantity's value in SI and that SI unit; ValueError if it is none."""
     found = _QUANTITY.match(text)
     if found is None:
         raise ValueError(f"{text!r} is no quantity: write a number and a unit, such as '3 %'")
-    number, name = float(found[1]), found[2]
-    if name not in _TO_SI:
-        raise ValueError(f"{text!r} has the unknown unit {name!r}; known: {_known(unit)}")
-    measures, factor = _TO_SI[name]
-    if measures != unit:
-        raise ValueError(f"{text!r} is not in units of {unit}; use one of {_known(unit)}")
-    return number * factor
-
-
-def _known(unit: str) -> str:
-    return ", ".join(name for name, (si, _) in _TO_SI.items() if si == unit and name)
+    if found[2] not in _TO_SI:
+        known = ", ".join(name for name in _TO_SI if name)
+        raise ValueError(f"{text!r} has the unknown unit {found[2]!r}; known: {known}")
+    unit, factor = _TO_SI[found[2]]
+    return float(found[1]) * factor, unit

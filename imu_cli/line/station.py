@@ -1,0 +1,150 @@
+"""The station file: one TOML that says what a station does with every unit.
+
+::
+
+    [station]
+    name = "bench-1"
+    fixture = "cube A"                    # optional
+    operator = "night shift"              # optional; --operator wins
+    history = "sqlite:///history.db"      # relative to the station file; any SQLAlchemy URL
+    artefacts = "runs"                    # folder for recordings, calibrations, reports
+
+    [device]
+    address = "serial:///dev/ttyUSB0?dialect=witmotion"
+
+    [record]
+    duration = "90 s"
+
+    [calibrate]                           # optional, all of it
+    gravity = "9.80665 m/s²"              # or latitude = "52 deg" and height = 30
+    accel_method = "maximum_likelihood"
+    gyro_method = "rotation_segment_3x3"
+
+    [flash]                               # without this table nothing is written to the device
+    persist = false
+
+    [limits]                              # see imu_cli.line.limits
+    [findings]
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from imu_cli.line.errors import StationError
+from imu_cli.line.limits import Limits
+from imu_cli.line.quantity import STANDARD_GRAVITY, parse_quantity
+
+_KEYS = {
+    "station": {"name", "fixture", "operator", "history", "artefacts"},
+    "device": {"address"},
+    "record": {"duration"},
+    "calibrate": {"gravity", "latitude", "height", "accel_method", "gyro_method"},
+    "flash": {"persist"},
+}
+
+
+@dataclass(frozen=True)
+class Station:
+    """A station as its file describes it; quantities in SI."""
+
+    name: str
+    fixture: str
+    operator: str
+    history: str
+    artefacts: Path
+    address: str
+    duration: float
+    gravity: float
+    accel_method: str | None
+    gyro_method: str | None
+    flash: bool
+    persist: bool
+    limits: Limits
+
+
+def load_station(path: Path) -> Station:
+    """Read a station file.
+
+    Raises
+    ------
+    StationError
+        If it cannot be read; the message names the file, the table and the key.
+    """
+    try:
+        tables = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise StationError(f"{path} cannot be read: {error.strerror}") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise StationError(f"{path} is no TOML: {error}") from error
+    try:
+        return _station(tables, path.parent)
+    except ValueError as error:
+        raise StationError(f"{path}: {error}") from error
+
+
+def _station(tables: Mapping[str, Any], folder: Path) -> Station:
+    unknown = set(tables) - set(_KEYS) - {"limits", "findings"}
+    if unknown:
+        known = ", ".join([*_KEYS, "limits", "findings"])
+        raise ValueError(f"unknown table [{sorted(unknown)[0]}]; known: {known}")
+    for table, keys in _KEYS.items():
+        strange = set(tables.get(table, {})) - keys
+        if strange:
+            raise ValueError(
+                f"[{table}] has the unknown key {sorted(strange)[0]!r}; "
+                f"known: {', '.join(sorted(keys))}"
+            )
+    station = tables.get("station", {})
+    calibrate, flash = tables.get("calibrate", {}), tables.get("flash")
+    return Station(
+        name=_text(station, "station", "name"),
+        fixture=_text(station, "station", "fixture", ""),
+        operator=_text(station, "station", "operator", ""),
+        history=_history(_text(station, "station", "history", "sqlite:///history.db"), folder),
+        artefacts=folder / _text(station, "station", "artefacts", "runs"),
+        address=_text(tables.get("device", {}), "device", "address"),
+        duration=parse_quantity(_text(tables.get("record", {}), "record", "duration"), unit="s"),
+        gravity=_gravity(calibrate),
+        accel_method=calibrate.get("accel_method"),
+        gyro_method=calibrate.get("gyro_method"),
+        flash=flash is not None,
+        persist=bool((flash or {}).get("persist", False)),
+        limits=Limits.from_tables(tables.get("limits", {}), tables.get("findings", {})),
+    )
+
+
+def _text(table: Mapping[str, Any], name: str, key: str, default: str | None = None) -> str:
+    value = table.get(key, default)
+    if value is None:
+        raise ValueError(f"[{name}] needs {key}")
+    if not isinstance(value, str):
+        raise ValueError(f"[{name}] {key} must be text in quotes, got {value!r}")
+    return value
+
+
+def _gravity(table: Mapping[str, Any]) -> float:
+    if "gravity" in table:
+        if "latitude" in table or "height" in table:
+            raise ValueError("[calibrate] takes gravity, or latitude and height, not both")
+        return parse_quantity(_text(table, "calibrate", "gravity"), unit="m/s²")
+    if "latitude" in table:
+        from calib.gravity import normal_gravity
+
+        latitude = parse_quantity(_text(table, "calibrate", "latitude"), unit="rad")
+        return normal_gravity(latitude, height=float(table.get("height", 0.0)))
+    if "height" in table:
+        raise ValueError("[calibrate] height needs latitude beside it")
+    return STANDARD_GRAVITY
+
+
+def _history(url: str, folder: Path) -> str:
+    """Make a relative SQLite path relative to the station file, wherever the run was started."""
+    prefix = "sqlite:///"
+    if url.startswith(prefix) and not url.startswith(prefix + "/"):
+        return f"{prefix}{(folder / url.removeprefix(prefix)).resolve()}"
+    return url
