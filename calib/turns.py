@@ -8,7 +8,7 @@ import numpy as np
 
 from calib.poses import Poses
 from calib.recording import Recording
-from calib.types import FloatArray, IntArray
+from calib.types import BoolArray, FloatArray, IntArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,8 +35,8 @@ class Turns:
     def __len__(self) -> int:
         return len(self.start)
 
-    def select(self, which: FloatArray | IntArray | slice) -> Turns:
-        """Return some of the turns: an index array, a mask or a slice."""
+    def select(self, which: BoolArray | IntArray) -> Turns:
+        """Return some of the turns: an index array or a mask."""
         return Turns(
             self.before[which],
             self.after[which],

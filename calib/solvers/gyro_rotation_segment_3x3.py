@@ -35,7 +35,9 @@ from calib.fit import Exclusion, Fit
 from calib.model import Triad
 from calib.poses import Poses
 from calib.recording import Recording
-from calib.solvers._closure_fit import ClosureSystem, Information, fit_closures, unpack
+from calib.solvers._closure_fit import fit_closures
+from calib.solvers._closure_noise import Information
+from calib.solvers._closure_system import ClosureSystem, unpack
 from calib.solvers._determined import (
     GYRO_NAMES,
     GYRO_UNITS,
@@ -47,11 +49,14 @@ from calib.solvers._determined import (
 from calib.solvers._static_bias import noise_growth, static_bias
 from calib.solvers.base import GyroSolver
 from calib.turns import Turns
+from calib.types import FloatArray
 
 REASONS = {
     "turn": "the turn does not close with the others: clipped, shaken, or moved at its ends",
     "pose": "gravity's direction here disagrees with the turns before and after: bumped",
 }
+
+AMBIGUOUS = "the turn is so long that its angle is uncertain by more than gravity can tell apart"
 
 
 def solve(
@@ -79,7 +84,8 @@ def solve(
     Returns
     -------
     Fit
-        Residuals (m, 2) in rad: the closure error of each turn, in the horizontal plane.
+        Residuals (m, 2) in rad: the closure error of each turn that was used, in the horizontal
+        plane. ``intervals`` says when these turns were.
 
     Raises
     ------
@@ -106,11 +112,19 @@ def solve(
     covariance[~judged.known] = covariance[:, ~judged.known] = np.nan
     undetermined = tuple(n for n, ok in zip(GYRO_NAMES, judged.known, strict=True) if not ok)
     triad = unpack(fit.values)
-    excluded = [*bias.excluded]
-    for kind, i in fit.left_out:
-        interval = turns.interval[i] if kind == "turn" else poses.interval[i]
-        excluded.append(Exclusion((float(interval[0]), float(interval[1])), 0.0, REASONS[kind]))
-    residuals = fit.linearised.residual.reshape(-1, 2)
+    left_out = fit.judgement.left_out
+    used = turns.select(fit.used)
+    skipped = turns.select(~fit.used).interval
+    excluded = [
+        *bias.excluded,
+        *(_exclusion(interval, AMBIGUOUS) for interval in skipped),
+        *(
+            _exclusion((used if kind == "turn" else poses).interval[i], REASONS[kind])
+            for kind, i in left_out
+        ),
+    ]
+    kept = np.array([("turn", i) not in left_out for i in range(len(used))], bool)
+    residuals = fit.residuals.reshape(-1, 2)[kept]
     return Fit(
         method=GYRO_SOLVER.name,
         triad=triad,
@@ -120,16 +134,23 @@ def solve(
         covariance=covariance,
         residuals=residuals,
         residual_unit="rad",
-        intervals=turns.interval,
-        degrees_of_freedom=residuals.size
-        + 3 * len(poses)
-        - int(free.sum())
-        - 2 * len(fit.left_out),
+        intervals=used.interval[kept],
+        degrees_of_freedom=_degrees_of_freedom(
+            len(used), len(poses), int(free.sum()), len(left_out)
+        ),
         condition_number=judged.condition_number,
         undetermined=undetermined,
         advice=gyro_advice(undetermined, *visible_turning(steps, system.directions, turns, triad)),
         excluded=tuple(excluded),
     )
+
+
+def _exclusion(interval: FloatArray, reason: str) -> Exclusion:
+    return Exclusion((float(interval[0]), float(interval[1])), 0.0, reason)
+
+
+def _degrees_of_freedom(turns: int, poses: int, parameters: int, left_out: int) -> int:
+    return 2 * turns + 3 * poses - parameters - 2 * left_out
 
 
 GYRO_SOLVER = GyroSolver(

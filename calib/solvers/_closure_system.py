@@ -1,0 +1,139 @@
+"""The closure equations of a recording's turns, and their derivatives."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.closure import Directions, TurnSteps, closure_residual, horizontal_basis, propagate
+from calib.model import Triad
+from calib.rotation import skew
+from calib.turns import Turns
+from calib.types import BoolArray, FloatArray
+
+LeftOut = tuple[tuple[str, int], ...]
+"""Each ``turn`` and ``pose`` that does not fit, by index."""
+
+
+def unpack(values: FloatArray) -> Triad:
+    """Return the triad of twelve values in the order of `Triad.parameters`."""
+    matrix = np.diag(1.0 + values[3:6])
+    matrix[_OFF] = values[6:]
+    return Triad.from_matrix(matrix, values[:3])
+
+
+_OFF = (np.array([0, 0, 1, 1, 2, 2]), np.array([1, 2, 0, 2, 0, 1]))
+_ROW = np.concatenate([np.arange(3), _OFF[0]])
+COLUMN = np.concatenate([np.arange(3), _OFF[1]])
+"""Which component of the true rate each of the nine matrix parameters multiplies."""
+
+
+@dataclass(frozen=True, eq=False)
+class Linearised:
+    """Closure residuals of m turns at one set of parameters.
+
+    Parameters
+    ----------
+    residual : (2m,) array, rad
+        Two horizontal components a turn.
+    jacobian : (2m, 12) array
+    covariance : (2m, 2m) array, rad²
+        From the directions at the poses and the integrated noise of the rate.
+    inflation : (2, m, 2, 2) array
+        Shapes of the excess: 1 rad² for every component, and what the trapezoid may miss (rad²).
+    pose_shift : (2m, k, 2) array
+        Derivative to two rotations of the direction at each pose.
+    """
+
+    residual: FloatArray
+    jacobian: FloatArray
+    covariance: FloatArray
+    inflation: FloatArray
+    pose_shift: FloatArray
+
+    def total_covariance(self, scale: FloatArray) -> FloatArray:
+        """Return the covariance with (2,) multiples of the inflation added."""
+        total = self.covariance.copy()
+        rows = np.arange(len(total)).reshape(-1, 2)
+        total[rows[:, :, None], rows[:, None, :]] += np.tensordot(scale, self.inflation, 1)
+        return total
+
+    def shifts(self, left_out: Sequence[tuple[str, int]]) -> FloatArray:
+        """Return a free shift of two components for each turn or pose that is left out."""
+        size = len(self.residual)
+        columns = [np.zeros((size, 0))]
+        for kind, i in left_out:
+            turn = np.eye(size)[:, 2 * i : 2 * i + 2]
+            columns.append(turn if kind == "turn" else self.pose_shift[:, i])
+        return np.concatenate(columns, axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class ClosureSystem:
+    """The closure equations of a recording.
+
+    Parameters
+    ----------
+    steps : TurnSteps
+    turns : Turns
+    directions : Directions
+        At the poses.
+    noise : (3, 3) array, rad²/s
+        Growth of the integrated rate's covariance with time.
+    """
+
+    steps: TurnSteps
+    turns: Turns
+    directions: Directions
+    noise: FloatArray
+
+    def select(self, which: BoolArray) -> ClosureSystem:
+        """Return the system of some of the turns."""
+        return ClosureSystem(
+            self.steps.select(which), self.turns.select(which), self.directions, self.noise
+        )
+
+    def linearise(self, values: FloatArray) -> Linearised:
+        """Propagate every turn with these parameters (12,) and differentiate."""
+        triad, m, k = unpack(values), len(self.turns), len(self.directions.up)
+        inverse = np.asarray(np.linalg.inv(triad.matrix), np.float64)
+        motion = propagate(self.steps, triad.matrix, triad.bias)
+        up, cov = self.directions.up, self.directions.covariance
+        before, after = self.turns.before, self.turns.after
+        predicted = np.einsum("mij,mj->mi", motion.mat, up[after])
+        basis = horizontal_basis(up[before])
+
+        integrals = np.concatenate([motion.mat_integral[..., None], motion.rate_integrals], axis=-1)
+        # d(phi)/d(parameter) = -integral(R w_j) inv(G)[:, i], and the same with 1 for the bias.
+        source = np.concatenate([np.zeros(3, int), 1 + COLUMN])
+        row = np.concatenate([np.arange(3), _ROW])
+        phi = -np.einsum("maip,ip->map", integrals[..., source], inverse[:, row])
+        jacobian = -np.einsum("mea,map->mep", basis, phi)
+
+        # A rotation of either direction about the basis vectors at its own pose.
+        at_pose = horizontal_basis(up)
+        own = basis @ at_pose[before].transpose(0, 2, 1)
+        other = -basis @ motion.mat @ at_pose[after].transpose(0, 2, 1)
+        shift = np.zeros((m, 2, k, 2))
+        index = np.arange(m)
+        shift[index, :, before], shift[index, :, after] = own, other
+        pose_shift = shift.reshape(2 * m, k, 2)
+        # Covariance of those rotations: a rotation r moves up by cross(r, up).
+        turn = at_pose @ skew(up)
+        rotation = turn @ cov @ turn.transpose(0, 2, 1)
+        covariance = np.einsum("aki,kij,bkj->ab", pose_shift, rotation, pose_shift, optimize=True)
+        noise = motion.noise(inverse @ self.noise @ inverse.T)
+        missed = motion.missed(inverse)
+        # White noise alone makes a quarter of its own size look like roughness.
+        level, floor = np.trace(missed, axis1=1, axis2=2), 0.25 * np.trace(noise, axis1=1, axis2=2)
+        missed *= np.clip(1 - floor / np.maximum(level, 1e-30), 0, 1)[:, None, None]
+        across = basis.transpose(0, 2, 1)
+        rows = 2 * index[:, None] + np.arange(2)
+        covariance[rows[:, :, None], rows[:, None, :]] += basis @ noise @ across
+        inflation = np.stack([np.broadcast_to(np.eye(2), (m, 2, 2)), basis @ missed @ across])
+        residual = np.einsum("mea,ma->me", basis, closure_residual(up[before], predicted))
+        return Linearised(
+            residual.ravel(), jacobian.reshape(2 * m, -1), covariance, inflation, pose_shift
+        )
