@@ -82,24 +82,31 @@ class ClosureSystem:
         At the poses.
     noise : (3, 3) array, rad²/s
         Growth of the integrated rate's covariance with time.
+    deviation : (m, 3) array, rad/s
+        Of the bias during each turn from the mean bias.
     """
 
     steps: TurnSteps
     turns: Turns
     directions: Directions
     noise: FloatArray
+    deviation: FloatArray
 
     def select(self, which: BoolArray) -> ClosureSystem:
         """Return the system of some of the turns."""
         return ClosureSystem(
-            self.steps.select(which), self.turns.select(which), self.directions, self.noise
+            self.steps.select(which),
+            self.turns.select(which),
+            self.directions,
+            self.noise,
+            self.deviation[which],
         )
 
     def linearise(self, values: FloatArray) -> Linearised:
         """Propagate every turn with these parameters (12,) and differentiate."""
         triad, m, k = unpack(values), len(self.turns), len(self.directions.up)
         inverse = np.asarray(np.linalg.inv(triad.matrix), np.float64)
-        motion = propagate(self.steps, triad.matrix, triad.bias)
+        motion = propagate(self.steps, triad.matrix, triad.bias + self.deviation)
         up, cov = self.directions.up, self.directions.covariance
         before, after = self.turns.before, self.turns.after
         predicted = np.einsum("mij,mj->mi", motion.mat, up[after])

@@ -24,6 +24,8 @@ class StaticBias:
     covariance : (3, 3) array
     spread : (3,) array, rad/s
         Standard deviation from pose to pose beyond the noise: drift, temperature, g-sensitivity.
+    deviation : (k, 3) array, rad/s
+        How far the bias was from the mean at each pose, as far as noise lets one tell.
     excluded : tuple of Exclusion
         Poses whose mean rate is far from the others': the sensor was not at rest.
     """
@@ -31,6 +33,7 @@ class StaticBias:
     bias: FloatArray
     covariance: FloatArray
     spread: FloatArray
+    deviation: FloatArray
     excluded: tuple[Exclusion, ...]
 
 
@@ -71,14 +74,10 @@ def static_bias(recording: Recording, poses: Poses) -> StaticBias:
         np.diagonal(poses.gyro_covariance, axis1=1, axis2=2),
         0.1 * np.diagonal(floor, axis1=1, axis2=2),
     )
-    centre = np.median(poses.gyro, axis=0)
-    deviation2 = (poses.gyro - centre) ** 2
+    deviation2 = (poses.gyro - _running_median(poses.gyro)) ** 2
     # 0.455 is the median of chi-square with one degree of freedom.
     scale2 = np.maximum(noise, np.median(deviation2, axis=0) / 0.455)
-    distance = (deviation2 / scale2).sum(axis=1)
-    good = distance <= chi2.isf(0.01 / len(poses), 3)
-    if good.sum() < max(1, len(poses) // 2):
-        good[:] = True
+    good = (deviation2 / scale2).sum(axis=1) <= chi2.isf(0.01 / len(poses), 3)
     values, weight = poses.gyro[good], 1 / noise[good]
     mean = (weight * values).sum(axis=0) / weight.sum(axis=0)
     heterogeneity = (weight * (values - mean) ** 2).sum(axis=0)
@@ -87,12 +86,25 @@ def static_bias(recording: Recording, poses: Poses) -> StaticBias:
     spread2 = np.where(scale > 0, np.maximum(excess, 0) / np.where(scale > 0, scale, 1), 0.0)
     weight = 1 / (noise[good] + spread2)
     bias = (weight * values).sum(axis=0) / weight.sum(axis=0)
+    # The best guess of d_k shrinks towards 0 by the share of noise in it; between poses, and over
+    # those left out, it is interpolated.
+    shrunk = spread2 / np.maximum(spread2 + noise, 1e-30) * (poses.gyro - bias)
+    middle = poses.interval.mean(axis=1)
+    deviation = np.stack([np.interp(middle, middle[good], d[good]) for d in shrunk.T], axis=1)
     excluded = tuple(
         Exclusion(
             (float(poses.interval[k, 0]), float(poses.interval[k, 1])),
             0.0,
-            "the gyroscope's mean here is far from the other poses': the sensor was not at rest",
+            "the gyroscope's mean is far from the poses around: the sensor was not at rest",
         )
         for k in np.flatnonzero(~good)
     )
-    return StaticBias(bias, np.diag(1 / weight.sum(axis=0)), np.sqrt(spread2), excluded)
+    return StaticBias(bias, np.diag(1 / weight.sum(axis=0)), np.sqrt(spread2), deviation, excluded)
+
+
+def _running_median(values: FloatArray) -> FloatArray:
+    """Return the median over five rows around each of (k, 3) values, fewer at the ends."""
+    padded = np.pad(values, ((2, 2), (0, 0)), constant_values=np.nan)
+    windows = np.lib.stride_tricks.sliding_window_view(padded, 5, axis=0)
+    median: FloatArray = np.nanmedian(windows, axis=-1)
+    return median

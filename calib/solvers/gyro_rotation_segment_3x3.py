@@ -100,7 +100,11 @@ def solve(
     static = Information(precision, np.concatenate([bias.bias, np.zeros(9)]))
     steps = TurnSteps.of(recording, turns)
     system = ClosureSystem(
-        steps, turns, pose_directions(poses, accel), noise_growth(recording, poses)
+        steps,
+        turns,
+        pose_directions(poses, accel),
+        noise_growth(recording, poses),
+        0.5 * (bias.deviation[turns.before] + bias.deviation[turns.after]),
     )
     fit = fit_closures(system, static)
 
