@@ -45,6 +45,12 @@ class Turning(NamedTuple):
         rate_dot = _turn_back(self.rate_dot, axis, sine, cosine) + np.cross(rate, own)
         return Turning(turned, rate + own, rate_dot + axis * angle.acceleration[:, None])
 
+    def mounted(self, quat: FloatArray) -> Turning:
+        """Return this seen from a sensor fixed at orientation `quat` (4,) in the turned frame."""
+        mat = mat_from_quat(quat)
+        fixed = np.broadcast_to(quat, self.quat.shape)
+        return Turning(quat_multiply(self.quat, fixed), self.rate @ mat, self.rate_dot @ mat)
+
 
 def at_rest(quat: FloatArray) -> Turning:
     """Return orientations (n, 4) that do not turn."""

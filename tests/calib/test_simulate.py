@@ -6,17 +6,27 @@ import pytest
 from calib.effects.base import Signals
 from calib.model import SensorModel
 from calib.recording import DeviceInfo
-from calib.rotation import integrate_rate, mat_from_quat
+from calib.rotation import integrate_rate, mat_from_quat, quat_from_rotvec
 from calib.simulate import Sampling, simulate
 from calib.simulation.bench import bench_protocol
 from calib.simulation.kinematics import Motion
+from calib.simulation.motions import FACES, paper_sinusoid, pendulum, thermal_soak
 from calib.simulation.noise import NoiseModel
+from calib.simulation.turntable import turntable
 
 MOTIONS = {
     "bench": lambda: bench_protocol(np.random.default_rng(1), poses=6, first_pose=1.0),
     "bench in the hand": lambda: bench_protocol(
         np.random.default_rng(2), poses=4, mixed=1.0, hold_tremor=0.3
     ),
+    "paper": paper_sinusoid,
+    "pendulum": lambda: pendulum(hold=1.025, amplitude=2.0, duration=12.0),
+    "pendulum mounted aslant": lambda: pendulum(
+        hold=1.025, duration=12.0, mount=quat_from_rotvec(np.array([0.3, -0.5, 1.0]))
+    ),
+    "record player": lambda: turntable(spin=5.0),
+    "rate table": lambda: turntable((1.0, -3.0), faces=("+z", "-y", "+x"), spin=1.0, tilt=0.05),
+    "thermal soak": thermal_soak,
     "bench of one pose": lambda: bench_protocol(np.random.default_rng(3), poses=1),
 }
 QUIET = NoiseModel()
@@ -70,8 +80,10 @@ def test_force_is_acceleration_and_gravity_in_the_sensor_frame(motion: Motion) -
     np.testing.assert_allclose(in_n, acceleration, atol=5e-3)
 
 
-def test_statics_are_at_rest() -> None:
-    motion = MOTIONS["bench"]()
+@pytest.mark.parametrize("name", ["bench", "pendulum", "record player", "rate table"])
+def test_statics_are_at_rest(name: str) -> None:
+    motion = MOTIONS[name]()
+    assert len(motion.statics)
     for start, stop in motion.statics:
         state = motion.state(np.linspace(start, stop, 50))
         np.testing.assert_allclose(state.rate, 0.0, atol=1e-12)
@@ -179,3 +191,88 @@ def test_sample_times_are_checked(arguments: dict, name: str) -> None:
 def test_noise_model_refuses_negative_sizes() -> None:
     with pytest.raises(ValueError, match="`gyro_noise_density`"):
         NoiseModel(gyro_noise_density=-1.0)
+
+
+def test_paper_sinusoid_is_the_stated_attitude() -> None:
+    time = np.linspace(0.0, 100.0, 201)
+    roll = np.pi * np.sin(2 * np.pi * 0.05 * time)
+    pitch = np.pi / 2 * np.sin(2 * np.pi * 0.031 * time + 0.3)
+    expected = 9.80665 * np.stack(
+        [-np.sin(pitch), np.cos(pitch) * np.sin(roll), np.cos(pitch) * np.cos(roll)], axis=1
+    )
+    np.testing.assert_allclose(paper_sinusoid().state(time).force, expected, atol=1e-12)
+
+
+def test_pendulum_solves_its_equation_of_motion() -> None:
+    """Against numerical integration of theta'' = -(g / l) sin theta."""
+    from scipy.integrate import solve_ivp
+
+    motion = pendulum(amplitude=2.5, length=0.7, distance=0.3, hold=0.0, duration=10.0)
+    time = np.linspace(0.0, 10.0, 101)[1:]
+    k = 9.80665 / 0.7
+    solved = solve_ivp(
+        lambda _, y: [y[1], -k * np.sin(y[0])],
+        (0, 10),
+        [2.5, 0.0],
+        t_eval=time,
+        rtol=1e-10,
+        atol=1e-12,
+    )
+    theta, rate = solved.y
+    state = motion.state(time)
+    np.testing.assert_allclose(state.rate[:, 0], rate, atol=1e-6)
+    # A bead on a rigid rod: the rod pulls with g cos + d rate², and pushes with g sin (1 - d/l).
+    np.testing.assert_allclose(
+        state.force[:, 2], 9.80665 * np.cos(theta) + 0.3 * rate**2, atol=1e-5
+    )
+    push = 9.80665 * np.sin(theta) * (1 - 0.3 / 0.7)
+    np.testing.assert_allclose(state.force[:, 1], push, atol=1e-5)
+
+
+def test_a_small_pendulum_swings_in_its_small_angle_period() -> None:
+    motion = pendulum(amplitude=1e-3, length=0.5, hold=0.0)
+    period = 2 * np.pi * np.sqrt(0.5 / 9.80665)
+    later = motion.state(np.array([0.1, 0.1 + 5 * period])).rate[:, 0]
+    assert later[1] == pytest.approx(later[0], rel=1e-4)
+
+
+def test_turntable_feels_its_rate_and_the_centripetal_acceleration() -> None:
+    motion = turntable((3.0,), faces=("+z", "-x"), offset=(0.1, 0.0, 0.0), spin=4.0)
+    spins = [s for s in motion.segments if s.kind == "spin"]
+    assert [s.label for s in spins] == ["+z at 171.887 dps", "-x at 171.887 dps"]
+    first, second = (motion.state(np.linspace(s.start, s.stop, 9)) for s in spins)
+    np.testing.assert_allclose(first.rate, np.tile([0, 0, 3.0], (9, 1)), atol=1e-12)
+    np.testing.assert_allclose(first.force, np.tile([-0.9, 0, 9.80665], (9, 1)), atol=1e-12)
+    np.testing.assert_allclose(second.rate, np.tile([-3.0, 0, 0], (9, 1)), atol=1e-12)
+    np.testing.assert_allclose(second.force[:, 0], -9.80665, atol=1e-12)
+    assert np.linalg.norm(second.force[:, 1:], axis=1) == pytest.approx(np.full(9, 0.9))
+
+
+def test_faces_have_their_axis_up() -> None:
+    for face, quat in FACES.items():
+        up = mat_from_quat(quat)[2]
+        assert up["xyz".index(face[1])] == pytest.approx(1.0 if face[0] == "+" else -1.0)
+
+
+def test_thermal_soak_follows_the_chamber() -> None:
+    motion = thermal_soak(temperatures=(20.0, 50.0), dwell=300.0, ramp=300.0, lag=30.0)
+    assert motion.temperature is not None
+    t = motion.temperature(np.array([0.0, 300.0, 500.0, 600.0, 900.0]))
+    # In the middle of a long ramp the sensor is behind by lag times the slope of 0.1 K/s.
+    np.testing.assert_allclose(t, [20.0, 20.0, 37.0 + 3 * np.exp(-200 / 30), 47.0, 50.0], atol=2e-3)
+    assert motion.state(np.array([450.0])).temperature_rate == pytest.approx(0.1, rel=0.01)
+
+
+def test_motions_check_their_arguments() -> None:
+    rng = np.random.default_rng(0)
+    for make, name in (
+        (lambda: bench_protocol(rng, poses=0), "poses"),
+        (lambda: bench_protocol(rng, turn_duration=(2.0, 1.0)), "turn_duration"),
+        (lambda: paper_sinusoid(duration=0.0), "duration"),
+        (lambda: pendulum(amplitude=4.0), "amplitude"),
+        (lambda: turntable(faces=("up",)), "faces"),
+        (lambda: turntable(spin=0.0), "spin"),
+        (lambda: thermal_soak(temperatures=()), "temperatures"),
+    ):
+        with pytest.raises(ValueError, match=f"`{name}`"):
+            make()
