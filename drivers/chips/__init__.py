@@ -31,9 +31,11 @@ def get_chip(name: str) -> Chip:
     """
     wanted = normal_name(name)
     for chip in chips().values():
-        if wanted in map(normal_name, (chip.name, *chip.models.values())):
+        if wanted in map(normal_name, (chip.name, *chip.models.values(), *chip.aliases)):
             return chip
-    known = ", ".join(part for chip in chips().values() for part in chip.models.values())
+    known = ", ".join(
+        part for chip in chips().values() for part in (*chip.models.values(), *chip.aliases)
+    )
     raise ValueError(f"`chip` {name!r} is not known: {known}")
 
 

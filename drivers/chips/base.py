@@ -274,6 +274,8 @@ class Chip(ABC):
     name: ClassVar[str]
     models: ClassVar[Mapping[int, str]]
     """Identity register's value -> the part it stands for; the first is the family's own."""
+    aliases: ClassVar[tuple[str, ...]] = ()
+    """Other parts that answer with the first one's identity: they cannot be told apart."""
     source: ClassVar[str]
     """The document that the table was taken from."""
     identity: ClassVar[Register]
@@ -283,8 +285,8 @@ class Chip(ABC):
     gyro_ranges: ClassVar[tuple[Sensitivity, ...]]
     default_ranges: ClassVar[tuple[float, float]] = (4.0, 500.0)
     default_rate: ClassVar[float] = 100.0
-    bandwidths: ClassVar[tuple[float, ...]]
-    """What ``filter=`` may be, Hz."""
+    bandwidths: ClassVar[tuple[float, ...]] = ()
+    """What ``filter=`` may be, Hz; empty where the low-pass follows the rate."""
     data: ClassVar[Register]
     frame: ClassVar[np.dtype[Any]]
     fifo_size: ClassVar[int]
@@ -366,6 +368,8 @@ class Chip(ABC):
         self.accel_sensitivity(setup.accel_range)
         self.gyro_sensitivity(setup.gyro_range)
         self.nearest_rate(setup.rate)
+        if setup.bandwidth is not None and not self.bandwidths:
+            raise ValueError(f"`filter` cannot be set: {self.name}'s low-pass follows its rate")
         if setup.bandwidth is not None and setup.bandwidth not in self.bandwidths:
             names = ", ".join(f"{b:g}" for b in self.bandwidths)
             raise ValueError(

@@ -167,7 +167,9 @@ class I2CDriver(Driver):
             )
         chip = get_chip(self._wanted)
         for part, found in answers:
-            exact = normal_name(self._wanted) in (normal_name(part), normal_name(chip.name))
+            first = next(iter(chip.models.values()))
+            names = (part, chip.name, *(chip.aliases if part == first else ()))
+            exact = normal_name(self._wanted) in map(normal_name, names)
             if found is chip and exact:
                 return part, chip
         value = Device(bus, self._place, bank_select=chip.bank_select).read(chip.identity)[0]
@@ -259,8 +261,7 @@ class SampleTimes:
 
     The last sample of a read has a known mean `age`: half an interval where a FIFO's count is
     read, half a polling pause where a data-ready bit is watched. ``now - age`` observes its time.
-    A second-order loop follows these observations; its gains fall as it settles, which is a
-    regression at first and a tracker later.
+    A Kalman filter over (time of the last sample, interval) follows these observations.
     """
 
     def __init__(self, rate: float, now: float, *, age: float) -> None:
@@ -270,41 +271,45 @@ class SampleTimes:
         self.last_read = now
         self._origin = now
         self._last = 0.0
-        self._reads = 0
+        self._started = False
+        # Of the estimates: an IMU's oscillator is within a few per cent of its nominal rate.
+        self._variance = np.diag([(2 * age) ** 2, (0.03 / rate) ** 2])
+        # Of an observation: the age is even over its range, and reads are late by scheduling.
+        self._noise = (2 * age) ** 2 / 12 + 2e-4**2
 
     def take(self, count: int, lost: int, now: float) -> FloatArray:
         """Return the times of the next `count` samples, `lost` samples after the one before."""
         observed = now - self._origin - self.age
         steps = count + lost
-        if self._reads == 0:
+        if not self._started:
+            self._started = True
             self._last = observed - steps * self.interval
+        predict = np.array([[1.0, steps], [0.0, 1.0]])
+        variance = predict @ self._variance @ predict.T
+        # The rate drifts with temperature, by about 1e-6 of itself a second.
+        variance[1, 1] += (1e-6 * self.interval) ** 2 * steps * self.interval
+        gain = variance[:, 0] / (variance[0, 0] + self._noise)
         error = observed - (self._last + steps * self.interval)
-        self._reads += 1
-        gain = max(2 / (self._reads + 1), 0.02)
-        self._trend(error, steps, gain)
+        self._variance = variance - np.outer(gain, variance[0])
         # Never backwards, however late a read was: at least half the nominal interval.
-        step = max(self.interval + gain * error / steps, self.nominal / 2)
-        times = self._last + step * np.arange(lost + 1, steps + 1, dtype=np.float64)
+        step = max(self.interval + gain[0] * error / steps, self.nominal / 2)
+        self.interval = min(
+            max(self.interval + gain[1] * error, 0.9 * self.nominal), 1.1 * self.nominal
+        )
+        times: FloatArray = self._last + step * np.arange(lost + 1, steps + 1, dtype=np.float64)
         self._last += step * steps
         return times
 
-    def _trend(self, error: float, steps: int, gain: float) -> None:
-        if self._reads > 10:
-            self.interval += gain * gain / 4 * error / steps
-            # No IMU's oscillator is 10 % off; a stalled host is not the device's rate.
-            low, high = 0.9 * self.nominal, 1.1 * self.nominal
-            self.interval = min(max(self.interval, low), high)
-
     def restart(self, now: float) -> int:
         """Return how many samples an emptied FIFO lost between the last one and `now`."""
-        if self._reads == 0:
+        if not self._started:
             return 0
         elapsed = now - self._origin - self._last
         return max(1, int(elapsed / self.interval))
 
     def missing(self, now: float) -> int:
         """Return how many samples went by unread, when one that is new is read at `now`."""
-        if self._reads == 0:
+        if not self._started:
             return 0
         elapsed = now - self.age - self._origin - self._last
         return max(0, round(elapsed / self.interval) - 1)

@@ -80,7 +80,7 @@ def test_overflow_is_counted_to_the_sample(part: str) -> None:
     rate = min(get_chip(part).rates(), key=lambda r: abs(r - 300))
     with open_driver(f"emulator://{part}?rate={rate}&seed=1&speed=0") as driver:
         assert isinstance(driver, I2CDriver)
-        first = collect(driver, 200)
+        first = collect(driver, 2000)  # long enough to know the rate to 1e-4
         driver._clock.sleep(20.0)
         later = collect(driver, 200)
         real = driver.info.rate

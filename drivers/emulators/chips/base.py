@@ -227,7 +227,9 @@ class ChipModel(ABC):
         rows = self._rows(first, last)
         data = self.chip.data
         page = self._page(data.bank)
-        page[data.address : data.address + rows.dtype.itemsize] = rows[-1:].tobytes()
+        for name, (_, offset, *_) in (rows.dtype.fields or {}).items():
+            value = rows[-1:][name].tobytes()  # other registers may lie between the words
+            page[data.address + offset : data.address + offset + len(value)] = value
         self.new_sample()
         if not self.fifo_runs():
             return
