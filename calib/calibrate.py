@@ -1,8 +1,8 @@
-"""From recordings of one device to its `Calibration`: poses, accelerometer, turns, gyroscope."""
+"""From a recording of a device to its `Calibration`: poses, accelerometer, turns, gyroscope."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import TypeVar
 
@@ -18,7 +18,7 @@ from calib.calibration import (
     TemperatureRange,
     TriadSummary,
 )
-from calib.errors import InsufficientMotionError, RecordingError
+from calib.errors import InsufficientMotionError
 from calib.fit import Exclusion, Fit
 from calib.model import SensorModel
 from calib.poses import Poses
@@ -42,7 +42,7 @@ straight line, this gap costs 20 * 0.05³ / 12 rad, a hundredth of a degree."""
 
 
 def calibrate(
-    recordings: Recording | Sequence[Recording],
+    recording: Recording,
     *,
     gravity: Gravity | float,
     accel_method: str = ACCEL_METHOD,
@@ -54,8 +54,8 @@ def calibrate(
 
     Parameters
     ----------
-    recordings : Recording or sequence of Recording
-        All of one device. No turn is read across the border of two.
+    recording : Recording
+        Of several files joined, or whole. No turn is read across a gap.
     gravity : Gravity or float, m/s²
     accel_method, gyro_method : str
         Names of solvers.
@@ -67,18 +67,15 @@ def calibrate(
     Returns
     -------
     Calibration
-        With `undetermined` parameters where the recordings do not tell.
+        With `undetermined` parameters where the recording does not tell.
 
     Raises
     ------
-    RecordingError
-        If the recordings are of different devices.
     InsufficientMotionError
         If the sensor was never at rest, or in one pose only.
     ValueError
         If a method is unknown, or an option that it needs is missing.
     """
-    parts = [recordings] if isinstance(recordings, Recording) else list(recordings)
     gravity = gravity if isinstance(gravity, Gravity) else Gravity(gravity, "given")
     if not 9.7 < gravity.value < 9.9:
         raise ValueError(
@@ -86,11 +83,11 @@ def calibrate(
         )
     solve_accel = _choose(accel_solvers(), "accel_method", accel_method).solve
     solve_gyro = _choose(gyro_solvers(), "gyro_method", gyro_method).solve
-    recording, poses, borders = join(parts)
+    poses = find_poses(recording)
     _check_poses(recording, poses)
 
     accel = solve_accel(poses, gravity=gravity.value)
-    turns, left_out = _usable_turns(recording, find_turns(recording, poses), borders)
+    turns, left_out = _usable_turns(recording, find_turns(recording, poses))
     gyro = solve_gyro(
         recording, poses, turns, accel.triad, gravity=gravity.value, options=options or {}
     )
@@ -117,52 +114,6 @@ def calibrate(
         poses=PoseTable.from_poses(poses),
         provenance=replace(provenance, device=recording.device),
     )
-
-
-def join(parts: Sequence[Recording]) -> tuple[Recording, Poses, tuple[int, ...]]:
-    """Return recordings of one device as one, its poses, and the samples at which parts begin.
-
-    A part that does not begin after the one before it is moved to begin a second after it.
-
-    Raises
-    ------
-    RecordingError
-        If the parts are of different devices.
-    """
-    if not parts:
-        raise ValueError("`parts` must hold a recording")
-    if len(parts) == 1:
-        return parts[0], find_poses(parts[0]), ()
-    for name in ("chip", "serial_number"):
-        seen = {getattr(part.device, name) for part in parts} - {""}
-        if len(seen) > 1:
-            raise RecordingError(
-                f"the recordings are of different devices ({name} {', '.join(sorted(seen))}): "
-                "calibrate each by itself"
-            )
-    shifts, borders, samples, end = [], [], 0, -np.inf
-    for part in parts:
-        start = float(part.time[0])
-        shift = 0.0 if start > end else end + 1.0 - start
-        shifts.append(shift)
-        borders.append(samples)
-        samples += len(part)
-        end = float(part.time[-1]) + shift
-    time = np.concatenate([p.time + shift for p, shift in zip(parts, shifts, strict=True)])
-    temperatures = [part.temperature for part in parts if part.temperature is not None]
-    whole = Recording(
-        time=time,
-        accel=np.concatenate([part.accel for part in parts]),
-        gyro=np.concatenate([part.gyro for part in parts]),
-        clock=parts[0].clock,
-        temperature=np.concatenate(temperatures) if len(temperatures) == len(parts) else None,
-        lost=np.concatenate([part.lost for part in parts if part.lost is not None]),
-        device=parts[0].device,
-        complete=all(part.complete for part in parts),
-        notes=parts[0].notes,
-    )
-    found = [find_poses(part) for part in parts]
-    return whole, _join_poses(found, borders, shifts), tuple(borders[1:])
 
 
 def noise_at_rest(recording: Recording, poses: Poses) -> Noise | None:
@@ -214,28 +165,21 @@ def _check_poses(recording: Recording, poses: Poses) -> None:
         )
 
 
-def _usable_turns(
-    recording: Recording, turns: Turns, borders: tuple[int, ...]
-) -> tuple[Turns, tuple[Exclusion, ...]]:
-    """Leave out what lies across a border of two recordings, or across a gap."""
-    assert recording.lost is not None
+def _usable_turns(recording: Recording, turns: Turns) -> tuple[Turns, tuple[Exclusion, ...]]:
+    """Leave out turns in which samples are missing for too long to bridge."""
     step = np.diff(recording.time)
     limit = max(LONGEST_GAP, 3 * recording.interval)
     gaps = np.flatnonzero(step > limit)
-    keep = np.ones(len(turns), bool)
-    for border in borders:
-        keep &= ~((turns.start < border) & (border < turns.stop))
-    inside = keep & (np.searchsorted(gaps, turns.stop - 1) > np.searchsorted(gaps, turns.start))
+    missing = np.searchsorted(gaps, turns.stop - 1) > np.searchsorted(gaps, turns.start)
     left_out = tuple(
         Exclusion(
             (float(turns.interval[k, 0]), float(turns.interval[k, 1])),
             0.0,
             f"samples are missing for {step[turns.start[k] : turns.stop[k] - 1].max():.3g} s",
         )
-        for k in np.flatnonzero(inside)
+        for k in np.flatnonzero(missing)
     )
-    keep &= ~inside
-    return (turns if keep.all() else turns.select(keep)), left_out
+    return (turns.select(np.flatnonzero(~missing)) if missing.any() else turns), left_out
 
 
 def _merge(accel: Fit, gyro: Fit) -> tuple[tuple[str, ...], FloatArray, tuple[str, ...]]:
@@ -247,18 +191,3 @@ def _merge(accel: Fit, gyro: Fit) -> tuple[tuple[str, ...], FloatArray, tuple[st
         names += [fit.names[k] for k in known]
         blocks.append(fit.covariance[np.ix_(known, known)])
     return tuple(names), block_diag(*blocks), (*accel.undetermined, *gyro.undetermined)
-
-
-def _join_poses(found: Sequence[Poses], borders: Sequence[int], shifts: Sequence[float]) -> Poses:
-    temperatures = [poses.temperature for poses in found if poses.temperature is not None]
-    pairs = list(zip(found, borders, shifts, strict=True))
-    return Poses(
-        start=np.concatenate([poses.start + border for poses, border, _ in pairs]),
-        stop=np.concatenate([poses.stop + border for poses, border, _ in pairs]),
-        interval=np.concatenate([poses.interval + shift for poses, _, shift in pairs]),
-        accel=np.concatenate([poses.accel for poses in found]),
-        gyro=np.concatenate([poses.gyro for poses in found]),
-        accel_covariance=np.concatenate([poses.accel_covariance for poses in found]),
-        gyro_covariance=np.concatenate([poses.gyro_covariance for poses in found]),
-        temperature=np.concatenate(temperatures) if len(temperatures) == len(found) else None,
-    )

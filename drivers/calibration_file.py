@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import re
@@ -9,7 +10,7 @@ import tempfile
 from pathlib import Path
 from typing import NoReturn
 
-from calib.calibration import Calibration
+from calib.calibration import Calibration, InputFile
 from calib.document import from_document, to_document
 from calib.errors import CalibrationFileError
 
@@ -113,3 +114,11 @@ def _compact_rows(text: str) -> str:
         lambda match: "[" + re.sub(r"\s+", " ", match.group(1)) + "]",
         text,
     )
+
+
+def describe_input(path: str | Path) -> InputFile:
+    """Return a file's name and the SHA-256 of its bytes, for the provenance."""
+    path = Path(path)
+    with path.open("rb") as file:
+        digest = hashlib.file_digest(file, "sha256")
+    return InputFile(path.name, digest.hexdigest())

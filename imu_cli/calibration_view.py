@@ -22,6 +22,9 @@ EVERYDAY = {
 }
 """Factor and unit in which people know each group of parameters."""
 
+SHOWN = 4
+"""So many of what was left out are listed on the screen; the file has all."""
+
 
 def plus_minus(value: float, sigma: float | None) -> str:
     """Return ``value ± sigma`` with two digits of sigma, or the value alone."""
@@ -134,8 +137,10 @@ def _triad_lines(label: str, summary: TriadSummary, what: str) -> list[str]:
     if summary.residuals.size:
         text += f", residual {residual_text(summary.residual_rms, summary.residual_unit)} rms"
     lines = [text]
-    for item in summary.excluded:
+    for item in summary.excluded[:SHOWN]:
         a, b = item.interval
         what_of_it = "left out" if item.weight == 0 else f"weight {item.weight:.2f}"
         lines.append(f"             {what_of_it}: {a:.2f} to {b:.2f} s, {item.reason}")
+    if len(summary.excluded) > SHOWN:
+        lines.append(f"             and {len(summary.excluded) - SHOWN} more")
     return lines

@@ -1,14 +1,12 @@
 """From recordings to a calibration: truth recovered, parts said, what cannot work refused."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
-from calib.calibrate import calibrate, distinct_poses, join
+from calib.calibrate import calibrate, distinct_poses
 from calib.calibration import Gravity
 from calib.document import from_document, to_document
-from calib.errors import InsufficientMotionError, RecordingError
+from calib.errors import InsufficientMotionError
 from calib.model import SensorModel, Triad
 from calib.recording import DeviceInfo, Recording
 from calib.simulate import NoiseModel, simulate
@@ -60,16 +58,27 @@ def test_parameters_are_recovered_within_their_standard_errors() -> None:
     assert 0.6 < np.mean(scores) < 1.5
 
 
+def without(recording: Recording, keep: np.ndarray, shift: np.ndarray | float = 0.0) -> Recording:
+    return Recording(
+        time=(recording.time + shift)[keep],
+        accel=recording.accel[keep],
+        gyro=recording.gyro[keep],
+        clock=recording.clock,
+        device=recording.device,
+    )
+
+
 def test_poses_without_turns_give_the_accelerometer_and_the_gyro_bias() -> None:
     model, recording = bench(1)
     still = calibrate(recording, gravity=GRAVITY)
     assert still.poses is not None
-    # every pose a recording of its own: nothing is turned within any of them
-    parts = []
-    for a, b in still.poses.interval:
-        first, last = np.searchsorted(recording.time, [a, b])
-        parts.append(recording.slice(int(first), int(last)))
-    found = calibrate(parts, gravity=GRAVITY)
+    # nothing but the poses, each a second after the one before, as from one file a pose
+    keep, shift = np.zeros(len(recording), bool), np.zeros(len(recording))
+    for k, (a, b) in enumerate(still.poses.interval):
+        inside = (recording.time > a) & (recording.time < b)
+        keep |= inside
+        shift[inside] = 2.0 * k
+    found = calibrate(without(recording, keep, shift), gravity=GRAVITY)
     assert not any(name.startswith("accel") for name in found.undetermined)
     assert {f"gyro.scale_factor_error.{a}" for a in "xyz"} <= set(found.undetermined)
     assert {f"gyro.bias.{a}" for a in "xyz"} <= set(found.names)
@@ -80,36 +89,13 @@ def test_poses_without_turns_give_the_accelerometer_and_the_gyro_bias() -> None:
         assert abs(found.values[name] - value) < 5 * found.sigmas[name]
 
 
-def test_two_recordings_are_calibrated_as_one() -> None:
-    model, recording = bench(2)
-    cut = int(np.searchsorted(recording.time, 70.0))
-    parts = [recording.slice(0, cut), recording.slice(cut, len(recording))]
-    second = replace(parts[1], time=parts[1].time - parts[1].time[0])  # a clock that began again
-    found = calibrate([parts[0], second], gravity=GRAVITY)
-    assert found.complete
-    truth = model.accel.parameters("accel") | model.gyro.parameters("gyro")
-    error = np.array([found.values[name] - truth[name] for name in found.names])
-    assert float(error @ np.linalg.solve(found.covariance, error)) < 60
-    whole, poses, borders = join([parts[0], second])
-    assert len(whole) == len(recording)
-    assert borders == (cut,)
-    assert (np.diff(poses.start) > 0).all()
-
-
 def test_a_turn_with_a_gap_is_left_out_and_said() -> None:
     _, recording = bench(3)
     found = calibrate(recording, gravity=GRAVITY)
     assert found.poses is not None
     gap_start, gap_stop = found.poses.interval[4, 1] + 0.3, found.poses.interval[5, 0] - 0.2
     keep = (recording.time < gap_start) | (recording.time > gap_stop)
-    holed = Recording(
-        time=recording.time[keep],
-        accel=recording.accel[keep],
-        gyro=recording.gyro[keep],
-        clock=recording.clock,
-        device=recording.device,
-    )
-    again = calibrate(holed, gravity=GRAVITY)
+    again = calibrate(without(recording, keep), gravity=GRAVITY)
     assert again.gyro is not None
     reasons = [e for e in again.gyro.excluded if "missing" in e.reason]
     assert len(reasons) == 1
@@ -150,13 +136,6 @@ def test_wrong_arguments_name_themselves(options: dict, message: str) -> None:
     _, recording = bench(5, poses=2)
     with pytest.raises(ValueError, match=message):
         calibrate(recording, **({"gravity": GRAVITY} | options))
-
-
-def test_recordings_of_two_devices_are_refused() -> None:
-    _, recording = bench(5, poses=2)
-    other = replace(recording, device=DeviceInfo("simulated", "SN 2"))
-    with pytest.raises(RecordingError, match="different devices"):
-        join([recording, other])
 
 
 def test_distinct_poses_are_counted_by_direction() -> None:

@@ -1,0 +1,202 @@
+"""Calibrate an IMU from a recording of static poses and turns."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from calib.calibration import Calibration, Gravity
+
+ACCEL_METHODS = "maximum_likelihood, exact, published"
+GYRO_METHODS = "rotation_segment_3x3, rotation_segment, euler, quaternion, rate_table"
+PARTIAL = 5
+
+
+def calibrate(
+    log: Annotated[list[Path], typer.Argument(metavar="LOG...", help="Recordings of one device.")],
+    out: Annotated[
+        Path | None,
+        typer.Option("-o", "--out", help="Calibration to write  [default: LOG.cal.json]"),
+    ] = None,
+    profile: Annotated[
+        str | None, typer.Option(help="Import profile of a foreign log: a name, or a .toml file.")
+    ] = None,
+    imu: Annotated[int | None, typer.Option(help="Which sensor of a board, from 1.")] = None,
+    accel_method: Annotated[str, typer.Option(help=ACCEL_METHODS)] = "maximum_likelihood",
+    gyro_method: Annotated[str, typer.Option(help=GYRO_METHODS)] = "rotation_segment_3x3",
+    table_rate: Annotated[
+        str | None,
+        typer.Option(
+            help="Rate of the table, °/s, signed; with commas one for each turn (rate_table)."
+        ),
+    ] = None,
+    gravity: Annotated[
+        float | None, typer.Option(help="Local gravity, m/s²  [default: 9.80665]")
+    ] = None,
+    latitude: Annotated[
+        float | None, typer.Option(help="Latitude, °: gravity by the normal-gravity formula.")
+    ] = None,
+    height: Annotated[
+        float | None, typer.Option(help="Height, m, with --latitude  [default: 0]")
+    ] = None,
+    housing_faces: Annotated[
+        Path | None,
+        typer.Option(help="CSV `time,up` or `pose,up`: which face (+X ... -Z) was up in a pose."),
+    ] = None,
+    note: Annotated[
+        list[str] | None, typer.Option(metavar="KEY=VALUE", help="Kept in the file; repeatable.")
+    ] = None,
+    drop_invalid: Annotated[
+        bool, typer.Option(help="Turn rows that are not finite into gaps.")
+    ] = False,
+    json: Annotated[bool, typer.Option("--json", help="Print the calibration as JSON.")] = False,
+) -> None:
+    """Calibrate an IMU from a recording of static poses and turns.
+
+    The recording holds ten or more static poses, 3 s each, in all directions, and turns of 90° or
+    more between them. What it does not determine is marked in the file, and the exit code is 5.
+    """
+    from imu_cli import output
+
+    destination = _destination(log, out)
+    notes = _notes(note or [])
+    local_gravity = _gravity(gravity, latitude, height)
+    options = {} if table_rate is None else {"table_rate": _table_rate(table_rate)}
+    _check_methods(accel_method, gyro_method, options)
+
+    from datetime import UTC, datetime
+    from importlib.metadata import version
+
+    from calib import calibrate as library
+    from calib.calibration import Provenance
+    from calib.document import to_document
+    from drivers.calibration_file import describe_input, save_calibration
+    from drivers.formats import read_recording
+
+    recording = read_recording(log, profile=profile, imu=imu, drop_invalid=drop_invalid)
+    if imu is not None:
+        notes.setdefault("imu", str(imu))
+    calibration = library.calibrate(
+        recording,
+        gravity=local_gravity,
+        accel_method=accel_method,
+        gyro_method=gyro_method,
+        options=options,
+        provenance=Provenance(
+            tuple(describe_input(path) for path in log),
+            version("imu-cal"),
+            datetime.now(UTC).isoformat(timespec="seconds"),
+            notes=notes,
+        ),
+    )
+    if housing_faces is not None:
+        calibration = _align(calibration, housing_faces)
+    save_calibration(calibration, destination)
+    if json:
+        output.print_json(to_document(calibration))
+    else:
+        from imu_cli import calibration_view as view
+
+        output.print_lines(
+            *view.summary_lines(calibration),
+            "",
+            view.parameter_table(calibration),
+            "",
+            *view.undetermined_lines(calibration),
+            f"written      {destination}",
+        )
+    if not calibration.complete:
+        raise typer.Exit(PARTIAL)
+
+
+def _destination(log: list[Path], out: Path | None) -> Path:
+    destination = out or log[0].with_suffix(".cal.json")
+    for path in log:
+        if destination.resolve() == path.resolve():
+            raise typer.BadParameter(f"{destination} is the recording itself", param_hint="--out")
+    if destination.is_dir() or not destination.parent.is_dir():
+        raise typer.BadParameter(
+            f"{destination}: expected a file in a folder that is there", param_hint="--out"
+        )
+    return destination
+
+
+def _notes(pairs: list[str]) -> dict[str, str]:
+    notes = {}
+    for pair in pairs:
+        key, equals, value = pair.partition("=")
+        if not equals or not key.strip():
+            raise typer.BadParameter(f"expected KEY=VALUE, got {pair!r}", param_hint="--note")
+        notes[key.strip()] = value.strip()
+    return notes
+
+
+def _gravity(gravity: float | None, latitude: float | None, height: float | None) -> Gravity:
+    import math
+
+    from calib.calibration import Gravity
+    from calib.gravity import ANOMALY, STANDARD_GRAVITY, normal_gravity
+
+    if gravity is not None:
+        if latitude is not None or height is not None:
+            raise typer.BadParameter("give --gravity, or --latitude and --height, not both")
+        if not 9.7 < gravity < 9.9:
+            raise typer.BadParameter(
+                f"expected m/s² between 9.7 and 9.9, got {gravity:g}", param_hint="--gravity"
+            )
+        return Gravity(gravity, "given")
+    if latitude is None:
+        if height is not None:
+            raise typer.BadParameter("needs --latitude beside it", param_hint="--height")
+        return Gravity(STANDARD_GRAVITY, "standard gravity")
+    try:
+        value = normal_gravity(math.radians(latitude), height or 0.0)
+    except ValueError as error:
+        raise typer.BadParameter(str(error), param_hint="--latitude, --height") from error
+    return Gravity(value, f"normal gravity at {latitude:g}°, {height or 0:g} m", ANOMALY)
+
+
+def _table_rate(text: str) -> object:
+    import math
+
+    try:
+        rates = [math.radians(float(part)) for part in text.split(",")]
+    except ValueError as error:
+        raise typer.BadParameter(
+            f"expected °/s, or several with commas, got {text!r}", param_hint="--table-rate"
+        ) from error
+    return rates[0] if len(rates) == 1 else rates
+
+
+def _check_methods(accel: str, gyro: str, options: dict[str, object]) -> None:
+    from calib.solvers import accel_solvers, gyro_solvers
+
+    for name, known, hint in (
+        (accel, accel_solvers(), "--accel-method"),
+        (gyro, gyro_solvers(), "--gyro-method"),
+    ):
+        if name not in known:
+            lines = "\n".join(f"  {key:<22} {item.summary}" for key, item in known.items())
+            raise typer.BadParameter(f"{name!r} is none of\n{lines}", param_hint=hint)
+    if gyro == "rate_table" and "table_rate" not in options:
+        raise typer.BadParameter("rate_table needs it", param_hint="--table-rate")
+    if options and gyro != "rate_table":
+        raise typer.BadParameter("is for --gyro-method rate_table", param_hint="--table-rate")
+
+
+def _align(calibration: Calibration, path: Path) -> Calibration:
+    from calib.housing import align_to_housing
+    from drivers.faces_file import read_faces
+
+    faces = read_faces(path)
+    try:
+        return align_to_housing(calibration, faces)
+    except ValueError as error:
+        from calib.errors import ImuError
+
+        if isinstance(error, ImuError):
+            raise
+        raise typer.BadParameter(f"{path}: {error}", param_hint="--housing-faces") from error
