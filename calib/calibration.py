@@ -17,7 +17,7 @@ from calib.fit import Exclusion, Fit
 from calib.model import PARAMETER_UNITS, SensorModel
 from calib.poses import Poses
 from calib.recording import DeviceInfo
-from calib.types import FloatArray
+from calib.types import BoolArray, FloatArray
 
 VERSION = "1.0"
 """Of the document. A new minor version only adds keys; a new major version changes meanings."""
@@ -89,8 +89,19 @@ class TriadSummary:
 
     @property
     def residual_rms(self) -> float:
-        """Root mean square of the residuals, in ``residual_unit`` (0 if there are none)."""
-        return float(np.sqrt(np.mean(self.residuals**2))) if self.residuals.size else 0.0
+        """Root mean square of the residuals that were used, in ``residual_unit`` (0 if none)."""
+        rows = self.residuals[self.used]
+        return float(np.sqrt(np.mean(rows**2))) if rows.size else 0.0
+
+    @property
+    def used(self) -> BoolArray:
+        """Which rows of the residuals are of poses or turns that were not left out, (m,)."""
+        used = np.ones(len(self.residuals), bool)
+        for item in self.excluded:
+            if item.weight == 0 and used.size:
+                low, high = item.interval
+                used &= ~((self.intervals[:, 0] >= low) & (self.intervals[:, 1] <= high))
+        return used
 
 
 @dataclass(frozen=True, eq=False)

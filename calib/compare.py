@@ -1,0 +1,145 @@
+"""Compare two calibrations of one device: which parameters differ, in standard errors."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.stats import chi2, norm
+
+from calib.calibration import Calibration, parameter_unit
+from calib.model import Triad
+from calib.types import FloatArray
+
+SIGNIFICANCE = 0.001
+"""Chance that two calibrations of an unchanged device are called different."""
+
+
+@dataclass(frozen=True)
+class Difference:
+    """One parameter in both: the second less the first, its standard error, and their ratio."""
+
+    name: str
+    first: float
+    second: float
+    sigma: float
+    unit: str
+    allowance: float = 0.0
+
+    @property
+    def difference(self) -> float:
+        """Second less first."""
+        return self.second - self.first
+
+    @property
+    def score(self) -> float:
+        """The difference in standard errors."""
+        return self.difference / self.sigma if self.sigma > 0 else 0.0
+
+    @property
+    def p_value(self) -> float:
+        """Two-sided, for this parameter alone."""
+        return float(2 * norm.sf(abs(self.score)))
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """What differs between two calibrations.
+
+    ``differences`` are of the parameters that both determine; ``p_value`` is that of all of them
+    together (chi-square with the covariance of both); ``only_first`` and ``only_second`` name what
+    one alone determines; ``identity`` says where they are of different devices, or "".
+    """
+
+    differences: tuple[Difference, ...]
+    chi_square: float
+    degrees_of_freedom: int
+    only_first: tuple[str, ...]
+    only_second: tuple[str, ...]
+    identity: str
+    significance: float = SIGNIFICANCE
+
+    @property
+    def p_value(self) -> float:
+        """Of all parameters together; 1 if there is none in common."""
+        if not self.degrees_of_freedom:
+            return 1.0
+        return float(chi2.sf(self.chi_square, self.degrees_of_freedom))
+
+    @property
+    def changed(self) -> tuple[Difference, ...]:
+        """Parameters that differ by themselves, corrected for their number, the worst first."""
+        limit = self.significance / max(1, len(self.differences))
+        found = [d for d in self.differences if d.p_value < limit]
+        return tuple(sorted(found, key=lambda d: -abs(d.score)))
+
+    @property
+    def same(self) -> bool:
+        """True if neither all parameters together nor any by itself differ."""
+        return self.p_value >= self.significance and not self.changed
+
+
+def compare(
+    first: Calibration, second: Calibration, *, allowance: Mapping[str, float] | None = None
+) -> Comparison:
+    """Compare two calibrations.
+
+    Both are brought to one gravity first: what one assumed is in its scale factors.
+
+    Parameters
+    ----------
+    first, second : Calibration
+    allowance : mapping, optional
+        Standard deviation by which a parameter may move by itself (name to value in its unit), added
+        in quadrature to both standard errors.
+    """
+    ratio = second.gravity.value / first.gravity.value
+    if ratio != 1.0:
+        # measured = T true, and true is in proportion to the gravity that was assumed.
+        accel = second.model.accel
+        moved = Triad.from_matrix(accel.matrix * ratio, accel.bias)
+        second = replace(second, model=replace(second.model, accel=moved))
+    common = [name for name in first.names if name in second.names]
+    moves = np.array([(allowance or {}).get(name, 0.0) for name in common])
+    one, two = _values(first, common), _values(second, common)
+    covariance = _part(first, common) + _part(second, common) + np.diag(moves**2)
+    sigma = np.sqrt(np.diag(covariance))
+    difference = two - one
+    known = sigma > 0
+    scaled_covariance = covariance[np.ix_(known, known)] / np.outer(sigma[known], sigma[known])
+    scaled = difference[known] / sigma[known]
+    square = float(scaled @ np.linalg.lstsq(scaled_covariance, scaled, rcond=1e-10)[0])
+    return Comparison(
+        tuple(
+            Difference(name, float(a), float(b), float(s), parameter_unit(name), float(m))
+            for name, a, b, s, m in zip(common, one, two, sigma, moves, strict=True)
+        ),
+        square,
+        int(np.linalg.matrix_rank(scaled_covariance, tol=1e-10)) if known.any() else 0,
+        tuple(name for name in first.names if name not in second.names),
+        tuple(name for name in second.names if name not in first.names),
+        identity_mismatch(first, second),
+    )
+
+
+def identity_mismatch(first: Calibration, second: Calibration) -> str:
+    """Return how the devices of two calibrations differ, or "" where nothing says that they do."""
+    one, two = first.provenance.device, second.provenance.device
+    for label, a, b in (
+        ("chip", one.chip, two.chip),
+        ("serial number", one.serial_number, two.serial_number),
+    ):
+        if a and b and a != b:
+            return f"the {label} is {b}, that of the calibration {a}"
+    return ""
+
+
+def _values(calibration: Calibration, names: list[str]) -> FloatArray:
+    values = calibration.values
+    return np.array([values[name] for name in names])
+
+
+def _part(calibration: Calibration, names: list[str]) -> FloatArray:
+    index = [calibration.names.index(name) for name in names]
+    return calibration.covariance[np.ix_(index, index)]
