@@ -20,7 +20,7 @@ from calib.calibration import (
 )
 from calib.errors import InsufficientMotionError
 from calib.fit import Exclusion, Fit
-from calib.model import SensorModel
+from calib.model import PARAMETER_UNITS, SensorModel, Triad
 from calib.poses import Poses
 from calib.recording import Recording
 from calib.solvers import accel_solvers, gyro_solvers
@@ -35,6 +35,9 @@ GYRO_METHOD = "rotation_segment_3x3"
 
 DISTINCT = np.radians(10.0)
 """Poses whose gravity differs by less than this are one pose: more than a table's tilt."""
+
+UPPER = tuple(f"accel.misalignment.{pair}" for pair in ("xy", "xz", "yz"))
+"""Zero by the definition of the sensor frame."""
 
 LONGEST_GAP = 0.05
 """s; a turn with a longer gap is left out. A hand turns at up to 20 rad/s² or so: bridged by a
@@ -81,12 +84,12 @@ def calibrate(
         raise ValueError(
             f"`gravity` must be between 9.7 and 9.9 m/s², as on Earth, got {gravity.value:g}"
         )
-    solve_accel = _choose(accel_solvers(), "accel_method", accel_method).solve
+    _choose(accel_solvers(), "accel_method", accel_method)
     solve_gyro = _choose(gyro_solvers(), "gyro_method", gyro_method).solve
     poses = find_poses(recording)
     _check_poses(recording, poses)
 
-    accel = solve_accel(poses, gravity=gravity.value)
+    accel = _accel_fit(poses, accel_method, gravity=gravity.value)
     turns, left_out = _usable_turns(recording, find_turns(recording, poses))
     gyro = solve_gyro(
         recording, poses, turns, accel.triad, gravity=gravity.value, options=options or {}
@@ -147,6 +150,30 @@ def _choose(solvers: Mapping[str, T], label: str, name: str) -> T:
     return solvers[name]
 
 
+def _accel_fit(poses: Poses, method: str, *, gravity: float) -> Fit:
+    """Solve the accelerometer; where the poses determine nothing of it, say so in the `Fit`."""
+    try:
+        return accel_solvers()[method].solve(poses, gravity=gravity)
+    except InsufficientMotionError as error:
+        names = tuple(name for name in Triad().parameters("accel") if name not in UPPER)
+        p = len(names)
+        return Fit(
+            method=method,
+            triad=Triad(),
+            names=names,
+            values=np.zeros(p),
+            units=tuple(PARAMETER_UNITS[name.rpartition(".")[0]] for name in names),
+            covariance=np.full((p, p), np.nan),
+            residuals=np.zeros((0, 1)),
+            residual_unit="m/s²",
+            intervals=np.zeros((0, 2)),
+            degrees_of_freedom=0,
+            condition_number=np.inf,
+            undetermined=names,
+            advice=(str(error),),
+        )
+
+
 def _check_poses(recording: Recording, poses: Poses) -> None:
     advice = (
         "lay the sensor down in ten or more different poses, at rest for 3 s in each, and turn it "
@@ -189,5 +216,6 @@ def _merge(accel: Fit, gyro: Fit) -> tuple[tuple[str, ...], FloatArray, tuple[st
     for fit in (accel, gyro):
         known = [k for k, name in enumerate(fit.names) if name not in fit.undetermined]
         names += [fit.names[k] for k in known]
-        blocks.append(fit.covariance[np.ix_(known, known)])
+        block = fit.covariance[np.ix_(known, known)]
+        blocks.append(0.5 * (block + block.T))
     return tuple(names), block_diag(*blocks), (*accel.undetermined, *gyro.undetermined)

@@ -232,7 +232,8 @@ class Calibration:
             raise ValueError("`covariance` must be finite: it holds determined parameters only")
         if p and np.diag(covariance).min() < 0:
             raise ValueError("`covariance` has a negative variance on its diagonal")
-        if not np.allclose(covariance, covariance.T, rtol=1e-6, atol=1e-30):
+        scale = np.sqrt(np.diag(covariance))
+        if (np.abs(covariance - covariance.T) > 1e-6 * np.outer(scale, scale)).any():
             raise ValueError("`covariance` must be symmetric")
         known = self.values
         for label, names in (("names", self.names), ("undetermined", self.undetermined)):

@@ -91,8 +91,8 @@ def compare(
     ----------
     first, second : Calibration
     allowance : mapping, optional
-        Standard deviation by which a parameter may move by itself (name to value in its unit), added
-        in quadrature to both standard errors.
+        Standard deviation by which a parameter may move by itself (name to value in its unit); it
+        adds in quadrature to both standard errors.
     """
     ratio = second.gravity.value / first.gravity.value
     if ratio != 1.0:

@@ -116,10 +116,20 @@ def undetermined_lines(calibration: Calibration) -> list[str]:
     """Return what is not determined, and what to record for it."""
     if calibration.complete:
         return []
-    lines = [f"not determined: {', '.join(calibration.undetermined)}"]
-    for summary in (calibration.accel, calibration.gyro):
-        if summary is not None:
-            lines += [f"  {advice}" for advice in summary.advice]
+    groups: dict[str, list[str]] = {}
+    for name in calibration.undetermined:
+        group, _, index = name.rpartition(".")
+        groups.setdefault(group, []).append(index)
+    lines = ["not determined by this recording:"]
+    lines += [f"  {group}  {' '.join(indices)}" for group, indices in groups.items()]
+    advice = [
+        text
+        for summary in (calibration.accel, calibration.gyro)
+        if summary is not None
+        for text in summary.advice
+    ]
+    if advice:
+        lines += ["to determine it:", *(f"  {text}" for text in advice)]
     return lines
 
 
