@@ -1,0 +1,66 @@
+"""Every bad input gets its own error and message: what was seen, expected, and what to do."""
+
+from pathlib import Path
+
+import pytest
+
+from calib.errors import (
+    EmptyRecordingError,
+    InvalidSampleError,
+    RecordingError,
+    RecordingFormatError,
+    RecordingNotFoundError,
+)
+from drivers.formats import open_batches, read_recording
+
+BAD = Path(__file__).resolve().parents[3] / "fixtures" / "bad"
+
+CASES = {
+    "empty.csv": (EmptyRecordingError, "0 bytes"),
+    "header_only.csv": (EmptyRecordingError, "a header but no samples"),
+    "letter.csv": (RecordingFormatError, "text but no log"),
+    "letter.txt": (RecordingFormatError, "text but no log"),
+    "missing_column.csv": (RecordingFormatError, "no column gyro_z"),
+    "ragged.csv": (RecordingFormatError, "line 112: 3 columns, expected 8"),
+    "word.csv": (RecordingFormatError, "line 132: accel_z is 'error', expected a number"),
+    "nan_row.csv": (InvalidSampleError, "line 69: gyro.y is nan.*--drop-invalid"),
+    "infinite_row.csv": (InvalidSampleError, "line 152: accel.y is inf.*--drop-invalid"),
+    "time_repeated.csv": (InvalidSampleError, "line 92: time does not increase"),
+    "time_backwards.csv": (InvalidSampleError, "line 162: time does not increase.*split the file"),
+    "no_names.log": (RecordingFormatError, "6 columns.*--profile mpu9150"),
+    "binary.csv": (RecordingFormatError, "binary data"),
+    "folder.csv": (RecordingNotFoundError, "is a folder"),
+    "not_there.csv": (RecordingNotFoundError, "there is no file"),
+    "word.cvs": (RecordingNotFoundError, r"did you mean .*word\.csv"),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_refused_with_a_message_of_its_own(name: str) -> None:
+    kind, message = CASES[name]
+    for read in (read_recording, lambda path: list(open_batches(path, batch=50))):
+        with pytest.raises(RecordingError, match=message) as caught:
+            read(BAD / name)
+        assert type(caught.value) is kind
+        assert str(BAD) in str(caught.value)
+        assert caught.value.exit_code == 3
+
+
+@pytest.mark.parametrize("name", ["nan_row.csv", "infinite_row.csv", "time_repeated.csv"])
+def test_drop_invalid_makes_a_gap(name: str) -> None:
+    recording = read_recording(BAD / name, drop_invalid=True)
+    assert (len(recording), recording.samples_lost) == (299, 1)
+    assert recording.notes["dropped_rows"] == "1"
+
+
+def test_drop_invalid_does_not_hide_a_clock_that_started_again() -> None:
+    with pytest.raises(InvalidSampleError, match="the clock went back by 14.9 s"):
+        read_recording(BAD / "time_backwards.csv", drop_invalid=True)
+
+
+@pytest.mark.parametrize(("name", "count"), [("cut_line.csv", 299), ("killed.arrow", 250)])
+def test_what_was_cut_reads_to_its_last_whole_part(name: str, count: int) -> None:
+    recording = read_recording(BAD / name)
+    assert len(recording) == count
+    assert not recording.complete
+    assert "cut" in recording.notes
