@@ -54,7 +54,7 @@ def test_drop_invalid_makes_a_gap(name: str) -> None:
 
 
 def test_drop_invalid_does_not_hide_a_clock_that_started_again() -> None:
-    with pytest.raises(InvalidSampleError, match="the clock went back by 14.9 s"):
+    with pytest.raises(InvalidSampleError, match=r"went back by 14\.9 s"):
         read_recording(BAD / "time_backwards.csv", drop_invalid=True)
 
 
