@@ -8,7 +8,8 @@
     │   ├── RecordingFormatError        not a log, unknown or damaged format
     │   ├── EmptyRecordingError         no samples in it
     │   ├── InvalidSampleError          NaN, infinite, time not increasing
-    │   └── UnitError                   values do not have the declared unit
+    │   ├── UnitError                   values do not have the declared unit
+    │   └── RecordingWriteError         disk full, no such folder, not allowed
     ├── CalibrationError                no (whole) answer from this data   exit 4
     │   ├── InsufficientMotionError     the poses or turns do not determine it
     │   └── NotConvergedError           the solver did not settle
@@ -70,6 +71,13 @@ class InvalidSampleError(RecordingError, ValueError):
 
 class UnitError(RecordingError, ValueError):
     """The values do not have the unit that was declared."""
+
+
+class RecordingWriteError(RecordingError, OSError):
+    """A recording cannot be written; what was written before stays readable."""
+
+    def __str__(self) -> str:
+        return str(self.args[0]) if self.args else ""
 
 
 class CalibrationError(ImuError):

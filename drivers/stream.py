@@ -10,8 +10,9 @@ from dataclasses import replace
 
 from calib.errors import BadFrameError, DriverTimeoutError
 from calib.recording import DeviceInfo, Recording
+from drivers.address import Address
 from drivers.clock import Timeline
-from drivers.dialects import recognise
+from drivers.dialects import dialects, recognise
 from drivers.dialects.base import Dialect, Parser, Reply
 from drivers.driver import Driver
 
@@ -209,3 +210,23 @@ class StreamDriver(Driver):
             device=self.info,
             notes={"source": self.address},
         )
+
+
+def choose_dialect(address: Address, *more: str) -> tuple[Dialect | None, dict[str, str]]:
+    """Return the dialect that an address names and its own options; `more` are other known keys.
+
+    None is ``dialect=auto``, the default. Options that only text lines have imply ``text``.
+
+    Raises
+    ------
+    AddressError
+        If the dialect or an option is unknown.
+    """
+    known = dialects()
+    text = set(known["text"].options)
+    implied = "text" if text & set(address.options) else "auto"
+    name = address.choice("dialect", ["auto", *known], implied)
+    dialect = None if name == "auto" else known[name]
+    own = set(dialect.options) if dialect else set()
+    address.check({"dialect", *own, *more} if dialect else {"dialect", *text, *more})
+    return dialect, {key: value for key, value in address.options.items() if key in own}

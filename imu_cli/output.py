@@ -39,6 +39,12 @@ def print_lines(*items: Any) -> None:
         console().print(item, soft_wrap=isinstance(item, str))
 
 
+def print_now(line: str) -> None:
+    """Print one line and hand it on at once, for a program that waits for it."""
+    sys.stdout.write(f"{line}\n")
+    sys.stdout.flush()
+
+
 def write_bytes(data: bytes) -> None:
     """Pass bytes of a stream on to standard output at once."""
     if data:

@@ -10,7 +10,7 @@ from abc import ABC, abstractmethod
 from collections import Counter, deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -131,7 +131,7 @@ class Dialect(ABC):
     name: str
     summary: str
     default_baud: int = 115200
-    options: Mapping[str, str] = {}
+    options: ClassVar[Mapping[str, str]] = {}
     """Options in the address and what they mean."""
 
     @abstractmethod

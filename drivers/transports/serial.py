@@ -26,9 +26,8 @@ from calib.errors import (
     WrongDeviceError,
 )
 from drivers.address import Address
-from drivers.dialects import dialects
 from drivers.driver import Driver
-from drivers.stream import ByteSource, StreamDriver
+from drivers.stream import ByteSource, StreamDriver, choose_dialect
 from drivers.transports.base import Transport
 
 try:
@@ -244,12 +243,8 @@ def _users(path: str) -> str:
 
 
 def _make(address: Address) -> Driver:
-    name = address.choice("dialect", ["auto", *dialects()], "auto")
-    dialect = None if name == "auto" else dialects()[name]
-    own: set[str] = set(dialect.options) if dialect else set()
-    address.check({"baud", "dialect", *own})
+    dialect, options = choose_dialect(address, "baud")
     baud = address.integer("baud", dialect.default_baud if dialect else 115200, minimum=1)
-    options = {key: value for key, value in address.options.items() if key in own}
     source = SerialSource(address.target, baud=baud)
     return StreamDriver(address.text, source, dialect, options)
 

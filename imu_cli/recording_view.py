@@ -1,0 +1,158 @@
+"""How a recording looks while it runs and when it is done; and how it is told to stop."""
+
+from __future__ import annotations
+
+import re
+import signal
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import FrameType, TracebackType
+from typing import TYPE_CHECKING, Any, Self
+
+import typer
+
+from imu_cli import output
+
+if TYPE_CHECKING:
+    from rich.status import Status
+
+    from drivers.record import RecordState
+
+UNITS = {"ms": 1e-3, "s": 1.0, "sec": 1.0, "m": 60.0, "min": 60.0, "h": 3600.0}
+PERIOD = 0.25
+"""s between updates of the progress line."""
+
+
+def parse_duration(text: str | None) -> float | None:
+    """Return seconds from ``90s``, ``10min``, ``1.5h``; a bare number is seconds."""
+    if text is None:
+        return None
+    match = re.fullmatch(r"(\d+(?:\.\d*)?|\.\d+)\s*([a-z]*)", text.strip())
+    unit = None if match is None else UNITS.get(match[2] or "s")
+    if match is None or unit is None or float(match[1]) <= 0:
+        raise typer.BadParameter(
+            f"{text!r} is no duration; write a positive number and a unit, as in 90s, 10min, 1h"
+        )
+    return float(match[1]) * unit
+
+
+@contextmanager
+def stop_on_signals() -> Iterator[threading.Event]:
+    """Turn Ctrl-C and SIGTERM into an event; a second Ctrl-C interrupts at once."""
+    stop = threading.Event()
+
+    def handle(number: int, frame: FrameType | None) -> None:
+        if stop.is_set():
+            raise KeyboardInterrupt
+        stop.set()
+
+    before = {number: signal.signal(number, handle) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield stop
+    finally:
+        for number, old in before.items():
+            signal.signal(number, old)
+
+
+class Progress:
+    """One line on the terminal that says how a recording stands; silent in a pipe."""
+
+    def __init__(self) -> None:
+        self._status: Status | None = None
+        self._shown = 0.0
+
+    def __enter__(self) -> Self:
+        console = output.messages()
+        if console.is_terminal:
+            self._status = console.status("waiting for the first samples")
+            self._status.start()
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        if self._status is not None:
+            self._status.stop()
+
+    def update(self, state: RecordState) -> None:
+        """Show the state, a few times a second."""
+        if self._status is None or time.monotonic() - self._shown < PERIOD:
+            return
+        self._shown = time.monotonic()
+        self._status.update(progress_line(state))
+
+
+def progress_line(state: RecordState) -> str:
+    """Return the state of a recording as one line."""
+    from drivers.record import HARMLESS
+
+    if state.waiting:
+        return f"{state.samples} samples; the device went away, waiting for it (Ctrl-C ends)"
+    if not state.samples:
+        return "waiting for the first samples"
+    parts = [f"{state.duration:.1f} s", f"{state.samples} samples", f"{state.rate:.1f} Hz"]
+    parts.append(f"lost {state.lost}")
+    parts += [
+        f"{name.replace('_', ' ')} {n}"
+        for name, n in sorted(state.counters.items())
+        if name not in HARMLESS
+    ]
+    parts.append(f"clipped {state.clipped}")
+    if state.temperature is not None:
+        parts.append(f"{state.temperature:.1f} °C")
+    if state.moving is not None:
+        parts.append("moving" if state.moving else "still")
+    return " · ".join(parts)
+
+
+def show_result(state: RecordState, path: Path, *, as_json: bool) -> None:
+    """Print what was recorded and what was lost."""
+    if as_json:
+        output.print_json(to_json(state, path))
+        return
+    from drivers.record import HARMLESS
+
+    if not state.samples:
+        output.warn(f"no sample came; {path} was not written")
+        return
+    output.print_lines(
+        f"{path}: {state.samples} samples in {state.duration:.3f} s, {state.rate:.3f} Hz by the "
+        f"{state.clock} clock; ended by {state.ended_by}"
+    )
+    losses = [f"{state.lost} samples lost"] if state.lost else []
+    losses += [
+        f"{n} {name.replace('_', ' ')}"
+        for name, n in sorted(state.counters.items())
+        if name not in HARMLESS
+    ]
+    losses += [f"{state.reconnects} reconnects"] if state.reconnects else []
+    if losses:
+        output.warn(", ".join(losses))
+    if state.clipped:
+        output.warn(f"{state.clipped} samples at full scale: choose a larger range")
+
+
+def to_json(state: RecordState, path: Path) -> dict[str, Any]:
+    """Return the result of a recording as a JSON document."""
+    return {
+        "format": "imu-cal/recorded",
+        "version": 1,
+        "file": str(path) if state.samples else None,
+        "samples": state.samples,
+        "duration_s": state.duration,
+        "rate_hz": state.rate,
+        "clock": state.clock or None,
+        "lost": state.lost,
+        "counters": dict(sorted(state.counters.items())),
+        "clipped": state.clipped,
+        "reconnects": state.reconnects,
+        "temperature_degc": state.temperature,
+        "chip": state.device.chip or None,
+        "ended_by": state.ended_by,
+    }
