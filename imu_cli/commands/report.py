@@ -1,0 +1,30 @@
+"""Write a report of a calibration, a diagnosis or a recording, as one HTML page."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def report(
+    source: Annotated[Path, typer.Argument(help="Calibration, diagnosis (JSON), or a recording.")],
+    out: Annotated[
+        Path | None,
+        typer.Option("-o", "--out", help="The page; by default the source's name with .html."),
+    ] = None,
+    profile: Annotated[
+        str | None, typer.Option("--profile", help="Import profile of a foreign log.")
+    ] = None,
+    imu: Annotated[int | None, typer.Option("--imu", help="Which IMU of a log of several.")] = None,
+) -> None:
+    """Write one self-contained page: opens without a network, prints to an A4 certificate."""
+    from drivers.calibration_file import write_atomic
+    from imu_cli import output
+    from imu_cli.report.page import render_page
+    from imu_cli.report.source import load_report
+
+    page = out or source.with_suffix(".html")
+    write_atomic(page, render_page(load_report(source, profile=profile, imu=imu)))
+    output.messages().print(f"wrote {page}", soft_wrap=True)

@@ -1,0 +1,177 @@
+"""A diagnosis as a report: verdict, each finding with the plot that convinced, what is left."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from imu_cli.report.model import Block, Paragraph, Plot, Report, Series, Table
+from imu_cli.report.units import people_unit, with_error
+
+VERDICTS = {
+    "consistent": ("Consistent: nothing beyond noise.", "good"),
+    "explained": ("Explained: everything beyond noise has a name.", "good"),
+    "partly_explained": ("Partly explained: something is left that has no name here.", "partial"),
+    "unexplained": ("Unexplained: something is there that is not in the catalogue.", "bad"),
+    "undetermined": ("Undetermined: this recording cannot tell.", "partial"),
+}
+
+
+def diagnosis_report(document: Mapping[str, Any]) -> Report:
+    """Return the report of a diagnosis document (``imu-cal diagnose --json``)."""
+    verdict, tone = VERDICTS[document["verdict"]]
+    findings = document["findings"]
+    if findings:
+        verdict += " Found: " + ", ".join(f.get("title", f["effect"]) for f in findings) + "."
+    blocks: list[Block] = []
+    if document.get("missing"):
+        blocks.append(Paragraph("What the recording lacks", tuple(document["missing"])))
+    if findings:
+        blocks.append(_overview(findings))
+    for number, finding in enumerate(findings, 1):
+        blocks += _finding(number, finding)
+    if document["unexplained"]:
+        blocks.append(_unexplained(document["unexplained"]))
+    residuals = (document.get("fit") or {}).get("residuals")
+    if residuals:
+        blocks.append(_residuals(residuals))
+    if document.get("cannot_show"):
+        rows = tuple(document["cannot_show"].items())
+        blocks.append(Table("What this recording cannot show", ("effect", "why"), rows))
+    return Report(
+        title="Diagnosis",
+        verdict=verdict,
+        tone=tone,  # type: ignore[arg-type]
+        facts=_facts(document),
+        blocks=tuple(blocks),
+        document=document,
+    )
+
+
+def _facts(document: Mapping[str, Any]) -> tuple[tuple[str, str], ...]:
+    recording = document.get("recording") or {}
+    facts = [
+        ("findings", str(len(document["findings"]))),
+        ("unexplained", str(len(document["unexplained"]))),
+    ]
+    for key in ("poses", "turns"):
+        if key in recording:
+            facts.append((key, str(recording[key])))
+    if "duration" in recording:
+        facts.append(("recording", f"{float(recording['duration']):.0f} s"))
+    return tuple(facts)
+
+
+def _overview(findings: list[Mapping[str, Any]]) -> Table:
+    rows = []
+    for finding in findings:
+        held = finding["held_out"]
+        if held is None:
+            gain = "-"
+        else:
+            unit, factor = people_unit(held["unit"])
+            gain = (
+                f"{held['before'] * factor:.3g} → {held['after'] * factor:.3g} {unit} "
+                f"(floor {held['noise_floor'] * factor:.3g})"
+            )
+        rows.append(
+            (
+                finding["effect"],
+                ", ".join(finding["channels"]),
+                f"{finding['p_value']:.1g}",
+                gain,
+                ", ".join(r["effect"] for r in finding["rivals"]) or "-",
+            )
+        )
+    return Table(
+        "Findings",
+        ("effect", "channels", "p", "held out, before → after", "rivals"),
+        tuple(rows),
+        (2,),
+        "p is corrected for the number of looks. Held out: on poses and turns that the fit did not "
+        "see.",
+    )
+
+
+def _finding(number: int, finding: Mapping[str, Any]) -> list[Block]:
+    title = f"{number}. {finding.get('title', finding['effect'])}"
+    sentences = [finding.get("sentence", ""), f"Where: {finding['regime']}."]
+    if finding["absorbed_by"]:
+        moved = [_absorbed(item) for item in finding["absorbed_by"]]
+        sentences.append(f"Until now these parameters had taken it up: {', '.join(moved)}.")
+    if finding["rivals"]:
+        rivals = [f"{r['effect']} (odds {r['odds']:.2g})" for r in finding["rivals"]]
+        sentences.append(f"It could as well be: {', '.join(rivals)}.")
+    if finding["to_separate"]:
+        sentences.append(f"To tell them apart: {finding['to_separate']}")
+    if finding["held_out"] is None and finding.get("held_out_reason"):
+        sentences.append(f"Not checked on held-out data: {finding['held_out_reason']}.")
+    rows = []
+    for name, item in finding["parameters"].items():
+        rows.append((name, *with_error(item["value"], item["sigma"], item["unit"])))
+    blocks: list[Block] = [Paragraph(title, tuple(s for s in sentences if s))]
+    blocks.append(
+        Table(
+            f"Parameters of {finding['effect']}",
+            ("parameter", "value", "standard error", "unit"),
+            tuple(rows),
+            (1, 2),
+        )
+    )
+    if finding.get("evidence"):
+        blocks.append(_evidence(number, finding["effect"], finding["evidence"]))
+    return blocks
+
+
+def _absorbed(item: Any) -> str:
+    if isinstance(item, str):
+        return item
+    unit, factor = people_unit(item["unit"])
+    return f"{item['parameter']} by {item['shift'] * factor:+.3g} {unit}"
+
+
+def _evidence(number: int, effect: str, evidence: Mapping[str, Any]) -> Plot:
+    unit, factor = people_unit(evidence["unit"])
+    series = []
+    for item in evidence["series"]:
+        x = np.asarray(item["x"], np.float64)
+        for label in ("before", "after"):
+            y = np.asarray(item[label], np.float64) * factor
+            series.append(Series(f"{item['channel']} {label}", x, y))
+    x_unit = f", {evidence['x_unit']}" if evidence["x_unit"] else ""
+    return Plot(
+        f"{number}. {effect}: residual against {evidence['follows']}",
+        f"{evidence['follows']}{x_unit}",
+        f"residual, {unit}",
+        tuple(series),
+        note="Before: under the model without the effect. After: with it.",
+    )
+
+
+def _unexplained(items: list[Mapping[str, Any]]) -> Table:
+    rows = tuple(
+        (
+            ", ".join(item["channels"]),
+            "; ".join(f"{a:.1f} to {b:.1f} s" for a, b in item["intervals"]),
+            item["follows"],
+            f"{item['p_value']:.1g}",
+        )
+        for item in items
+    )
+    return Table("Unexplained", ("channels", "when", "follows", "p"), rows, (3,))
+
+
+def _residuals(residuals: list[Mapping[str, Any]]) -> Table:
+    rows = []
+    for item in residuals:
+        unit, factor = people_unit(item["unit"])
+        numbers = (f"{item[key] * factor:.3g}" for key in ("before", "after", "noise_floor"))
+        rows.append((item["rows"], *numbers, unit))
+    return Table(
+        "Residuals before and after",
+        ("rows", "before", "after", "noise floor", "unit"),
+        tuple(rows),
+        (1, 2, 3),
+    )
