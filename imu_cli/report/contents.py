@@ -48,7 +48,11 @@ def calibration_report(calibration: Calibration) -> Report:
         )
     blocks.append(_parameters(calibration))
     if before is not None and after is not None:
-        blocks += [_at_rest(calibration, before, after), _sphere(calibration)]
+        blocks += [
+            _at_rest(calibration, before, after),
+            _left(calibration, after),
+            _sphere(calibration),
+        ]
     if calibration.gyro is not None and calibration.gyro.residuals.size:
         blocks.append(_turns(calibration.gyro))
     if len(calibration.names) > 1:
@@ -133,6 +137,13 @@ def _at_rest(calibration: Calibration, before: FloatArray, after: FloatArray) ->
         ),
         note="At rest the magnitude of specific force is that of gravity, whatever the pose.",
     )
+
+
+def _left(calibration: Calibration, after: FloatArray) -> Plot:
+    assert calibration.poses is not None
+    text = [f"{a:.1f} to {b:.1f} s" for a, b in calibration.poses.interval]
+    series = Series("after", np.arange(1.0, len(after) + 1), after * MG, "bars", text)
+    return Plot("Error left in each pose", "pose", "|a| - g after, mg", (series,))
 
 
 def _turns(summary: TriadSummary) -> Plot:
