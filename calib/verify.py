@@ -9,7 +9,7 @@ The new recording is corrected with the calibration. A right calibration then le
 Each is judged by a chi-square in which stand the noise of the new recording, the covariance of the
 calibration, what its own fit left over (its residuals: physics that the model lacks is no change),
 and an allowance for what a bias may do by itself: its wander from pose to pose when it was
-calibrated, Earth's rotation, and the typical coefficient of temperature beyond the calibrated range.
+calibrated, Earth's rotation, and typical coefficients of temperature beyond the calibrated range.
 What has changed is then named by fitting the corrected recording anew.
 """
 
@@ -22,7 +22,6 @@ import numpy as np
 from scipy.stats import chi2
 
 from calib.apply import correct_recording
-from calib.units import check_units
 from calib.calibrate import calibrate
 from calib.calibration import Calibration, Provenance
 from calib.closure import TurnSteps, closure_residual, horizontal_basis, pose_directions, propagate
@@ -32,13 +31,25 @@ from calib.errors import InsufficientMotionError
 from calib.model import SensorModel, Triad
 from calib.poses import Poses, average_poses
 from calib.recording import AXES, Recording
-from calib.solvers.quadric import NAMES, jacobian
+from calib.solvers.quadric import COLUMNS, NAMES, ROWS
 from calib.statics import find_poses
 from calib.turns import find_turns
 from calib.types import FloatArray
+from calib.units import check_units
 
 EARTH_RATE = 7.292115e-5
 """rad/s (IERS Conventions 2010, table 1.2)."""
+
+UNCALIBRATED = {
+    "accel.bias": 0.5,
+    "accel.scale_factor_error": 0.03,
+    "accel.misalignment": 0.02,
+    "gyro.bias": np.radians(20.0),
+    "gyro.scale_factor_error": 0.03,
+    "gyro.misalignment": 0.02,
+}
+"""Standard deviation of a parameter that nothing is known of: what a consumer part promises
+(MPU-6050 product specification rev. 3.4, sections 6.1 and 6.2: 50 mg, 3 %, 2 %, 20 °/s)."""
 
 CERTAIN = 0.1
 """rad; turns whose angle the calibration predicts less certainly than this say nothing."""
@@ -123,7 +134,8 @@ def verify(
         )
     corrected = correct_recording(replace(calibration, housing=None), recording)
     still = average_poses(corrected, poses.start, poses.stop)
-    moves = allowances(calibration, recording)
+    beyond = _beyond(calibration, still)
+    moves = allowances(calibration, beyond)
     checks = [_gravity_check(calibration, still, moves), _rest_check(calibration, still, moves)]
     turns = _turn_check(calibration, corrected, still)
     if turns is not None:
@@ -133,23 +145,24 @@ def verify(
         tuple(check for check in checks if check is not None),
         _compare_anew(calibration, corrected, moves),
         identity_mismatch(calibration, device),
-        _remarks(calibration, recording),
+        _remarks(calibration, recording, beyond),
         significance,
     )
 
 
-def allowances(calibration: Calibration, recording: Recording) -> dict[str, float]:
-    """Return by how much parameters may have moved by themselves, one standard deviation each."""
-    accel, gyro = calibration.accel, calibration.gyro
-    accel_bias2 = 0.0 if accel is None else accel.residual_rms**2
+def allowances(calibration: Calibration, beyond: float) -> dict[str, float]:
+    """Return by how much parameters may have moved by themselves, one standard deviation each.
+
+    ``beyond`` is how far outside the calibrated range it is now, K.
+    """
+    accel_bias2 = 0.0 if calibration.accel is None else calibration.accel.residual_rms**2
     gyro_bias2 = EARTH_RATE**2 / 3 + _wander2(calibration)
     accel_scale2 = 0.0
-    warmer = _beyond(calibration, recording)
     present = {term.effect for term in calibration.model.terms}
-    if warmer:
+    if beyond:
         for slug in ("accel_bias_temperature", "gyro_bias_temperature", "accel_scale_temperature"):
             typical = 0.0 if slug in present else get_effect(slug).parameters[0].typical
-            move2 = (typical * warmer) ** 2
+            move2 = (typical * beyond) ** 2
             accel_bias2 += move2 if slug == "accel_bias_temperature" else 0.0
             gyro_bias2 += move2 if slug == "gyro_bias_temperature" else 0.0
             accel_scale2 += move2 if slug == "accel_scale_temperature" else 0.0
@@ -164,30 +177,31 @@ def allowances(calibration: Calibration, recording: Recording) -> dict[str, floa
 def _wander2(calibration: Calibration) -> float:
     """Return the variance of the static rate from pose to pose when it was calibrated."""
     table = calibration.poses
-    if table is None or len(table.gyro) < 3:
+    if table is None or calibration.gyro is None:
         return 0.0
-    # The median is not moved by a pose in which the sensor was not at rest (0.6745 sigma).
-    deviation = np.abs(table.gyro - np.median(table.gyro, axis=0))
-    return float((np.median(deviation, axis=0) / 0.6745).max() ** 2)
+    still = np.ones(len(table.gyro), bool)
+    for item in calibration.gyro.excluded:
+        low, high = item.interval
+        still &= (table.interval[:, 0] < low) | (table.interval[:, 1] > high)
+    return float(table.gyro[still].var(axis=0, ddof=1).max()) if still.sum() > 2 else 0.0
 
 
-def _beyond(calibration: Calibration, recording: Recording) -> float:
-    """Return how far the recording's temperature is outside the calibrated range, K."""
+def _beyond(calibration: Calibration, still: Poses) -> float:
+    """Return how far the poses' mean temperature is outside the calibrated range, K."""
     span = calibration.temperature
-    if span is None or recording.temperature is None:
+    if span is None or still.temperature is None:
         return 0.0
-    values = recording.temperature
-    return float(max(span.low - values.min(), values.max() - span.high, 0.0))
+    mean = float(still.temperature.mean())
+    return max(span.low - mean, mean - span.high, 0.0)
 
 
-def _remarks(calibration: Calibration, recording: Recording) -> tuple[str, ...]:
+def _remarks(calibration: Calibration, recording: Recording, beyond: float) -> tuple[str, ...]:
     remarks = []
-    warmer = _beyond(calibration, recording)
     if calibration.temperature is None or recording.temperature is None:
         remarks.append("temperature is not known in both, so a bias that followed it is a change")
-    elif warmer:
+    elif beyond:
         remarks.append(
-            f"the recording goes {warmer:.1f} K beyond the calibrated "
+            f"the poses are {beyond:.1f} K beyond the calibrated "
             f"{calibration.temperature.low:.1f} to {calibration.temperature.high:.1f} °C; typical "
             "coefficients of temperature are allowed for that"
         )
@@ -198,9 +212,7 @@ def _remarks(calibration: Calibration, recording: Recording) -> tuple[str, ...]:
     return tuple(remarks)
 
 
-def _gravity_check(
-    calibration: Calibration, still: Poses, moves: Mapping[str, float]
-) -> Check:
+def _gravity_check(calibration: Calibration, still: Poses, moves: Mapping[str, float]) -> Check:
     """Judge ``|a| = g`` over the poses."""
     size = np.linalg.norm(still.accel, axis=1)
     residual = size - calibration.gravity.value
@@ -212,9 +224,13 @@ def _gravity_check(
         left = calibration.accel.residual_rms**2 * used / calibration.accel.degrees_of_freedom
     inverse = np.asarray(np.linalg.inv(calibration.model.accel.matrix))
     covariance = _covariance(calibration, NAMES, moves)
-    design = jacobian(still.accel, inverse)
+    # d|f| = -u.T K (db + dT f) for f = K (a - b), u its direction.
+    normal = up @ inverse
+    design = -np.hstack([normal, normal[:, ROWS] * still.accel[:, COLUMNS]])
     total = np.diag(noise + left) + design @ covariance @ design.T
-    return _check("gravity", "|a| - g in each pose", residual[:, None], total, "m/s²", still.interval)
+    return _check(
+        "gravity", "|a| - g in each pose", residual[:, None], total, "m/s²", still.interval
+    )
 
 
 def _rest_check(calibration: Calibration, still: Poses, moves: Mapping[str, float]) -> Check:
@@ -224,7 +240,7 @@ def _rest_check(calibration: Calibration, still: Poses, moves: Mapping[str, floa
     common = inverse @ _covariance(calibration, names, moves) @ inverse.T
     k = len(still)
     wander = np.eye(3) * (_wander2(calibration) + EARTH_RATE**2 / 3)
-    total = np.kron(np.ones((k, k)), common)
+    total = np.asarray(np.kron(np.ones((k, k)), common), np.float64)
     for i in range(k):
         part = slice(3 * i, 3 * i + 3)
         total[part, part] += still.gyro_covariance[i] + wander
@@ -238,23 +254,27 @@ def _turn_check(calibration: Calibration, corrected: Recording, still: Poses) ->
         return None
     steps = TurnSteps.of(corrected, turns)
     directions = pose_directions(still, Triad())
-    up = directions.up
-    basis = horizontal_basis(up[turns.before])
+    basis = horizontal_basis(directions.up[turns.before])
     bias = 0.5 * (still.gyro[turns.before] + still.gyro[turns.after])
+    as_told = propagate(steps, np.eye(3), bias).mat
 
-    def closure(matrix: FloatArray) -> FloatArray:
-        predicted = np.einsum("mij,mj->mi", propagate(steps, matrix, bias).mat, up[turns.after])
+    def closure(mat: FloatArray, up: FloatArray) -> FloatArray:
+        predicted = np.einsum("mij,mj->mi", mat, up[turns.after])
         error = closure_residual(up[turns.before], predicted)
         return np.asarray(np.einsum("mea,ma->me", basis, error).ravel())
 
-    residual = closure(np.eye(3))
-    names = tuple(n for n in Triad().parameters("gyro") if ".bias." not in n)
+    residual = closure(as_told, directions.up)
+    turned = tuple(n for n in Triad().parameters("gyro") if ".bias." not in n)
     step = 1e-5
-    design = np.empty((len(residual), len(names)))
-    for k, name in enumerate(names):
-        moved = Triad().with_parameters({name: step}).matrix
-        design[:, k] = (closure(moved) - residual) / step
-    common = design @ _covariance(calibration, names, {}) @ design.T
+    design = np.empty((len(residual), len(NAMES) + len(turned)))
+    for k, name in enumerate((*NAMES, *turned)):
+        moved = Triad().with_parameters({name: step})
+        if name in turned:
+            changed = closure(propagate(steps, moved.matrix, bias).mat, directions.up)
+        else:
+            changed = closure(as_told, pose_directions(still, moved).up)
+        design[:, k] = (changed - residual) / step
+    common = design @ _covariance(calibration, (*NAMES, *turned), {}) @ design.T
     left = calibration.gyro.residual_rms**2
     rate = 0.5 * (still.gyro_covariance[turns.before] + still.gyro_covariance[turns.after])
     drift = np.trace(rate, axis1=1, axis2=2) / 3 * steps.duration**2
@@ -302,8 +322,14 @@ def _check(
 def _covariance(
     calibration: Calibration, names: tuple[str, ...], moves: Mapping[str, float]
 ) -> FloatArray:
-    """Return the covariance of some parameters, with what they may have moved by themselves."""
-    out = np.diag([moves.get(name, 0.0) ** 2 for name in names])
+    """Return the covariance of some parameters, with what they may have moved by themselves.
+
+    What is not determined is uncertain by what a consumer part promises.
+    """
+    open_ = set(calibration.undetermined)
+    prior = [UNCALIBRATED[name.rpartition(".")[0]] if name in open_ else 0.0 for name in names]
+    move = [moves.get(name, 0.0) for name in names]
+    out: FloatArray = np.diag(np.square(prior) + np.square(move))
     known = [k for k, name in enumerate(names) if name in calibration.names]
     index = [calibration.names.index(names[k]) for k in known]
     out[np.ix_(known, known)] += calibration.covariance[np.ix_(index, index)]
