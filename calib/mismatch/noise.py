@@ -183,3 +183,11 @@ def make_whitener(rows: Rows, levels: FloatArray, contrast: FloatArray, fitted: 
     return Whitener(factor, plain.scale, range_basis(plain.whiten(fitted)), rows.n_dense)
 
 
+
+
+def level_likelihood(rows: Rows, mean: FloatArray, levels: FloatArray) -> float:
+    """Return the penalised restricted log-likelihood of given levels."""
+    y = rows.residual[: rows.n_dense]
+    _, value = _projector(covariance(rows, levels), range_basis(mean), y)
+    precision = 1.0 / np.square([c.spread for c in rows.components])
+    return value - 0.5 * float(precision @ np.square(np.log(levels / expected_levels(rows))))

@@ -309,8 +309,8 @@ def _components(
         response = pieces[c][:dense].toarray()
         own = np.flatnonzero((kind == Kind.MEAN) & (np.abs(response).sum(axis=1) > 0))
         typical = float(np.median(np.diag(white)[own])) if len(own) else 1.0
-        out.append(Component(f"{name} jitter", response @ response.T, 0.1 * typical))
-        out.append(Component(f"{name} walk", response @ walk @ response.T, typical))
+        out.append(Component(f"{name} jitter", response @ response.T, 0.02 * typical))
+        out.append(Component(f"{name} walk", response @ walk @ response.T, 0.1 * typical))
     for label, which, scale in (
         ("attitude", Kind.ATTITUDE, None),
         ("attitude by angle", Kind.ATTITUDE, angle),
@@ -325,5 +325,75 @@ def _components(
         typical = float(np.median(np.diag(white)[rows]))
         matrix = np.zeros((dense, dense))
         matrix[rows, rows] = size
-        out.append(Component(label, matrix, 0.1 * typical / max(float(np.median(size)), 1e-12)))
+        out.append(Component(label, matrix, 0.02 * typical / max(float(np.median(size)), 1e-12)))
     return tuple(out)
+
+
+def sample_noise(grid: Grid) -> FloatArray:
+    """Return the variance of each point's mean on each channel, (n, 6), white part.
+
+    From successive differences of the points at rest (quarter seconds), so that noise that is
+    correlated over a few samples counts in full and drift does not. A rest that is clearly noisier
+    than the others (vibration, a hand) has its own level.
+    """
+    values = np.hstack((grid.accel, grid.gyro))
+    segment, pose = grid.segment, grid.pose
+    pair = (segment[1:] == segment[:-1]) & (pose[1:] >= 0)
+    weight = grid.count[1:] * grid.count[:-1] / (grid.count[1:] + grid.count[:-1])
+    square = np.square(np.diff(values, axis=0)) * weight[:, None]
+    own = np.empty((grid.n_poses, 6))
+    number = np.bincount(pose[1:][pair], minlength=grid.n_poses)
+    for c in range(6):
+        own[:, c] = np.bincount(pose[1:][pair], square[pair, c], grid.n_poses)
+    own /= np.maximum(number, 1)[:, None]
+    usable = number >= 4
+    common = np.median(own[usable] if usable.any() else own, axis=0)
+    floor = np.maximum(common, 1e-12 * np.square(np.abs(values)).max(axis=0) + 1e-18)
+    ratio = np.where(usable[:, None], own / floor, 1.0)
+    # A ratio beyond four standard errors of its estimate is a rest with a level of its own.
+    limit = 1.0 + 4.0 * np.sqrt(2.0 / np.maximum(number, 1))[:, None]
+    level = floor * np.where(ratio > limit, ratio, 1.0)
+    each = np.where((pose >= 0)[:, None], level[np.maximum(pose, 0)], floor)
+    return each / grid.count[:, None]
+
+
+def fit_twin(grid: Grid, twin: Twin, noise: FloatArray, *, iterations: int = 8) -> Twin:
+    """Fit baseline and attitudes to the recording by robust Gauss-Newton.
+
+    Closures that disagree with the rest by far (a bumped turn, lost samples) are down-weighted.
+    """
+    loose = np.array([_LOOSE[n.split(".")[1]] for n in twin.names])
+    for _ in range(iterations):
+        rows = build_rows(grid, twin, noise)
+        twin, size = _step(rows, twin, loose)
+        if size < 1e-7:
+            break
+    return twin
+
+
+def _step(rows: Rows, twin: Twin, loose: FloatArray) -> tuple[Twin, float]:
+    p = len(twin.names)
+    dense = rows.n_dense
+    sigma = np.sqrt(np.diag(rows.white) + sum(c.expected * np.diag(c.matrix) for c in rows.components))
+    design = np.hstack((rows.baseline, rows.nuisance))[:dense] / sigma[:, None]
+    y = rows.residual[:dense] / sigma
+    now = {**twin.model.accel.parameters("accel"), **twin.model.gyro.parameters("gyro")}
+    ridge = np.zeros((p, design.shape[1]))
+    ridge[:, :p] = np.diag(1.0 / loose)
+    pull = -np.array([now[n] for n in twin.names]) / loose
+    weight = np.ones(dense)
+    step = np.zeros(design.shape[1])
+    for _ in range(4):
+        root = np.sqrt(weight)
+        step = np.linalg.lstsq(
+            np.vstack((design * root[:, None], ridge)), np.append(y * root, pull), rcond=None
+        )[0]
+        left = np.abs(y - design @ step)
+        # Each kind has its own scale: what the closures leave is not known beforehand.
+        for kind in np.unique(rows.kind[:dense]):
+            own = rows.kind[:dense] == kind
+            scale = max(float(np.median(left[own])) / 0.6745, 1.0)
+            weight[own] = np.minimum(1.0, 3.0 * scale / np.maximum(left[own], 1e-12)) / scale**2
+    angles = step[p:].reshape(-1, 2)
+    moved = twin.moved(dict(zip(twin.names, step[:p], strict=True)), np.clip(angles, -0.5, 0.5))
+    return moved, float(np.abs(step).max())
