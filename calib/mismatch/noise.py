@@ -170,6 +170,15 @@ class Whitener:
         out[self.n_dense :] = rest / (self.scale if rest.ndim == 1 else self.scale[:, None])
         return out
 
+    def unwhiten_transposed(self, values: FloatArray) -> FloatArray:
+        """Return the transposed whitening applied to (m, k) rows: ``inv(L)' values``."""
+        out = np.empty_like(values)
+        out[: self.n_dense] = linalg.solve_triangular(
+            self.factor, values[: self.n_dense], lower=True, trans="T", check_finite=False
+        )
+        out[self.n_dense :] = values[self.n_dense :] / self.scale[:, None]
+        return out
+
     def project(self, values: FloatArray) -> FloatArray:
         """Return whitened rows without what the fitted columns can reach."""
         white = self.whiten(values)
