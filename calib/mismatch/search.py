@@ -95,6 +95,7 @@ class Outcome:
     levels: FloatArray
     contrast: FloatArray
     total: float
+    candidates: tuple[Candidate, ...]
 
 
 def search(problem: Problem, *, skip: tuple[str, ...] = ()) -> Outcome:
@@ -118,7 +119,9 @@ def search(problem: Problem, *, skip: tuple[str, ...] = ()) -> Outcome:
         replace(a, posterior=_posterior(rows, stack, accepted, i, levels))
         for i, a in enumerate(accepted)
     ]
-    return Outcome(rows, tuple(accepted), levels, contrast, ranking.total)
+    return Outcome(
+        rows, tuple(accepted), levels, contrast, ranking.total, tuple(stack.candidates)
+    )
 
 
 def make_stack(rows: Rows, *, skip: tuple[str, ...], reference: bool) -> Stack:
