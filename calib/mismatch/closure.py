@@ -91,9 +91,7 @@ def close_turn(
     duration = time[-1] - time[0]
     plane, plane_after = across(up_before), across(up_after)
     end = mat[-1] @ up_after
-    residual = np.concatenate(
-        (plane.T @ (end - up_before), total - gravity * duration * up_before)
-    )
+    residual = np.concatenate((plane.T @ (end - up_before), total - gravity * duration * up_before))
     weighted = mat * weight[:, None, None]
     gyro = np.empty((5, len(time), 3))
     accel = np.zeros_like(gyro)

@@ -3,13 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
-from calib.calibration import Event, Quantity
+import numpy as np
+
+from calib.calibration import (
+    Calibration,
+    Event,
+    Gravity,
+    Provenance,
+    Quantity,
+    TemperatureRange,
+)
+from calib.effects import get_effect
 from calib.effects.base import Term
 from calib.mismatch.heldout import HeldOut
 from calib.model import SensorModel
+from calib.recording import Recording
 from calib.types import FloatArray
 
 Verdict = Literal["consistent", "explained", "partly_explained", "unexplained", "undetermined"]
@@ -17,6 +28,9 @@ Verdict = Literal["consistent", "explained", "partly_explained", "unexplained", 
 ``undetermined``: the recording cannot tell, and ``missing`` says what it lacks."""
 
 Interval = tuple[float, float]
+
+_OPEN = {"bias": 0.5, "scale_factor_error": 0.1, "misalignment": 0.1}
+"""Standard errors (SI) beyond which a baseline parameter counts as undetermined."""
 
 
 @dataclass(frozen=True)
@@ -164,6 +178,40 @@ class Diagnosis:
     names: tuple[str, ...]
     covariance: FloatArray
     summary: Mapping[str, Any] = field(default_factory=dict)
+
+    def calibration(self, recording: Recording, *, gravity: Gravity) -> Calibration:
+        """Return the sensor model that was found, as a calibration; events are kept apart."""
+        temperature = None
+        if recording.temperature is not None:
+            low, high = float(recording.temperature.min()), float(recording.temperature.max())
+            temperature = TemperatureRange(low, high)
+        terms = {t.effect: dict(t.parameters) for t in self.model.terms}
+        for item in self.findings:
+            if item.kind == "sensor":
+                terms[item.effect] = {
+                    **terms.get(item.effect, {}),
+                    **{k: q.value for k, q in item.parameters.items()},
+                }
+        found = tuple(Term(slug, values) for slug, values in terms.items())
+        model = replace(
+            self.model, terms=tuple(t for t in found if get_effect(t.effect).kind == "sensor")
+        )
+        scale = np.sqrt(np.diag(self.covariance))
+        settled = [
+            i for i, n in enumerate(self.names) if scale[i] < _OPEN.get(n.split(".")[1], np.inf)
+        ]
+        open_ = tuple(n for i, n in enumerate(self.names) if i not in settled)
+        covariance = self.covariance[np.ix_(settled, settled)]
+        return Calibration(
+            model=model,
+            names=tuple(self.names[i] for i in settled),
+            covariance=0.5 * (covariance + covariance.T),
+            undetermined=open_,
+            gravity=gravity,
+            temperature=temperature,
+            events=tuple(f.event() for f in self.findings if f.kind != "sensor"),
+            provenance=Provenance(device=recording.device),
+        )
 
     def to_json(self) -> dict[str, Any]:
         """Return the document that ``diagnose --json`` prints."""

@@ -13,7 +13,6 @@ from calib.effects.base import Effect
 from calib.mismatch.diagnosis import (
     Absorbed,
     Change,
-    Diagnosis,
     Finding,
     Interval,
     Rival,
@@ -118,7 +117,10 @@ def explain(
             reason = "it happened once: no other pose or turn shows it"
         if proof.gain <= 0 and effect.kind != "event":
             unexplained.append(
-                replace(_unexplained(rows, a, rivals), follows=f"{effect.follows}, but not on held-out data")
+                replace(
+                    _unexplained(rows, a, rivals),
+                    follows=f"{effect.follows}, but not on held-out data",
+                )
             )
             continue
         findings.append(
@@ -199,7 +201,7 @@ def _moment_sigma(rows: Rows, moment: float) -> float:
     """Return the standard error of a moment that lies anywhere in its rest or turn."""
     k = int(np.clip(np.searchsorted(rows.interval[:, 0], moment, side="right") - 1, 0, None))
     length = float(rows.interval[k, 1] - rows.interval[k, 0])
-    return length / np.sqrt(12.0)
+    return float(length / np.sqrt(12.0))
 
 
 def _proof(

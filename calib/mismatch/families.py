@@ -9,7 +9,7 @@ from itertools import product
 import numpy as np
 
 from calib.effects import effects
-from calib.effects.base import Effect, ShapeParameter
+from calib.effects.base import Effect, ShapeParameter, TransformEffect
 from calib.mismatch.rows import Rows
 from calib.mismatch.score import Candidate, Stack
 from calib.types import FloatArray
@@ -37,7 +37,9 @@ def add_catalogue(
     """
     known = effects()
     for slug, effect in known.items():
-        if slug not in skip:
+        # What acts on the readout (clipping, rounding, a unit) shows in the samples, not in rows.
+        readout = isinstance(effect, TransformEffect) and effect.stage == "readout"
+        if slug not in skip and (not readout or slug == "dropped_samples"):
             _add(stack, effect, rows, reference=reference, weight=PHYSICAL / len(known))
 
 
@@ -99,30 +101,37 @@ def _subsets(names: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], float]]:
 
 
 def _shapes(effect: Effect, rows: Rows) -> Iterator[Mapping[str, float]]:
-    grids = [shape_grid(item, rows, SHAPES) for item in effect.shape]
-    for values in product(*grids):
-        yield {item.name: float(v) for item, v in zip(effect.shape, values, strict=True)}
+    """Yield the shapes that are tried: of optional sizes one at a time, of integers all."""
+    integers = [item for item in effect.shape if item.spacing == "integer"]
+    sizes = [item for item in effect.shape if item.spacing != "integer"]
+    optional = [item for item in sizes if item.optional]
+    fixed = [item for item in sizes if not item.optional]
+    for choice in [[item] for item in optional] or [[]]:
+        tried = [*fixed, *choice, *integers]
+        grids = [shape_grid(item, rows, SHAPES) for item in tried]
+        for values in product(*grids):
+            yield {item.name: float(v) for item, v in zip(tried, values, strict=True)}
 
 
 def shape_grid(item: ShapeParameter, rows: Rows, count: int) -> FloatArray:
     """Return the values of a shape parameter that are tried.
 
-    A moment within the recording is tried between any two segments and in the middle of each
-    rest; a time constant on a logarithmic grid between its bounds, no longer than three times the
-    recording.
+    A moment within the recording is tried in the middle of every rest and turn; a time constant
+    on a logarithmic grid between its bounds, no longer than three times the recording.
     """
     time = rows.state.time
     start, stop = float(time[0]), float(time[-1])
+    if item.spacing == "integer":
+        return np.arange(item.low or 0, (item.high or 0) + 1, dtype=np.float64)
     if item.unit == "s" and item.spacing == "linear" and item.low is None:
-        edges = np.unique(np.concatenate((rows.interval[1:, 0], rows.interval[rows.is_rest].mean(axis=1))))
-        return edges[(edges > start) & (edges < stop)]
+        return np.asarray(rows.interval.mean(axis=1)[1:])
     low = item.low if item.low is not None else (stop - start) / 100
     high = item.high if item.high is not None else stop - start
     if item.unit == "s" and item.spacing == "log":
         high = max(min(high, 3 * (stop - start)), 1.01 * low)
-    if item.spacing == "log":
-        return np.geomspace(low, high, count)
-    return np.linspace(low, high, count)
+    return (
+        np.geomspace(low, high, count) if item.spacing == "log" else np.linspace(low, high, count)
+    )
 
 
 def neighbours(
@@ -131,8 +140,8 @@ def neighbours(
     """Yield shapes around a chosen one, one parameter at a time, within the grid's spacing."""
     for item in effect.shape:
         grid = shape_grid(item, rows, SHAPES)
-        here = shape[item.name]
-        if len(grid) < 2 or item.spacing == "integer":
+        here = shape.get(item.name)
+        if here is None or len(grid) < 2 or item.spacing == "integer":
             continue
         at = int(np.argmin(np.abs(grid - here)))
         low, high = grid[max(at - 1, 0)], grid[min(at + 1, len(grid) - 1)]

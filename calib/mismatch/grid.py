@@ -8,12 +8,13 @@ is therefore that of the turns, not that of the recording.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
 from calib.poses import Poses
 from calib.recording import Recording
-from calib.types import FloatArray, IntArray
+from calib.types import BoolArray, FloatArray, IntArray
 
 REST_STEP = 0.25
 """Length of the means that a rest is thinned to, s."""
@@ -62,9 +63,10 @@ class Grid:
     n_poses: int
 
     @property
-    def is_rest(self) -> FloatArray:
+    def is_rest(self) -> BoolArray:
         """Whether each segment is a cell of a rest, (s,) bool."""
-        return self.before == self.after
+        rest: BoolArray = self.before == self.after
+        return rest
 
     @property
     def segment(self) -> IntArray:
@@ -107,14 +109,14 @@ def make_grid(recording: Recording, poses: Poses, *, margin: int = 3) -> Grid:
         # A rest keeps at least six points, so that it has a mean and two contrasts.
         trim = min(margin, max(0, (stop - start - 6) // 2))
         inner = np.linspace(start + trim, stop - trim, int(cells[k]) + 1).astype(np.int64)
-        for a, b in zip(inner[:-1], inner[1:], strict=True):
+        for a, b in pairwise(inner):
             n = max(1, min(b - a, max(6, (b - a) // width)))
             edges = np.unique(np.linspace(a, b, n + 1).astype(np.int64)[:-1])
             add(edges, int(b), k, k)
         if k + 1 < len(poses):
             following = min(margin, max(0, int(poses.stop[k + 1] - poses.start[k + 1] - 6) // 2))
             a, b = stop - trim, int(poses.start[k + 1]) + following
-            if 2 <= b - a and (b - a) * step <= LONGEST_TURN:
+            if b - a >= 2 and (b - a) * step <= LONGEST_TURN:
                 add(np.arange(a, b, dtype=np.int64), b, k, k + 1)
     bounds = np.concatenate(starts)
     table = np.array(segments, np.int64)
@@ -149,9 +151,9 @@ def _fill(recording: Recording, poses: Poses, bounds: IntArray, table: IntArray)
     interval = np.stack(
         (recording.time[bounds[first, 0]], recording.time[bounds[last - 1, 1] - 1]), axis=1
     )
-    ends = np.searchsorted(poses.start, bounds[:, 0], side="right") - 1
-    began = recording.time[poses.start[np.maximum(ends, 0)]]
-    since = np.where(rest & (ends > 0), time - began, 1e6)
+    ended = _turn_ends(recording, poses)
+    last_end = np.searchsorted(ended, time, side="right") - 1
+    since = np.where(last_end >= 0, time - ended[np.maximum(last_end, 0)], np.inf)
     return Grid(
         time=time,
         accel=accel,
@@ -167,6 +169,26 @@ def _fill(recording: Recording, poses: Poses, bounds: IntArray, table: IntArray)
         after=after,
         n_poses=len(poses),
     )
+
+
+def _turn_ends(recording: Recording, poses: Poses) -> FloatArray:
+    """Return when each motion before a rest ended, s: the last sample that clearly still turned.
+
+    The detector of rests begins a rest late, to be sure; a settling is counted from the end of
+    motion itself.
+    """
+    if len(poses) < 2:
+        return np.zeros(0)
+    noise = np.array(
+        [recording.gyro[a:b].std(axis=0) for a, b in zip(poses.start, poses.stop, strict=True)]
+    )
+    limit = 5.0 * np.median(noise, axis=0)
+    out = np.empty(len(poses) - 1)
+    for k in range(1, len(poses)):
+        a, b = int(poses.stop[k - 1]), int(poses.start[k]) + 1
+        moving = (np.abs(recording.gyro[a:b] - poses.gyro[k]) > limit).any(axis=1)
+        out[k - 1] = recording.time[a + int(np.flatnonzero(moving)[-1]) if moving.any() else b - 1]
+    return out
 
 
 def smooth_temperature(recording: Recording, *, window: float = 10.0) -> FloatArray:

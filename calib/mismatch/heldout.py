@@ -15,7 +15,7 @@ import numpy as np
 from calib.mismatch.noise import make_whitener
 from calib.mismatch.rows import Kind, Rows
 from calib.recording import CHANNELS
-from calib.types import BoolArray, FloatArray
+from calib.types import BoolArray, FloatArray, IntArray
 
 FOLDS = 5
 
@@ -81,10 +81,10 @@ def held_out(
     return HeldOut(size[0][0], size[1][0], size[1][1], unit, label, gain)
 
 
-def fold_of(rows: Rows) -> FloatArray:
+def fold_of(rows: Rows) -> IntArray:
     """Return the fold of each row."""
     _, order = np.unique(rows.block, return_inverse=True)
-    return order % FOLDS
+    return np.asarray(order % FOLDS)
 
 
 def _telling_rows(
@@ -149,7 +149,7 @@ def _leave_out(
 
 
 def _colour(
-    rows: Rows, factor: FloatArray, scale: FloatArray, own: FloatArray, values: FloatArray
+    rows: Rows, factor: FloatArray, scale: FloatArray, own: IntArray, values: FloatArray
 ) -> FloatArray:
     """Undo the whitening of rows `own`, which must be closed under the covariance."""
     out = np.empty_like(values)

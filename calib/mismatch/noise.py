@@ -20,6 +20,10 @@ from scipy import linalg
 from calib.mismatch.rows import Rows
 from calib.types import FloatArray
 
+WITHIN = 1.0
+"""How much the drift of axes of one triad differs: standard deviation of the logarithm of a level
+(a variance), so that one axis has rarely more than three times the drift of another."""
+
 
 @dataclass(frozen=True, eq=False)
 class Levels:
@@ -42,6 +46,20 @@ def expected_levels(rows: Rows) -> FloatArray:
     return np.array([c.expected for c in rows.components])
 
 
+def prior_precision(rows: Rows) -> FloatArray:
+    """Return the precision of the logarithms of the levels.
+
+    Each is uncertain by its ``spread``; components of one group (one kind of drift on the axes of
+    one triad) share most of that, and differ among each other by `WITHIN` only.
+    """
+    spread = np.array([c.spread for c in rows.components])
+    group = np.array([c.group for c in rows.components])
+    same = (group[:, None] == group) & (group != "")
+    shared = np.where(same, np.outer(spread, spread) - WITHIN**2, 0.0)
+    own = np.where(group != "", WITHIN**2, np.square(spread))
+    return np.asarray(np.linalg.inv(shared + np.diag(own)))
+
+
 def estimate_levels(
     rows: Rows, mean: FloatArray, start: FloatArray, *, iterations: int = 15
 ) -> Levels:
@@ -58,7 +76,7 @@ def estimate_levels(
     y = rows.residual[: rows.n_dense]
     matrices = [c.matrix for c in rows.components]
     centre = np.log(expected_levels(rows))
-    precision = 1.0 / np.square([c.spread for c in rows.components])
+    precision = prior_precision(rows)
     basis = range_basis(mean)
     logs = np.log(start)
     best: tuple[float, FloatArray] | None = None
@@ -66,7 +84,7 @@ def estimate_levels(
     for _ in range(iterations):
         levels = np.exp(logs)
         projector, value = _projector(covariance(rows, levels), basis, y)
-        value -= 0.5 * float(precision @ np.square(logs - centre))
+        value -= 0.5 * float((logs - centre) @ precision @ (logs - centre))
         if best is not None and value < best[0] - 1e-6:
             # Too long a step: go back half way.
             damping += 1
@@ -79,12 +97,17 @@ def estimate_levels(
         if gain < 0.02:
             break
         py = projector @ y
-        vpy = np.stack([level * (v @ py) for level, v in zip(levels, matrices, strict=True)], axis=1)
-        trace = np.array(
-            [level * float(np.vdot(projector, v)) for level, v in zip(levels, matrices, strict=True)]
+        vpy = np.stack(
+            [level * (v @ py) for level, v in zip(levels, matrices, strict=True)], axis=1
         )
-        gradient = 0.5 * (vpy.T @ py - trace) - precision * (logs - centre)
-        information = 0.5 * vpy.T @ projector @ vpy + np.diag(precision)
+        trace = np.array(
+            [
+                level * float(np.vdot(projector, v))
+                for level, v in zip(levels, matrices, strict=True)
+            ]
+        )
+        gradient = 0.5 * (vpy.T @ py - trace) - precision @ (logs - centre)
+        information = 0.5 * vpy.T @ projector @ vpy + precision
         # Average information is poor far from the optimum: never less than half the trace's own.
         information += np.diag(0.1 * np.abs(trace))
         step = np.linalg.solve(information, gradient)
@@ -98,15 +121,13 @@ def range_basis(mean: FloatArray, *, tolerance: float = 1e-9) -> FloatArray:
     size = np.linalg.norm(mean, axis=0)
     scaled = mean[:, size > 0] / size[size > 0]
     if not scaled.size:
-        return scaled
+        return np.asarray(scaled)
     q, r, _ = linalg.qr(scaled, mode="economic", pivoting=True)
     rank = int((np.abs(np.diag(r)) > tolerance * abs(r[0, 0])).sum())
     return np.asarray(q[:, :rank])
 
 
-def _projector(
-    cov: FloatArray, basis: FloatArray, y: FloatArray
-) -> tuple[FloatArray, float]:
+def _projector(cov: FloatArray, basis: FloatArray, y: FloatArray) -> tuple[FloatArray, float]:
     """Return ``P = inv(V) - inv(V) X inv(X' inv(V) X) X' inv(V)`` and the restricted likelihood."""
     factor = linalg.cholesky(cov, lower=True)
     inverse, _ = linalg.lapack.dpotri(factor, lower=1)
@@ -129,7 +150,9 @@ def contrast_variance(rows: Rows) -> FloatArray:
     start = rows.n_dense
     y, channel = rows.residual[start:], rows.channel[start:]
     time = rows.interval[rows.segment[start:]].mean(axis=1)
-    order = np.tile(np.repeat([0, 1], 6), len(y) // 12) if len(y) % 12 == 0 else np.zeros(len(y), int)
+    order = (
+        np.tile(np.repeat([0, 1], 6), len(y) // 12) if len(y) % 12 == 0 else np.zeros(len(y), int)
+    )
     for c in range(6):
         squares = []
         for k in (0, 1):
@@ -185,18 +208,27 @@ class Whitener:
         return white - self.basis @ (self.basis.T @ white)
 
 
-def make_whitener(rows: Rows, levels: FloatArray, contrast: FloatArray, fitted: FloatArray) -> Whitener:
+def make_whitener(
+    rows: Rows, levels: FloatArray, contrast: FloatArray, fitted: FloatArray
+) -> Whitener:
     """Return the whitener for these levels, with the (m, p) `fitted` columns projected out."""
     factor = linalg.cholesky(covariance(rows, levels), lower=True)
     plain = Whitener(factor, np.sqrt(contrast), np.zeros((len(rows.residual), 0)), rows.n_dense)
     return Whitener(factor, plain.scale, range_basis(plain.whiten(fitted)), rows.n_dense)
 
 
+def level_likelihood(rows: Rows, basis: FloatArray, levels: FloatArray) -> float:
+    """Return the penalised restricted log-likelihood of given levels.
 
-
-def level_likelihood(rows: Rows, mean: FloatArray, levels: FloatArray) -> float:
-    """Return the penalised restricted log-likelihood of given levels."""
-    y = rows.residual[: rows.n_dense]
-    _, value = _projector(covariance(rows, levels), range_basis(mean), y)
-    precision = 1.0 / np.square([c.spread for c in rows.components])
-    return value - 0.5 * float(precision @ np.square(np.log(levels / expected_levels(rows))))
+    ``basis`` is the `range_basis` of the mean's dense rows.
+    """
+    factor = linalg.cholesky(covariance(rows, levels), lower=True, check_finite=False)
+    both = np.column_stack((basis, rows.residual[: rows.n_dense]))
+    white = linalg.solve_triangular(factor, both, lower=True, check_finite=False)
+    q, r = linalg.qr(white[:, :-1], mode="economic", check_finite=False)
+    y = white[:, -1]
+    left = float(y @ y - np.square(q.T @ y).sum())
+    log_det = 2 * np.log(np.diag(factor)).sum() + 2 * np.log(np.abs(np.diag(r))).sum()
+    logs = np.log(levels / expected_levels(rows))
+    prior = float(logs @ prior_precision(rows) @ logs)
+    return float(-0.5 * (log_det + left + prior))

@@ -44,9 +44,7 @@ def add_rivals(stack: Stack, rows: Rows) -> None:
     for c in range(len(CHANNELS)):
         found += _of_channel(stack, rows, c, typical_size(CHANNELS[c].split(".")[0]))
     number = Counter(c.name for c in found)
-    stack.candidates += [
-        replace(c, weight=RIVAL * _KINDS[c.name] / number[c.name]) for c in found
-    ]
+    stack.candidates += [replace(c, weight=RIVAL * _KINDS[c.name] / number[c.name]) for c in found]
 
 
 def typical_size(triad: str) -> float:

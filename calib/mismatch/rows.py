@@ -17,7 +17,7 @@ import numpy as np
 
 from calib.effects.base import State
 from calib.recording import CHANNELS
-from calib.types import FloatArray, IntArray
+from calib.types import BoolArray, FloatArray, IntArray
 
 
 class Kind(IntEnum):
@@ -34,13 +34,14 @@ class Component:
     """One unknown variance: ``level * matrix`` adds to the covariance of the dense rows.
 
     ``expected`` is the level that the prior is centred on, ``spread`` the standard deviation of
-    its logarithm.
+    its logarithm. Components of one ``group`` have similar levels.
     """
 
     name: str
     matrix: FloatArray
     expected: float
     spread: float = 2.5
+    group: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +93,7 @@ class Rows:
     segment: IntArray
     block: IntArray
     interval: FloatArray
-    is_rest: FloatArray
+    is_rest: BoolArray
     pieces: tuple[Any, ...] = field(default=())
 
     @property
@@ -112,7 +113,7 @@ class Rows:
         out: FloatArray = self.functional[channel] @ values
         return out
 
-    def without(self, drop: FloatArray) -> Rows:
+    def without(self, drop: BoolArray) -> Rows:
         """Return the rows that are not marked in `drop`, (m,) bool."""
         keep = ~np.asarray(drop, bool)
         dense, rest = keep[: self.n_dense], keep[self.n_dense :]

@@ -22,7 +22,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from scipy import sparse
-from scipy.special import logsumexp
 
 from calib.mismatch.noise import Whitener
 from calib.types import FloatArray, IntArray
@@ -69,6 +68,11 @@ class Candidate:
     interval: tuple[float, float] | None = None
 
     @property
+    def is_single(self) -> bool:
+        """Whether it has one coefficient."""
+        return self.summed or len(self.index) == 1
+
+    @property
     def group(self) -> str:
         """Candidates of one group are one answer: an effect, or a rival of one channel."""
         return self.name if self.physical else f"{self.name} {self.channels[0]}"
@@ -104,7 +108,9 @@ class Stack:
         own = self.columns[:, candidate.index]
         return own.sum(axis=1, keepdims=True) if candidate.summed else own
 
-    def log_bayes_factors(self, whitener: Whitener, y: FloatArray) -> FloatArray:
+    def log_bayes_factors(
+        self, whitener: Whitener, y: FloatArray, *, which: list[int] | None = None
+    ) -> FloatArray:
         """Return log B of every candidate, averaged over `SCALES`.
 
         Parameters
@@ -114,41 +120,48 @@ class Stack:
             there cannot be told from what is fitted, and counts as nothing.
         y : (m,) array
             Whitened projected residual.
+        which : list of int, optional
+            The candidates to score; the others get -inf.
         """
-        white = whitener.whiten(self.columns)
+        which = list(range(len(self.candidates))) if which is None else which
+        used = np.unique(np.concatenate([self.candidates[i].index for i in which]))
+        place = np.zeros(self._count, np.int64)
+        place[used] = np.arange(len(used))
+        white = whitener.whiten(self.columns[:, used])
         basis = whitener.basis
-        hidden = basis.T @ white
-        projected = white - basis @ hidden
+        projected = white - basis @ (basis.T @ white)
         total = np.square(white).sum(axis=0)
-        own = np.square(projected).sum(axis=0)
-        projected[:, own < _LOST * total] = 0.0
+        projected[:, np.square(projected).sum(axis=0) < _LOST * total] = 0.0
         match = y @ projected
         out = np.full(len(self.candidates), -np.inf)
-        single = [i for i, c in enumerate(self.candidates) if c.summed or len(c.index) == 1]
+        single = [i for i in which if self.candidates[i].is_single]
         if single:
-            power, along = self._singles(single, projected, match, total)
+            index = [place[self.candidates[i].index] for i in single]
+            power, along = _singles(index, projected, match, total)
             strength = np.square(SCALES)[:, None] * power
             gain = 0.5 * np.square(along) / np.maximum(power, 1e-300) * strength / (1 + strength)
-            out[single] = logsumexp(gain - 0.5 * np.log1p(strength), axis=0) - np.log(len(SCALES))
-        for i, c in enumerate(self.candidates):
-            if not c.summed and len(c.index) > 1:
-                out[i] = _joint(projected[:, c.index], match[c.index])
+            out[single] = _average(gain - 0.5 * np.log1p(strength))
+        for i in which:
+            if not self.candidates[i].is_single:
+                own = place[self.candidates[i].index]
+                out[i] = _joint(projected[:, own], match[own])
         return out
 
-    def _singles(
-        self, single: list[int], projected: FloatArray, match: FloatArray, total: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        index = [self.candidates[i].index for i in single]
-        column = np.repeat(np.arange(len(single)), [len(k) for k in index])
-        pick = sparse.csc_matrix(
-            (np.ones(len(column)), (np.concatenate(index), column)),
-            shape=(projected.shape[1], len(single)),
-        )
-        summed = np.asarray((pick.T @ projected.T).T)
-        power = np.square(summed).sum(axis=0)
-        lost = power < _LOST * np.asarray(pick.T @ total).ravel()
-        power[lost] = 0.0
-        return power, np.where(lost, 0.0, np.asarray(pick.T @ match).ravel())
+
+def _singles(
+    index: list[IntArray], projected: FloatArray, match: FloatArray, total: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the power of each single (or summed) column, and its match with the residual."""
+    column = np.repeat(np.arange(len(index)), [len(k) for k in index])
+    pick = sparse.csc_matrix(
+        (np.ones(len(column)), (np.concatenate(index), column)),
+        shape=(projected.shape[1], len(index)),
+    )
+    summed = (pick.T @ projected.T).T
+    power = np.square(summed).sum(axis=0)
+    lost = power < _LOST * (pick.T @ total)
+    power[lost] = 0.0
+    return power, np.where(lost, 0.0, pick.T @ match)
 
 
 def _joint(columns: FloatArray, match: FloatArray) -> float:
@@ -158,4 +171,11 @@ def _joint(columns: FloatArray, match: FloatArray) -> float:
     square = np.square(SCALES)[:, None]
     strength = square * values
     gain = 0.5 * (along * square / (1 + strength)).sum(axis=1)
-    return float(logsumexp(gain - 0.5 * np.log1p(strength).sum(axis=1)) - np.log(len(SCALES)))
+    return float(_average(gain - 0.5 * np.log1p(strength).sum(axis=1)))
+
+
+def _average(log_factors: FloatArray) -> FloatArray:
+    """Return the logarithm of the mean over the first axis."""
+    top = log_factors.max(axis=0)
+    mean: FloatArray = top + np.log(np.exp(log_factors - top).mean(axis=0))
+    return mean

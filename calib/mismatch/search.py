@@ -23,10 +23,12 @@ from calib.mismatch.noise import (
     expected_levels,
     level_likelihood,
     make_whitener,
+    range_basis,
 )
 from calib.mismatch.rivals import add_rivals
 from calib.mismatch.rows import Rows
 from calib.mismatch.score import Candidate, Stack
+from calib.recording import CHANNELS
 from calib.types import FloatArray
 
 CLAIM = 100.0
@@ -34,6 +36,9 @@ CLAIM = 100.0
 
 TIE = 0.05
 """Posterior probability above which another name is reported as a rival."""
+
+LEADERS = 5
+"""How many of the best are scored with noise levels of their own."""
 
 ROUNDS = 8
 """At most so many findings."""
@@ -48,7 +53,9 @@ class Problem(Protocol):
         """Return recording minus model, linearised where the model stands."""
         ...
 
-    def move(self, baseline: Mapping[str, float], nuisance: FloatArray, terms: tuple[Term, ...]) -> None:
+    def move(
+        self, baseline: Mapping[str, float], nuisance: FloatArray, terms: tuple[Term, ...]
+    ) -> None:
         """Move the model: baseline and nuisances by steps, further terms to these."""
         ...
 
@@ -119,9 +126,7 @@ def search(problem: Problem, *, skip: tuple[str, ...] = ()) -> Outcome:
         replace(a, posterior=_posterior(rows, stack, accepted, i, levels))
         for i, a in enumerate(accepted)
     ]
-    return Outcome(
-        rows, tuple(accepted), levels, contrast, ranking.total, tuple(stack.candidates)
-    )
+    return Outcome(rows, tuple(accepted), levels, contrast, ranking.total, tuple(stack.candidates))
 
 
 def make_stack(rows: Rows, *, skip: tuple[str, ...], reference: bool) -> Stack:
@@ -138,36 +143,52 @@ def fitted(rows: Rows, accepted: list[Accepted] | tuple[Accepted, ...]) -> Float
 
 
 def rank(rows: Rows, stack: Stack, accepted: list[Accepted], start: FloatArray) -> Ranking:
-    """Score every candidate; the leaders with the noise levels that each of them implies."""
+    """Score every candidate under the noise that it implies.
+
+    An effect that was left out raises the drift of its channels. So each candidate is also scored
+    with the drift of its own channels as it is with all physics in the mean, and the leaders with
+    drift estimated anew for each of them. Lower drift costs the likelihood of the null, and that
+    cost is in the evidence: drift and effect compete on equal terms.
+    """
     mean = fitted(rows, accepted)
     dense = mean[: rows.n_dense]
+    basis = range_basis(dense)
     contrast = contrast_variance(rows)
     base = estimate_levels(rows, dense, start)
     wide = np.hstack((dense, _physics(stack)[: rows.n_dense]))
     every = estimate_levels(rows, wide, base.values)
-    scores = []
-    for levels, null in (
-        (base.values, base.log_likelihood),
-        (every.values, level_likelihood(rows, dense, every.values)),
-    ):
+    weight = np.log(np.array([c.weight for c in stack.candidates]))
+
+    def score(levels: FloatArray, null: float, which: list[int] | None) -> FloatArray:
         whitener = make_whitener(rows, levels, contrast, mean)
         y = whitener.project(rows.residual)
-        scores.append(stack.log_bayes_factors(whitener, y) + (null - base.log_likelihood))
-    weight = np.log(np.array([c.weight for c in stack.candidates]))
-    evidence = np.maximum(scores[0], scores[1]) + weight
+        return stack.log_bayes_factors(whitener, y, which=which) + (null - base.log_likelihood)
+
+    evidence = score(base.values, base.log_likelihood, None)
+    for channels in (*((c,) for c in CHANNELS), CHANNELS[:3], CHANNELS[3:]):
+        which = [i for i, c in enumerate(stack.candidates) if c.channels == channels]
+        if which:
+            levels = _swap(rows, base.values, every.values, channels)
+            null = level_likelihood(rows, basis, levels)
+            evidence = np.maximum(evidence, score(levels, null, which))
+    evidence += weight
     best, groups = _grouped(stack, evidence)
-    leaders = sorted(groups, key=lambda g: -groups[g])[:3]
-    if groups and groups[leaders[0]] > np.log(CLAIM) - 5:
-        for name in leaders:
-            own = stack.of(best[name])[: rows.n_dense]
-            refined = estimate_levels(rows, np.hstack((dense, own)), base.values)
-            null = level_likelihood(rows, dense, refined.values) - base.log_likelihood
-            whitener = make_whitener(rows, refined.values, contrast, mean)
-            y = whitener.project(rows.residual)
-            again = stack.log_bayes_factors(whitener, y) + null + weight
-            evidence = np.maximum(evidence, again)
-        best, groups = _grouped(stack, evidence)
+    for name in sorted(groups, key=lambda g: -groups[g])[:LEADERS]:
+        if groups[name] < np.log(CLAIM) - 7:
+            break
+        own = stack.of(best[name])[: rows.n_dense]
+        levels = estimate_levels(rows, np.hstack((dense, own)), every.values).values
+        which = [i for i, c in enumerate(stack.candidates) if c.group == name]
+        again = score(levels, level_likelihood(rows, basis, levels), which) + weight
+        evidence = np.maximum(evidence, again)
+    best, groups = _grouped(stack, evidence)
     return Ranking(stack, evidence, best, groups, base.values)
+
+
+def _swap(rows: Rows, base: FloatArray, every: FloatArray, channels: tuple[str, ...]) -> FloatArray:
+    """Return the levels of `every` for the drift of some channels, and of `base` for the rest."""
+    own = np.array([c.name.split(" ")[0] in channels for c in rows.components])
+    return np.where(own, np.minimum(base, every), base)
 
 
 def _grouped(stack: Stack, evidence: FloatArray) -> tuple[dict[str, Candidate], dict[str, float]]:
@@ -187,7 +208,7 @@ def _physics(stack: Stack) -> FloatArray:
             shapes.setdefault(c.name, []).append(c)
     for items in shapes.values():
         each = list(dict.fromkeys(int(k) for c in items for k in c.index))
-        limit = 12
+        limit = 6
         index += each if len(each) <= limit else each[:: -(-len(each) // limit)]
     return stack.columns[:, index]
 
@@ -228,7 +249,11 @@ def _accept(rows: Rows, stack: Stack, chosen: Candidate, e_value: float) -> Acce
 
 
 def _refit(
-    problem: Problem, rows: Rows, accepted: list[Accepted], levels: FloatArray, skip: tuple[str, ...]
+    problem: Problem,
+    rows: Rows,
+    accepted: list[Accepted],
+    levels: FloatArray,
+    skip: tuple[str, ...],
 ) -> tuple[Rows, Stack, list[Accepted]]:
     """Fit everything jointly, move the model there, and linearise anew."""
     contrast = contrast_variance(rows)
@@ -269,7 +294,10 @@ def _renew(a: Accepted, rows: Rows, *, reference: bool) -> Accepted:
 
 
 def solve(
-    rows: Rows, accepted: list[Accepted] | tuple[Accepted, ...], levels: FloatArray, contrast: FloatArray
+    rows: Rows,
+    accepted: list[Accepted] | tuple[Accepted, ...],
+    levels: FloatArray,
+    contrast: FloatArray,
 ) -> FloatArray:
     """Return the generalised least-squares step of all that is fitted."""
     mean = fitted(rows, accepted)
@@ -351,4 +379,3 @@ def _posterior(
     _, groups = _grouped(stack, evidence)
     total = logsumexp(list(groups.values()))
     return {g: float(np.exp(v - total)) for g, v in groups.items() if v - total > np.log(1e-3)}
-

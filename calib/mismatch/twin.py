@@ -11,14 +11,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import sparse
 
-from calib.effects import get_effect
-from calib.effects.base import State, Term, TransformEffect
+from calib.effects.base import State
 from calib.mismatch.closure import across, close_turn
 from calib.mismatch.grid import Grid
 from calib.mismatch.rows import Component, Kind, Rows
 from calib.model import SensorModel, Triad
 from calib.recording import AXES, CHANNELS
-from calib.types import FloatArray
+from calib.types import FloatArray, IntArray
 
 ACCEL_MISALIGNMENT = ("yx", "zx", "zy")
 GYRO_MISALIGNMENT = ("xy", "xz", "yx", "yz", "zx", "zy")
@@ -51,15 +50,14 @@ class Twin:
 
     def moved(self, step: Mapping[str, float], angles: FloatArray) -> Twin:
         """Return the twin with baseline parameters and attitudes (k, 2) moved."""
-        triads = {}
-        for name in ("accel", "gyro"):
-            triad: Triad = getattr(self.model, name)
+        triads = []
+        for name, triad in (("accel", self.model.accel), ("gyro", self.model.gyro)):
             now = triad.parameters(name)
             new = {k: now[k] + v for k, v in step.items() if k in now}
-            triads[name] = triad.with_parameters(new)
+            triads.append(triad.with_parameters(new))
         up = self.up + np.einsum("kij,kj->ki", across(self.up), angles)
         up /= np.linalg.norm(up, axis=1, keepdims=True)
-        return replace(self, model=replace(self.model, **triads), up=up)
+        return replace(self, model=replace(self.model, accel=triads[0], gyro=triads[1]), up=up)
 
 
 def true_state(grid: Grid, twin: Twin) -> State:
@@ -172,7 +170,7 @@ def build_rows(grid: Grid, twin: Twin, noise: FloatArray) -> Rows:
     n, n_cell, n_turn = len(grid.time), len(rest), len(turns)
     n_mean, n_close = 6 * n_cell, 5 * n_turn
     m = n_mean + n_close + 12 * n_cell
-    entries: list[list[tuple[FloatArray, FloatArray, FloatArray]]] = [[] for _ in CHANNELS]
+    entries: list[list[tuple[IntArray, IntArray, FloatArray]]] = [[] for _ in CHANNELS]
     residual = np.zeros(m)
     kind = np.empty(m, np.int64)
     channel = np.full(m, -1, np.int64)
@@ -184,7 +182,10 @@ def build_rows(grid: Grid, twin: Twin, noise: FloatArray) -> Rows:
         a, b = int(grid.first[s]), int(grid.last[s])
         weights = _cell_weights(grid.count[a:b])
         points = np.arange(a, b)
-        rows = (np.arange(6) + 6 * i, *(n_mean + n_close + 12 * i + 6 * j + np.arange(6) for j in (0, 1)))
+        rows = (
+            np.arange(6) + 6 * i,
+            *(n_mean + n_close + 12 * i + 6 * j + np.arange(6) for j in (0, 1)),
+        )
         for w, row in zip(weights, rows, strict=True):
             residual[row] = w @ left[a:b]
             channel[row] = np.arange(6)
@@ -199,7 +200,11 @@ def build_rows(grid: Grid, twin: Twin, noise: FloatArray) -> Rows:
         a, b = int(grid.first[s]), int(grid.last[s])
         p, q = int(grid.before[s]), int(grid.after[s])
         closure = close_turn(
-            grid.time[a:b], state.force[a:b], state.rate[a:b], twin.up[p], twin.up[q],
+            grid.time[a:b],
+            state.force[a:b],
+            state.rate[a:b],
+            twin.up[p],
+            twin.up[q],
             gravity=twin.gravity,
         )
         row = n_mean + 5 * i + np.arange(5)
@@ -211,16 +216,14 @@ def build_rows(grid: Grid, twin: Twin, noise: FloatArray) -> Rows:
         angle[i], effort[i] = closure.angle, closure.effort
         points = np.tile(np.arange(a, b), 5)
         index = np.repeat(row, b - a)
-        for weights, first, back in (
+        for turn_weights, first, back in (
             (closure.accel_weights, 0, inverse[0]),
             (closure.gyro_weights, 3, inverse[1]),
         ):
-            onto = weights @ back
-            used = slice(2 * (b - a), None) if first == 0 else slice(None)
+            onto = turn_weights @ back
+            part = slice(2 * (b - a), None) if first == 0 else slice(None)
             for c in range(3):
-                entries[first + c].append(
-                    (index[used], points[used], onto[:, :, c].ravel()[used])
-                )
+                entries[first + c].append((index[part], points[part], onto[:, :, c].ravel()[part]))
     functional = tuple(
         sparse.csr_matrix(
             (
@@ -278,7 +281,7 @@ def _explained(grid: Grid, twin: Twin, state: State) -> FloatArray:
     return np.hstack((full.accel - bare.accel, full.gyro - bare.gyro))
 
 
-def _cell_weights(count: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _cell_weights(count: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the weights of a mean and of two contrasts over three bins, all of one variance."""
     total = count.sum()
     bins = np.minimum(np.arange(len(count)) * 3 // len(count), 2)
@@ -293,8 +296,8 @@ def _cell_weights(count: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray
 def _components(
     grid: Grid,
     pieces: tuple[sparse.csr_matrix, ...],
-    kind: FloatArray,
-    segment: FloatArray,
+    kind: IntArray,
+    segment: IntArray,
     white: FloatArray,
     angle: FloatArray,
     effort: FloatArray,
@@ -309,8 +312,14 @@ def _components(
         response = pieces[c][:dense].toarray()
         own = np.flatnonzero((kind == Kind.MEAN) & (np.abs(response).sum(axis=1) > 0))
         typical = float(np.median(np.diag(white)[own])) if len(own) else 1.0
-        out.append(Component(f"{name} jitter", response @ response.T, 0.02 * typical))
-        out.append(Component(f"{name} walk", response @ walk @ response.T, 0.1 * typical))
+        triad = name.split(".")[0]
+        for label, matrix, share in (
+            ("jitter", response @ response.T, 0.05),
+            ("walk", response @ walk @ response.T, 1.0),
+        ):
+            out.append(
+                Component(f"{name} {label}", matrix, share * typical, 2.0, f"{triad} {label}")
+            )
     for label, which, scale in (
         ("attitude", Kind.ATTITUDE, None),
         ("attitude by angle", Kind.ATTITUDE, angle),
@@ -354,7 +363,7 @@ def sample_noise(grid: Grid) -> FloatArray:
     limit = 1.0 + 4.0 * np.sqrt(2.0 / np.maximum(number, 1))[:, None]
     level = floor * np.where(ratio > limit, ratio, 1.0)
     each = np.where((pose >= 0)[:, None], level[np.maximum(pose, 0)], floor)
-    return each / grid.count[:, None]
+    return np.asarray(each / grid.count[:, None])
 
 
 def fit_twin(grid: Grid, twin: Twin, noise: FloatArray, *, iterations: int = 8) -> Twin:
@@ -374,7 +383,9 @@ def fit_twin(grid: Grid, twin: Twin, noise: FloatArray, *, iterations: int = 8) 
 def _step(rows: Rows, twin: Twin, loose: FloatArray) -> tuple[Twin, float]:
     p = len(twin.names)
     dense = rows.n_dense
-    sigma = np.sqrt(np.diag(rows.white) + sum(c.expected * np.diag(c.matrix) for c in rows.components))
+    sigma = np.sqrt(
+        np.diag(rows.white) + sum(c.expected * np.diag(c.matrix) for c in rows.components)
+    )
     design = np.hstack((rows.baseline, rows.nuisance))[:dense] / sigma[:, None]
     y = rows.residual[:dense] / sigma
     now = {**twin.model.accel.parameters("accel"), **twin.model.gyro.parameters("gyro")}
