@@ -11,9 +11,11 @@ import numpy as np
 
 from calib.effects.base import Signals
 from calib.model import SensorModel
+from calib.poses import Poses
 from calib.recording import Clock, DeviceInfo, Recording
 from calib.simulation.kinematics import Motion
 from calib.simulation.noise import NoiseModel
+from calib.simulation.recorded import motion_of
 from calib.types import FloatArray, IntArray
 
 
@@ -127,6 +129,49 @@ def simulate(
         lost=lost,
         device=device,
         notes={"motion": motion.name},
+    )
+
+
+def digital_twin(
+    recording: Recording,
+    model: SensorModel,
+    noise: NoiseModel,
+    poses: Poses,
+    *,
+    rng: np.random.Generator,
+    gravity: float,
+    bandwidth: float = 25.0,
+) -> Recording:
+    """Return what `model` would have recorded on the motion of a recording.
+
+    It has the recording's times, lost samples, clock, device and temperature; its motion is
+    `calib.simulation.recorded.motion_of`.
+
+    Parameters
+    ----------
+    recording : Recording
+    model : SensorModel
+    noise : NoiseModel
+    poses : Poses
+        The recording's rests.
+    rng : numpy Generator
+    gravity : float, m/s²
+    bandwidth : float, Hz
+        Motion above it is taken for noise.
+    """
+    motion = motion_of(recording, model, poses, gravity=gravity, bandwidth=bandwidth)
+    start = float(recording.time[0])
+    twin = simulate(
+        motion,
+        model,
+        noise,
+        rng=rng,
+        time=recording.time - start,
+        device=recording.device,
+        sampling=Sampling(clock_offset=start, clock=recording.clock),
+    )
+    return replace(
+        twin, time=recording.time, lost=recording.lost, notes={"motion": "of a recording"}
     )
 
 
