@@ -11,11 +11,9 @@ import numpy as np
 
 from calib.effects.base import Signals
 from calib.model import SensorModel
-from calib.poses import Poses
 from calib.recording import Clock, DeviceInfo, Recording
 from calib.simulation.kinematics import Motion
 from calib.simulation.noise import NoiseModel
-from calib.simulation.recorded import motion_of
 from calib.types import FloatArray, IntArray
 
 
@@ -104,7 +102,10 @@ def simulate(
     """
     device = DeviceInfo(chip="simulated") if device is None else device
     true_time = _sample_times(motion, rate, time)
+    # Moments and warm-up are counted on the sensor's own clock.
+    start = sampling.clock_offset
     state = motion.state(true_time)
+    state = replace(state, time=true_time + start, power_on=motion.power_on + start)
     random = noise.draw(true_time, rng=rng)
     if state.vibration is not None:
         shake = np.sqrt(state.vibration) * rng.normal(size=state.force.shape)
@@ -134,32 +135,25 @@ def simulate(
 
 def digital_twin(
     recording: Recording,
+    motion: Motion,
     model: SensorModel,
     noise: NoiseModel,
-    poses: Poses,
     *,
     rng: np.random.Generator,
-    gravity: float,
-    bandwidth: float = 25.0,
 ) -> Recording:
     """Return what `model` would have recorded on the motion of a recording.
 
-    It has the recording's times, lost samples, clock, device and temperature; its motion is
-    `calib.simulation.recorded.motion_of`.
+    It has the recording's times, lost samples, clock and device.
 
     Parameters
     ----------
     recording : Recording
+    motion : Motion
+        Its own, from `calib.simulation.recorded`: time 0 is the recording's first sample.
     model : SensorModel
     noise : NoiseModel
-    poses : Poses
-        The recording's rests.
     rng : numpy Generator
-    gravity : float, m/s²
-    bandwidth : float, Hz
-        Motion above it is taken for noise.
     """
-    motion = motion_of(recording, model, poses, gravity=gravity, bandwidth=bandwidth)
     start = float(recording.time[0])
     twin = simulate(
         motion,
@@ -170,9 +164,8 @@ def digital_twin(
         device=recording.device,
         sampling=Sampling(clock_offset=start, clock=recording.clock),
     )
-    return replace(
-        twin, time=recording.time, lost=recording.lost, notes={"motion": "of a recording"}
-    )
+    notes = {"motion": "of a recording"}
+    return replace(twin, time=recording.time, lost=recording.lost, notes=notes)
 
 
 def _sample_times(motion: Motion, rate: float | None, time: FloatArray | None) -> FloatArray:

@@ -24,7 +24,7 @@ from calib.model import SensorModel
 from calib.poses import Poses
 from calib.recording import Recording
 from calib.rotation import (
-    integrate_rate,
+    cumulative_quat,
     mat_from_quat,
     quat_from_rotvec,
     quat_multiply,
@@ -42,7 +42,6 @@ def motion_of(
     poses: Poses,
     *,
     gravity: float,
-    bandwidth: float = 25.0,
 ) -> Motion:
     """Estimate the true motion of a recording from its rests and turns.
 
@@ -52,6 +51,9 @@ def motion_of(
     turn in proportion to the rate. The specific force less gravity is the hand's acceleration; what
     is missing to standing still at the end is spread likewise. Heading starts at 0.
 
+    Both signals first go through a local Wiener filter that knows the noise at rest: what is above
+    the noise passes as it is, what is not is averaged over five samples.
+
     Parameters
     ----------
     recording : Recording
@@ -60,8 +62,6 @@ def motion_of(
     poses : Poses
         Its rests, as `calib.statics.find_poses` finds them.
     gravity : float, m/s²
-    bandwidth : float, Hz
-        Motion above it is taken for noise.
 
     Returns
     -------
@@ -79,13 +79,12 @@ def motion_of(
         gravity=gravity,
     )
     true = model.correct(measured)
-    force = _low_pass(time, true.accel, bandwidth)
-    rate = _low_pass(time, true.gyro, bandwidth)
+    force, rate = _without_noise(true.accel, poses), _without_noise(true.gyro, poses)
     rate -= _rest_bias(time, true.gyro, poses)
     quat, acceleration = _smooth(time, force, rate, true.accel, poses, gravity)
     segments = [
         Segment("static", time[a], time[b - 1], f"pose {k + 1}")
-        for k, (a, b) in enumerate(zip(poses.start, poses.stop, strict=True))
+        for k, (a, b) in enumerate(_pairs(poses))
     ]
     turns = find_turns(recording, poses)
     segments += [
@@ -192,19 +191,17 @@ def _smooth(
     quat, acceleration = np.empty((n, 4)), np.zeros((n, 3))
     if not len(poses):
         up = force.mean(axis=0)
-        quat[:] = quat_multiply(_level(up), integrate_rate(time, rate))
+        quat[:] = quat_multiply(_level(up), _integrate(time, rate))
         return quat, _free(quat, force, gravity)
-    ups = np.stack(
-        [raw_force[a:b].mean(axis=0) for a, b in zip(poses.start, poses.stop, strict=True)]
-    )
+    ups = np.stack([raw_force[a:b].mean(axis=0) for a, b in _pairs(poses)])
     ups /= np.linalg.norm(ups, axis=1, keepdims=True)
     now = _level(ups[0])
     # Before the first pose: backwards from it, with nothing to close on.
     a = poses.start[0]
-    head = integrate_rate(time[: a + 1], rate[: a + 1])
+    head = _integrate(time[: a + 1], rate[: a + 1])
     quat[: a + 1] = quat_multiply(quat_multiply(now, _conjugate(head[-1])), head)
     acceleration[:a] = _free(quat[:a], force[:a], gravity) * _taper(time[:a], first=False)
-    for k, (a, b) in enumerate(zip(poses.start, poses.stop, strict=True)):
+    for k, (a, b) in enumerate(_pairs(poses)):
         quat[a:b] = now
         stop = poses.start[k + 1] + 1 if k + 1 < len(poses) else n
         part = slice(b - 1, stop)
@@ -213,10 +210,10 @@ def _smooth(
         moved = rate[part] * ease
         if not last:
             moved = _close(time[part], moved, ups[k], ups[k + 1])
-        quat[part] = quat_multiply(now, integrate_rate(time[part], moved))
+        quat[part] = quat_multiply(now, _integrate(time[part], moved))
         free = _free(quat[part], force[part], gravity) * ease
         if not last:
-            left = np.trapezoid(free, time[part], axis=0)
+            left = CubicSpline(time[part], free).integrate(time[part][0], time[part][-1])
             free -= left * _share(time[part], moved)
         acceleration[part] = free
         now = quat[stop - 1] / np.linalg.norm(quat[stop - 1])
@@ -227,7 +224,7 @@ def _close(time: FloatArray, rate: FloatArray, up: FloatArray, next_up: FloatArr
     """Return the rate with the least rotation added that ends it at the next pose's gravity."""
     share = _share(time, rate)
     for _ in range(4):
-        quat = integrate_rate(time, rate)
+        quat = _integrate(time, rate)
         found = mat_from_quat(quat[-1]).T @ up
         # exp(missing)' found = next_up, about the axis that is square to both.
         missing = _between(next_up, found)
@@ -236,6 +233,20 @@ def _close(time: FloatArray, rate: FloatArray, up: FloatArray, next_up: FloatArr
         back = mat_from_quat(quat).transpose(0, 2, 1) @ (mat_from_quat(quat[-1]) @ missing)
         rate = rate + share * back
     return rate
+
+
+def _integrate(time: FloatArray, rate: FloatArray) -> FloatArray:
+    """Return quaternions (n, 4) from identity: the spline's integral and the coning term.
+
+    The trapezoidal rule would lose 1.5 % of a 10 Hz tremor at 100 Hz, and the motion with it.
+    """
+    quat = np.zeros((len(time), 4))
+    quat[0, 0] = 1.0
+    if len(time) > 1:
+        whole = CubicSpline(time, rate).antiderivative()(time)
+        coning = np.diff(time)[:, None] ** 2 / 12 * np.cross(rate[:-1], rate[1:])
+        quat[1:] = cumulative_quat(quat_from_rotvec(np.diff(whole, axis=0) + coning))
+    return quat
 
 
 def _between(first: FloatArray, second: FloatArray) -> FloatArray:
@@ -295,6 +306,27 @@ def _continuous(quat: FloatArray) -> FloatArray:
     return np.asarray(quat * np.concatenate([[1.0], np.cumprod(flip)])[:, None])
 
 
+def _without_noise(values: FloatArray, poses: Poses) -> FloatArray:
+    """Return (n, 3) values through a local Wiener filter with the variance at rest as its noise.
+
+    References
+    ----------
+    .. [1] J. S. Lim, Two-Dimensional Signal and Image Processing, 1990, eq. 9.26-9.29.
+    """
+    if not len(poses) or len(values) < 5:
+        return np.array(values)
+    noise = np.mean([values[a:b].var(axis=0) for a, b in _pairs(poses)], axis=0)
+    mean = uniform_filter1d(values, 5, axis=0, mode="nearest")
+    variance = uniform_filter1d(values**2, 5, axis=0, mode="nearest") - mean**2
+    gain = np.maximum(0.0, 1.0 - noise / np.maximum(variance, np.finfo(float).tiny))
+    out: FloatArray = mean + gain * (values - mean)
+    return out
+
+
+def _pairs(poses: Poses) -> list[tuple[int, int]]:
+    return [(int(a), int(b)) for a, b in zip(poses.start, poses.stop, strict=True)]
+
+
 def _low_pass(time: FloatArray, values: FloatArray, bandwidth: float) -> FloatArray:
     """Return (n, k) values through a low-pass without delay; as they are if it is too wide."""
     step = float(np.median(np.diff(time))) if len(time) > 1 else 1.0
@@ -309,7 +341,7 @@ def _rest_bias(time: FloatArray, rate: FloatArray, poses: Poses) -> FloatArray:
     """Return what the gyro still reads at rest, between the rests by straight lines, (n, 3)."""
     if not len(poses):
         return np.zeros_like(rate)
-    pairs = list(zip(poses.start, poses.stop, strict=True))
+    pairs = _pairs(poses)
     at = np.array([time[a:b].mean() for a, b in pairs])
     means = np.stack([rate[a:b].mean(axis=0) for a, b in pairs])
     return np.stack([np.interp(time, at, means[:, i]) for i in range(3)], axis=1)
