@@ -12,6 +12,7 @@ degrees per second, of zero; the tests leave room for three times that.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -149,12 +150,12 @@ def _accel_fault(recording: Recording, poses: Poses) -> UnitFault | None:
 
 
 def _gyro_fault(recording: Recording, poses: Poses) -> UnitFault | None:
-    closure = _closure(recording, poses)
+    closure = closure_of_turns(recording, poses)
     if closure is not None:
-        factors, error = closure
+        error = closure.error
         best = int(np.argmin(error))
         if error[0] > AGREE and error[best] < min(AGREE, error[0] / 3):
-            factor = float(factors[best])
+            factor = float(closure.factors[best])
             return UnitFault(
                 "gyro",
                 factor,
@@ -174,8 +175,16 @@ def _gyro_fault(recording: Recording, poses: Poses) -> UnitFault | None:
     return None
 
 
-def _closure(recording: Recording, poses: Poses) -> tuple[FloatArray, FloatArray] | None:
-    """Return factors, the first of them 1, and the median closure error (rad) with each."""
+class Closure(NamedTuple):
+    """Median angle (rad) by which gravity misses over `turns` turns, with each factor (1 first)."""
+
+    factors: FloatArray
+    error: FloatArray
+    turns: int
+
+
+def closure_of_turns(recording: Recording, poses: Poses) -> Closure | None:
+    """Return how well the gyroscope explains the turns; None if no turn tilted the sensor."""
     turns = find_turns(recording, poses)
     if not len(turns):
         return None
@@ -201,7 +210,7 @@ def _closure(recording: Recording, poses: Poses) -> tuple[FloatArray, FloatArray
         mat = mat_from_quat(quat[steps.first[1:] - 1])
         predicted = np.einsum("mij,mj->mi", mat, after)
         errors[k] = np.linalg.norm(closure_residual(before, predicted), axis=1)
-    return factors, np.median(errors, axis=1)
+    return Closure(factors, np.median(errors, axis=1), len(which))
 
 
 def _name(factor: float, known: dict[float, str]) -> str:

@@ -1,0 +1,314 @@
+"""What is in a recording, and what is wrong with it, before anything is fitted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib import faults
+from calib.poses import Poses
+from calib.recording import CHANNELS, Clock, Recording
+from calib.statics import find_poses
+from calib.types import BoolArray, FloatArray
+from calib.units import G, check_units, closure_of_turns, unit_faults
+
+__all__ = ["Audit", "Finding", "audit", "check_units"]
+
+JITTER = 0.05
+"""Of an interval, rms: from here on single steps are visibly uneven."""
+RATE_ERROR = 0.10
+"""Sensors' own oscillators are within 5 % of their nominal rate."""
+DISTINCT = np.radians(15)
+"""Poses whose gravity differs by less count as one."""
+CALIBRATED_ACCEL = 1e-3
+"""Of g, rms of |a| over distinct poses; raw consumer and industrial parts are above."""
+CALIBRATED_GYRO = np.radians(0.1)
+"""rad/s at rest; the same."""
+HEATING = 10.0
+"""K within a second: no chamber, and no chip, does that."""
+DISAGREE = np.radians(30)
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that is wrong.
+
+    ``times`` are recording seconds of the first few places, ``count`` is how many there are.
+    """
+
+    kind: str
+    message: str
+    channels: tuple[str, ...] = ()
+    count: int = 1
+    times: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Audit:
+    """What a recording holds. Times in s, rates in Hz, angles in rad, temperatures in °C.
+
+    ``static`` is the share of samples in poses, ``jitter`` the rms deviation of the steps in time.
+    """
+
+    samples: int
+    duration: float
+    clock: Clock
+    rate: float
+    jitter: float
+    lost: int
+    poses: Poses
+    distinct_poses: int
+    static: float
+    rest_norm: float | None
+    rest_rate: FloatArray | None
+    temperature: tuple[float, float] | None
+    complete: bool
+    findings: tuple[Finding, ...]
+    remarks: tuple[str, ...]
+
+
+def audit(recording: Recording, poses: Poses | None = None) -> Audit:
+    """Describe a recording and find its faults.
+
+    Parameters
+    ----------
+    recording : Recording
+    poses : Poses, optional
+        Its static poses, if they were found already.
+    """
+    poses = find_poses(recording) if poses is None else poses
+    at_rest = np.zeros(len(recording), bool)
+    for start, stop in zip(poses.start, poses.stop, strict=True):
+        at_rest[start:stop] = True
+    gaps = faults.find_gaps(recording)
+    distinct = _distinct(poses)
+    findings = [
+        *_timing(recording, gaps),
+        *_samples(recording, at_rest),
+        *(
+            Finding("unit", fault.message, (fault.triad,))
+            for fault in unit_faults(recording, poses)
+        ),
+        *_axes(recording, poses),
+        *_calibrated(poses, distinct),
+    ]
+    if not recording.complete:
+        note = recording.notes.get("cut", "its writer marked no clean end")
+        findings.append(Finding("cut", f"the recording was cut: {note}"))
+    heat = recording.temperature
+    return Audit(
+        samples=len(recording),
+        duration=recording.duration,
+        clock=recording.clock,
+        rate=1 / recording.interval if recording.interval else 0.0,
+        jitter=faults.jitter(recording),
+        lost=int(gaps.missing.sum()),
+        poses=poses,
+        distinct_poses=len(distinct),
+        static=float(at_rest.mean()),
+        rest_norm=float(np.median(np.linalg.norm(poses.accel, axis=1))) if len(poses) else None,
+        rest_rate=np.median(poses.gyro, axis=0) if len(poses) else None,
+        temperature=None if heat is None else (float(heat.min()), float(heat.max())),
+        complete=recording.complete,
+        findings=tuple(findings),
+        remarks=tuple(_remarks(recording, poses, distinct)),
+    )
+
+
+def _timing(recording: Recording, gaps: faults.Gaps) -> list[Finding]:
+    out = []
+    time, interval = recording.time, recording.interval
+    if gaps.at.size:
+        silent = int(gaps.missing[~gaps.declared].sum())
+        out.append(
+            Finding(
+                "gaps",
+                f"{int(gaps.missing.sum())} samples are missing in {gaps.at.size} gaps, the longest "
+                f"of {int(gaps.missing.max())}"
+                + (f"; {silent} of them were not counted by the logger" if silent else ""),
+                count=int(gaps.missing.sum()),
+                times=_first(time[gaps.at]),
+            )
+        )
+    jitter = faults.jitter(recording)
+    if interval and jitter > JITTER * interval:
+        out.append(
+            Finding(
+                "jitter",
+                f"steps in time scatter by {1e3 * jitter:.3g} ms about {1e3 * interval:.4g} ms "
+                f"({jitter / interval:.0%})",
+            )
+        )
+    if recording.clock == "invalid":
+        out.append(
+            Finding(
+                "clock",
+                "the clock is known to be wrong: the order of the samples is real, their time is not",
+            )
+        )
+    elif (heating := _heating(recording)) > HEATING:
+        out.append(
+            Finding(
+                "clock",
+                f"the temperature changes by {heating:.0f} K within a second, which nothing does: "
+                "the clock must be wrong",
+            )
+        )
+    nominal = recording.device.rate
+    if nominal and interval and abs(1 / (interval * nominal) - 1) > RATE_ERROR:
+        out.append(
+            Finding(
+                "rate",
+                f"stamps are {1 / interval:.5g} Hz apart, the device is set to {nominal:.5g} Hz: the "
+                "unit of time, or the clock, is wrong",
+            )
+        )
+    return out
+
+
+def _heating(recording: Recording) -> float:
+    """Return the largest change of temperature within a second, of means over 32 samples."""
+    heat, width = recording.temperature, 32
+    if heat is None or len(recording) < 3 * width:
+        return 0.0
+    count = len(heat) // width
+    mean = np.median(heat[: count * width].reshape(count, width), axis=1)
+    time = recording.time[: count * width].reshape(count, width).mean(axis=1)
+    later = np.minimum(np.searchsorted(time, time + 1.0, side="right") - 1, count - 1)
+    later = np.maximum(later, np.minimum(np.arange(count) + 1, count - 1))
+    span = np.maximum(time[later] - time, 1.0)
+    return float((np.abs(mean[later] - mean) / span).max())
+
+
+def _samples(recording: Recording, at_rest: BoolArray) -> list[Finding]:
+    values = faults.values_of(recording)
+    n, time, device = len(values), recording.time, recording.device
+    step, noise = faults.resolution(values), faults.noise_at_rest(values)
+    out = []
+    clipped = np.zeros((n, 6), bool)
+    for c, name in enumerate(CHANNELS):
+        triad = name.split(".")[0]
+        at = faults.find_clipping(
+            values[:, c],
+            full_scale=getattr(device, f"{triad}_full_scale"),
+            lsb=getattr(device, f"{triad}_lsb"),
+            noise=float(max(noise[c], step[c])),
+        )
+        if at.size and n >= faults.BLOCK:
+            clipped[at, c] = True
+            limit = float(np.abs(values[at, c]).max())
+            out.append(
+                Finding(
+                    "clipping",
+                    f"{name} is at its limit ({limit:.4g}) in {at.size} samples",
+                    (name,),
+                    int(at.size),
+                    _first(time[at]),
+                )
+            )
+    stuck = faults.find_stuck(values, ~at_rest, interval=recording.interval, clipped=clipped)
+    for c, start, stop in stuck:
+        span = (
+            "throughout"
+            if stop - start == n
+            else f"from {time[start]:.2f} to {time[stop - 1]:.2f} s"
+        )
+        out.append(
+            Finding(
+                "stuck",
+                f"{CHANNELS[c]} does not change {span} ({values[start, c]:.5g})",
+                (CHANNELS[c],),
+                stop - start,
+                (float(time[start]),),
+            )
+        )
+    repeats = faults.find_repeats(values)
+    if repeats.size:
+        out.append(
+            Finding(
+                "repeats",
+                f"{repeats.size} samples ({repeats.size / n:.2%}) repeat the one before them in all "
+                "channels",
+                count=int(repeats.size),
+                times=_first(time[repeats]),
+            )
+        )
+    spikes = faults.find_spikes(values, lsb=step)
+    if spikes:
+        names = tuple(dict.fromkeys(CHANNELS[c] for _, c in spikes))
+        out.append(
+            Finding(
+                "spikes",
+                f"{len(spikes)} single samples leave their course ({', '.join(names)})",
+                names,
+                len(spikes),
+                _first(time[[k for k, _ in spikes]]),
+            )
+        )
+    return out
+
+
+def _axes(recording: Recording, poses: Poses) -> list[Finding]:
+    closure = closure_of_turns(recording, poses)
+    if closure is None or closure.turns < 3 or closure.error.min() < DISAGREE:
+        return []
+    return [
+        Finding(
+            "axes",
+            f"gravity and the gyroscope disagree by {np.degrees(closure.error[0]):.0f}° over a turn, "
+            "in any unit: an axis is swapped, has the wrong sign, or turns lost samples",
+            count=closure.turns,
+        )
+    ]
+
+
+def _calibrated(poses: Poses, distinct: list[int]) -> list[Finding]:
+    if len(distinct) < 6:
+        return []
+    accel = poses.accel[distinct]
+    norm = np.linalg.norm(accel, axis=1)
+    unit = accel / norm[:, None]
+    if np.linalg.eigvalsh(unit.T @ unit / len(unit))[0] < 0.1:
+        return []
+    error = np.sqrt(np.mean((norm / G - 1) ** 2))
+    rest = np.linalg.norm(np.median(poses.gyro, axis=0))
+    if error > CALIBRATED_ACCEL or rest > CALIBRATED_GYRO:
+        return []
+    return [
+        Finding(
+            "calibrated",
+            f"looks already calibrated: |a| is g within {error:.2%} in {len(distinct)} poses, and the "
+            f"gyroscope reads {np.degrees(rest):.2g}°/s at rest",
+        )
+    ]
+
+
+def _distinct(poses: Poses) -> list[int]:
+    """Return one pose for each direction of gravity."""
+    if not len(poses):
+        return []
+    unit = poses.accel / np.linalg.norm(poses.accel, axis=1, keepdims=True)
+    kept: list[int] = []
+    for k in range(len(unit)):
+        if not kept or (unit[kept] @ unit[k]).max() < np.cos(DISTINCT):
+            kept.append(k)
+    return kept
+
+
+def _remarks(recording: Recording, poses: Poses, distinct: list[int]) -> list[str]:
+    out = []
+    if not len(poses):
+        out.append("the sensor never rests: nothing can be calibrated from gravity")
+    elif len(distinct) < 9:
+        out.append(
+            f"{len(distinct)} distinct poses: a full accelerometer calibration takes 9 or more, well "
+            "spread"
+        )
+    if recording.clock == "nominal":
+        out.append("time is the sample number over the nominal rate: a wrong rate would not show")
+    return out
+
+
+def _first(times: FloatArray) -> tuple[float, ...]:
+    return tuple(float(t) for t in times[:10])

@@ -1,0 +1,214 @@
+"""Faults of recordings that show in the samples themselves: gaps, repeats, clipping, spikes.
+
+No threshold is in the units of a sensor. Each test asks how probable what is seen would be for a
+sensor that works, from the scatter, the resolution and the motion of the recording at hand.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy import ndimage, stats
+
+from calib.recording import Recording
+from calib.types import BoolArray, FloatArray, IntArray
+
+BLOCK = 64
+"""Samples over which local scatter and chances are estimated."""
+FALSE_ALARM = 1e-6
+"""Probability, for a whole recording, that chance alone makes a finding."""
+SPIKE, ISOLATED, OTHERS, SHAKEN = 9.0, 4.0, 4.0, 50.0
+"""A spike over the local scatter, over the ten samples around it; what other channels may show."""
+ROBUST = 1.4826
+"""Standard deviation of a Gaussian over its median absolute deviation."""
+
+
+class Gaps(NamedTuple):
+    """Samples after which time is missing: index of the sample after each gap, and how many."""
+
+    at: IntArray
+    missing: IntArray
+    declared: BoolArray
+
+
+def find_gaps(recording: Recording) -> Gaps:
+    """Return gaps in time and losses that the source counted itself.
+
+    A gap is a step of more than 1.5 intervals that the scatter of the steps does not explain.
+    """
+    assert recording.lost is not None
+    step = np.diff(recording.time, prepend=recording.time[0])
+    interval = recording.interval
+    if len(recording) < 3:
+        return Gaps(np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros(0, bool))
+    scatter = ROBUST * float(np.median(np.abs(step[1:] - interval)))
+    wide = step > max(1.5 * interval, interval + 6 * scatter)
+    missing = np.where(wide, np.rint(step / interval).astype(np.int64) - 1, 0)
+    missing = np.maximum(missing, recording.lost)
+    at = np.flatnonzero(missing)
+    return Gaps(at, missing[at], recording.lost[at] > 0)
+
+
+def jitter(recording: Recording) -> float:
+    """Return the rms deviation of the steps in time from their median, s, gaps left out."""
+    if len(recording) < 3:
+        return 0.0
+    step = np.delete(np.diff(recording.time, prepend=np.nan), [0, *find_gaps(recording).at])
+    return float(np.sqrt(np.mean((step - recording.interval) ** 2))) if step.size else 0.0
+
+
+def values_of(recording: Recording) -> FloatArray:
+    """Return all six channels side by side, (n, 6)."""
+    return np.hstack([recording.accel, recording.gyro])
+
+
+def find_repeats(values: FloatArray) -> IntArray:
+    """Return samples that repeat the one before in all channels, if chance does not explain them.
+
+    Rounding makes neighbours equal by chance. Channels are independent of each other, so that the
+    chance of channel c is seen where *another* channel changes, and that of all is the product.
+    """
+    equal = values[1:] == values[:-1]
+    whole = equal.all(axis=1)
+    if not whole.any():
+        return np.zeros(0, np.int64)
+    others = equal.sum(axis=1)[:, None] - equal < values.shape[1] - 1
+    seen = _block_sums(others)
+    hits = _block_sums(others & equal)
+    chance = (hits + 0.5) / (seen + 1.0)
+    informed = (seen >= 8).all(axis=1)
+    if informed.any():
+        chance[~informed] = np.quantile(chance[informed], 0.9, axis=0)
+    expected = float((_block_sums(np.ones((len(whole), 1))) * chance.prod(axis=1)[:, None]).sum())
+    count = int(whole.sum())
+    if stats.poisson.sf(count - 1, 1.2 * expected) > FALSE_ALARM:
+        return np.zeros(0, np.int64)
+    return np.flatnonzero(whole) + 1
+
+
+def find_clipping(
+    channel: FloatArray, *, full_scale: float | None, lsb: float | None, noise: float
+) -> IntArray:
+    """Return the samples of one channel at which the sensor, or its logger, was at its limit.
+
+    With a known full scale: what reaches it. Otherwise a plateau: the extreme value of the
+    recording, held for three samples or met in two peaks, and left by a step that no smooth peak
+    makes (more than 10 times the noise or the resolution).
+    """
+    if full_scale is not None:
+        limit = 0.9995 * full_scale
+        if lsb is not None and abs(full_scale / (32768 * lsb) - 1) < 0.01:
+            limit = min(full_scale, 32767 * lsb) - 0.5 * lsb
+        at = np.flatnonzero(np.abs(channel) >= limit)
+        if at.size:
+            return at
+    found = [_plateaus(sign * channel, max(noise, lsb or 0.0)) for sign in (1.0, -1.0)]
+    return np.sort(np.concatenate(found))
+
+
+def _plateaus(channel: FloatArray, scale: float) -> IntArray:
+    top = channel == channel.max()
+    start, stop = runs(top)
+    inside = (start > 0) & (stop < len(channel))
+    start, stop = start[inside], stop[inside]
+    drop = 2 * channel.max() - channel[start - 1] - channel[np.minimum(stop, len(channel) - 1)]
+    steep = drop > 10 * scale
+    length = (stop - start)[steep]
+    if not ((length >= 3).any() or (len(length) >= 2 and length.sum() >= 4)):
+        return np.zeros(0, np.int64)
+    return np.flatnonzero(top)
+
+
+def find_stuck(
+    values: FloatArray, moving: BoolArray, *, interval: float, clipped: BoolArray
+) -> list[tuple[int, int, int]]:
+    """Return stretches ``(channel, start, stop)`` in which a channel does not change though it must.
+
+    A stretch counts if chance does not make it that long, and the sensor moves in it for 0.2 s; or
+    if the channel is noisy at every other time.
+    """
+    n = len(values)
+    out = []
+    for c in range(values.shape[1]):
+        equal = values[1:, c] == values[:-1, c]
+        share = _block_sums(equal[:, None])[:, 0] / _block_sums(np.ones((n - 1, 1)))[:, 0]
+        constant = share == 1.0
+        if constant.all():
+            if n >= BLOCK:
+                out.append((c, 0, n))
+            continue
+        chance = float(np.quantile(share[~constant], 0.9))
+        longest = np.log(FALSE_ALARM / n) / np.log(min(max(chance, 0.01), 0.999))
+        start, stop = runs(equal)
+        for begin, end in zip(start, stop + 1, strict=True):
+            if end - begin < max(longest, 8) or clipped[begin:end, c].all():
+                continue
+            inside = slice(begin // BLOCK, -(-end // BLOCK))
+            elsewhere = np.delete(constant, np.r_[inside])
+            moved = moving[begin:end].sum() * interval >= 0.2
+            if moved or (elsewhere.size > 4 and elsewhere.mean() < 0.02):
+                out.append((c, int(begin), int(end)))
+    return out
+
+
+def find_spikes(values: FloatArray, *, lsb: FloatArray) -> list[tuple[int, int]]:
+    """Return ``(sample, channel)`` of single samples that leave a channel's course and come back.
+
+    A spike stands out of the local scatter and out of everything within ten samples, on one channel
+    only: a knock shows on several, and rings. Where the sensor is shaken (scatter beyond `SHAKEN`
+    times that at rest), the two cannot be told apart, and nothing is said.
+    """
+    n = len(values)
+    if n < 2 * BLOCK:
+        return []
+    around = np.stack([np.roll(values, s, axis=0) for s in (-2, -1, 1, 2)])
+    around.sort(axis=0)
+    rest = np.abs(values - 0.5 * (around[1] + around[2]))
+    rest[:2] = rest[-2:] = 0.0
+    count = n // BLOCK
+    level = np.median(rest[: count * BLOCK].reshape(count, BLOCK, -1), axis=1)
+    level = ndimage.maximum_filter1d(level, 3, axis=0, mode="nearest")
+    scale = np.repeat(ROBUST * level, BLOCK, axis=0)
+    scale = np.concatenate([scale, np.repeat(scale[-1:], n - len(scale), axis=0)])
+    scale = np.maximum(scale, lsb)
+    ratio = rest / np.where(scale > 0, scale, np.inf)
+    quiet = scale < SHAKEN * np.maximum(noise_at_rest(values), lsb)
+    found = []
+    for k, c in np.argwhere((ratio > SPIKE) & quiet):
+        near = rest[max(0, k - 10) : k + 11, c].copy()
+        near[min(k, 10)] = 0.0
+        back = values[k, c] - values[[k - 1, k + 1], c]
+        alone = (np.delete(ratio[max(0, k - 1) : k + 2], c, axis=1) < OTHERS).all()
+        returns = back[0] * back[1] > 0 and np.abs(back).min() > 0.5 * rest[k, c]
+        if alone and returns and rest[k, c] > ISOLATED * near.max():
+            found.append((int(k), int(c)))
+    return found
+
+
+def resolution(values: FloatArray, *, sample: int = 100_000) -> FloatArray:
+    """Return the smallest change of each channel, (k,): its LSB, or near it; 0 if it is constant."""
+    change = np.abs(np.diff(values[:sample], axis=0))
+    change[change == 0] = np.inf
+    least = change.min(axis=0, initial=np.inf)
+    return np.where(np.isfinite(least), least, 0.0)
+
+
+def noise_at_rest(values: FloatArray) -> FloatArray:
+    """Return the scatter of each channel in the quietest tenth of the recording, (k,)."""
+    count = len(values) // BLOCK
+    if not count:
+        return np.asarray(values.std(axis=0), np.float64)
+    scatter = values[: count * BLOCK].reshape(count, BLOCK, -1).std(axis=1)
+    return np.asarray(np.quantile(scatter, 0.1, axis=0), np.float64)
+
+
+def runs(mask: BoolArray) -> tuple[IntArray, IntArray]:
+    """Return the index ranges ``[start, stop)`` of the runs of True."""
+    edge = np.diff(np.concatenate(([0], mask.astype(np.int8), [0])))
+    return np.flatnonzero(edge == 1), np.flatnonzero(edge == -1)
+
+
+def _block_sums(flags: BoolArray | FloatArray) -> FloatArray:
+    edges = np.arange(0, len(flags), BLOCK)
+    return np.asarray(np.add.reduceat(flags, edges, axis=0, dtype=np.float64), np.float64)
