@@ -27,6 +27,7 @@ CALIBRATED_GYRO = np.radians(0.1)
 """rad/s at rest; the same."""
 HEATING = 10.0
 """K within a second: no chamber, and no chip, does that."""
+UNITS = {"accel": "m/s²", "gyro": "rad/s"}
 DISAGREE = np.radians(30)
 
 
@@ -124,8 +125,8 @@ def _timing(recording: Recording, gaps: faults.Gaps) -> list[Finding]:
         out.append(
             Finding(
                 "gaps",
-                f"{int(gaps.missing.sum())} samples are missing in {gaps.at.size} gaps, the longest "
-                f"of {int(gaps.missing.max())}"
+                f"{_many(int(gaps.missing.sum()))} missing in {_many(gaps.at.size, 'gap')}, the "
+                f"longest of {int(gaps.missing.max())}"
                 + (f"; {silent} of them were not counted by the logger" if silent else ""),
                 count=int(gaps.missing.sum()),
                 times=_first(time[gaps.at]),
@@ -144,7 +145,8 @@ def _timing(recording: Recording, gaps: faults.Gaps) -> list[Finding]:
         out.append(
             Finding(
                 "clock",
-                "the clock is known to be wrong: the order of the samples is real, their time is not",
+                "the clock is known to be wrong: the order of the samples is real, their "
+                "time is not",
             )
         )
     elif (heating := _heating(recording)) > HEATING:
@@ -160,8 +162,8 @@ def _timing(recording: Recording, gaps: faults.Gaps) -> list[Finding]:
         out.append(
             Finding(
                 "rate",
-                f"stamps are {1 / interval:.5g} Hz apart, the device is set to {nominal:.5g} Hz: the "
-                "unit of time, or the clock, is wrong",
+                f"stamps are {1 / interval:.5g} Hz apart, the device is set to {nominal:.5g} Hz: "
+                "the unit of time, or the clock, is wrong",
             )
         )
     return out
@@ -201,7 +203,7 @@ def _samples(recording: Recording, at_rest: BoolArray) -> list[Finding]:
             out.append(
                 Finding(
                     "clipping",
-                    f"{name} is at its limit ({limit:.4g}) in {at.size} samples",
+                    f"{name} is at its limit ({limit:.4g} {UNITS[triad]}) in {_many(at.size)}",
                     (name,),
                     int(at.size),
                     _first(time[at]),
@@ -228,8 +230,8 @@ def _samples(recording: Recording, at_rest: BoolArray) -> list[Finding]:
         out.append(
             Finding(
                 "repeats",
-                f"{repeats.size} samples ({repeats.size / n:.2%}) repeat the one before them in all "
-                "channels",
+                f"{_many(repeats.size)} ({repeats.size / n:.2%}) the same as the one before in "
+                "all channels",
                 count=int(repeats.size),
                 times=_first(time[repeats]),
             )
@@ -240,7 +242,8 @@ def _samples(recording: Recording, at_rest: BoolArray) -> list[Finding]:
         out.append(
             Finding(
                 "spikes",
-                f"{len(spikes)} single samples leave their course ({', '.join(names)})",
+                f"{_many(len(spikes), 'single sample')} off course, and back at once "
+                f"({', '.join(names)})",
                 names,
                 len(spikes),
                 _first(time[[k for k, _ in spikes]]),
@@ -256,8 +259,8 @@ def _axes(recording: Recording, poses: Poses) -> list[Finding]:
     return [
         Finding(
             "axes",
-            f"gravity and the gyroscope disagree by {np.degrees(closure.error[0]):.0f}° over a turn, "
-            "in any unit: an axis is swapped, has the wrong sign, or turns lost samples",
+            f"gravity and the gyroscope disagree by {np.degrees(closure.error[0]):.0f}° over a "
+            "turn, in any unit: an axis is swapped, has the wrong sign, or turns lost samples",
             count=closure.turns,
         )
     ]
@@ -278,8 +281,8 @@ def _calibrated(poses: Poses, distinct: list[int]) -> list[Finding]:
     return [
         Finding(
             "calibrated",
-            f"looks already calibrated: |a| is g within {error:.2%} in {len(distinct)} poses, and the "
-            f"gyroscope reads {np.degrees(rest):.2g}°/s at rest",
+            f"looks already calibrated: |a| is g within {error:.2%} in {len(distinct)} poses, and "
+            f"the gyroscope reads {np.degrees(rest):.2g}°/s at rest",
         )
     ]
 
@@ -302,12 +305,16 @@ def _remarks(recording: Recording, poses: Poses, distinct: list[int]) -> list[st
         out.append("the sensor never rests: nothing can be calibrated from gravity")
     elif len(distinct) < 9:
         out.append(
-            f"{len(distinct)} distinct poses: a full accelerometer calibration takes 9 or more, well "
-            "spread"
+            f"{_many(len(distinct), 'distinct pose')}: a full accelerometer calibration takes 9 or "
+            "more, well spread"
         )
     if recording.clock == "nominal":
         out.append("time is the sample number over the nominal rate: a wrong rate would not show")
     return out
+
+
+def _many(count: int, noun: str = "sample") -> str:
+    return f"{count} {noun}" + ("" if count == 1 else "s")
 
 
 def _first(times: FloatArray) -> tuple[float, ...]:

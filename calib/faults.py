@@ -123,7 +123,7 @@ def _plateaus(channel: FloatArray, scale: float) -> IntArray:
 def find_stuck(
     values: FloatArray, moving: BoolArray, *, interval: float, clipped: BoolArray
 ) -> list[tuple[int, int, int]]:
-    """Return stretches ``(channel, start, stop)`` in which a channel does not change though it must.
+    """Return stretches ``(channel, start, stop)`` in which a channel must change and does not.
 
     A stretch counts if chance does not make it that long, and the sensor moves in it for 0.2 s; or
     if the channel is noisy at every other time.
@@ -187,7 +187,7 @@ def find_spikes(values: FloatArray, *, lsb: FloatArray) -> list[tuple[int, int]]
 
 
 def resolution(values: FloatArray, *, sample: int = 100_000) -> FloatArray:
-    """Return the smallest change of each channel, (k,): its LSB, or near it; 0 if it is constant."""
+    """Return the smallest change of each channel, (k,): about its LSB; 0 if it is constant."""
     change = np.abs(np.diff(values[:sample], axis=0))
     change[change == 0] = np.inf
     least = change.min(axis=0, initial=np.inf)

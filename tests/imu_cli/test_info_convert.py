@@ -1,0 +1,107 @@
+"""``imu-cal info`` and ``convert`` as a person at the bench, or a script, uses them."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from drivers.formats import read_recording
+from imu_cli.app import app
+
+FIXTURES = Path(__file__).resolve().parents[2] / "fixtures"
+BENCH, BAD = FIXTURES / "bench.csv", FIXTURES / "bad"
+
+
+def run(*args: object) -> tuple[int, str, str]:
+    result = CliRunner().invoke(app, [str(arg) for arg in args], env={"COLUMNS": "80"})
+    return result.exit_code, result.stdout, result.stderr
+
+
+def test_a_good_log_reads_well_in_80_columns() -> None:
+    code, out, err = run("info", BENCH, "--strict")
+    assert (code, err) == (0, "")
+    assert max(map(len, out.splitlines())) <= 80
+    for text in ("MPU-6050 SIM-0001, ±4 g, ±500 °/s", "9786", "100 Hz", "20 static poses"):
+        assert text in out
+    assert "nothing found to be wrong" in out
+
+
+def test_findings_are_output_and_strict_makes_them_a_failure() -> None:
+    for name, kind in [
+        ("gyro_in_degrees.csv", "unit"),
+        ("accel_in_g.csv", "unit"),
+        ("accel_in_mg.csv", "unit"),
+        ("killed.arrow", "cut"),
+        ("cut_line.csv", "cut"),
+    ]:
+        code, out, _ = run("info", BAD / name, "--json")
+        assert code == 0
+        assert [found["kind"] for found in json.loads(out)["findings"]] == [kind], name
+        assert run("info", BAD / name, "--strict")[0] == 6
+        table = run("info", BAD / name)[1]
+        assert kind in table
+        assert max(map(len, table.splitlines())) <= 80
+
+
+@pytest.mark.parametrize("name", ["one_pose.csv", "only_motion.csv"])
+def test_a_log_that_cannot_be_calibrated_is_not_faulty(name: str) -> None:
+    code, out, _ = run("info", BAD / name, "--json", "--strict")
+    assert code == 0
+    assert json.loads(out)["findings"] == []
+    assert json.loads(out)["remarks"]
+
+
+@pytest.mark.parametrize("command", ["info", "convert"])
+@pytest.mark.parametrize(
+    "name", ["empty.csv", "header_only.csv", "letter.csv", "binary.csv", "folder.csv", "none.csv"]
+)
+def test_what_cannot_be_read_is_refused(tmp_path: Path, command: str, name: str) -> None:
+    out = tmp_path / "out.csv"
+    extra = [] if command == "info" else ["-o", out]
+    code, stdout, err = run(command, BAD / name, *extra)
+    assert (code, stdout) == (3, "")
+    assert err.startswith("imu-cal: ")
+    assert "Traceback" not in err
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("suffix", [".arrow", ".feather", ".parquet", ".csv"])
+def test_convert_keeps_every_value(tmp_path: Path, suffix: str) -> None:
+    out = tmp_path / f"bench{suffix}"
+    code, text, err = run("convert", BENCH, "-o", out)
+    assert (code, err) == (0, "")
+    assert "9786 samples, 0 lost" in text
+    a, b = read_recording(BENCH), read_recording(out)
+    for name in ("time", "accel", "gyro", "temperature"):
+        np.testing.assert_array_equal(getattr(a, name), getattr(b, name))
+    assert (a.device, dict(a.notes)) == (b.device, dict(b.notes))
+
+
+def test_convert_says_what_it_left_out(tmp_path: Path) -> None:
+    out = tmp_path / "out.arrow"
+    code, _, err = run("convert", BAD / "nan_row.csv", "-o", out)
+    assert code == 3
+    assert not out.exists()
+    code, text, err = run("convert", BAD / "nan_row.csv", "-o", out, "--drop-invalid", "--json")
+    assert code == 0
+    assert "1 invalid row" in err
+    assert json.loads(text) == {
+        "written": str(out),
+        "samples": 299,
+        "lost": 1,
+        "complete": True,
+    }
+    code, _, err = run("convert", BAD / "cut_line.csv", "-o", out)
+    assert code == 0
+    assert "cut" in err
+    assert not read_recording(out).complete
+
+
+def test_convert_refuses_to_overwrite_its_input_and_unknown_suffixes(tmp_path: Path) -> None:
+    assert run("convert", BENCH, "-o", BENCH)[0] == 2
+    code, _, err = run("convert", BENCH, "-o", tmp_path / "x.zip")
+    assert code == 3
+    assert "'.zip' names no format" in err
+    assert run("convert", BENCH, "-o", tmp_path / "no" / "x.csv")[0] == 3
