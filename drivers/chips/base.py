@@ -100,13 +100,15 @@ class BiasField:
 
     The value is a two's complement number spread over ``fields``, most significant first; bits of
     those registers outside the fields are reserved and must be kept. ``weight`` is its LSB in g or
-    degree/s, ``sign`` is +1 where the chip adds the value and -1 where it subtracts it.
+    degree/s, ``sign`` is +1 where the chip adds the value and -1 where it subtracts it, and
+    ``enable`` are the bits that must be so for it to act.
     """
 
     parameter: str
     fields: tuple[Field, ...]
     weight: float
     sign: int = 1
+    enable: tuple[tuple[Field, int], ...] = ()
 
     @property
     def width(self) -> int:
@@ -137,6 +139,19 @@ class BiasField:
             raw >>= field.width
         return {field.register: out[field.register] for field in self.fields}
 
+    def acts(self, values: Mapping[Register, int]) -> bool:
+        """Whether it is switched on."""
+        return all(field.get(values[field.register]) == value for field, value in self.enable)
+
+    def shift(self, values: Mapping[Register, int]) -> float:
+        """Return what it adds to the output, m/s² or rad/s."""
+        return self.sign * self.decode(values) * self.unit if self.acts(values) else 0.0
+
+    @property
+    def registers(self) -> tuple[Register, ...]:
+        """Every register that it is spread over or switched on in."""
+        return tuple(f.register for f in self.fields) + tuple(f.register for f, _ in self.enable)
+
     @property
     def minimum(self) -> int:
         """Least value it holds; one above the two's complement limit, which some chips reserve."""
@@ -148,18 +163,8 @@ class BiasField:
         return (1 << (self.width - 1)) - 1
 
 
-@dataclass(frozen=True)
-class BiasRegisters:
-    """The user bias registers of a chip, and the bits that switch them on.
-
-    ``coarse`` is a second set for the same registers with another weight, chosen with ``enable`` of
-    its own, where a chip offers two (the finer is preferred).
-    """
-
-    fields: tuple[BiasField, ...]
-    enable: tuple[tuple[Field, int], ...] = ()
-    coarse: BiasRegisters | None = None
-    source: str = ""
+BiasSet = tuple[BiasField, ...]
+"""The user bias registers of a chip, one field a parameter, all of one weight and switching."""
 
 
 class Device:
@@ -293,7 +298,8 @@ class Chip(ABC):
     """Bytes that the FIFO holds; 0 if the chip has none that we use."""
     fifo_frame: ClassVar[int]
     """Bytes of one sample in the FIFO."""
-    biases: ClassVar[BiasRegisters | None] = None
+    biases: ClassVar[tuple[BiasSet, ...]] = ()
+    """Sets of bias registers; several where the chip offers several weights, the finest first."""
     start_up: ClassVar[float] = 0.1
     """Seconds from power-on to valid data."""
 

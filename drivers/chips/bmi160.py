@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from drivers.chips import bosch
 from drivers.chips.base import (
-    BiasRegisters,
     Chip,
     Device,
     Register,
@@ -37,6 +36,7 @@ GYR_CONF = Register("GYR_CONF", 0x42)
 GYR_RANGE = Register("GYR_RANGE", 0x43)
 FIFO_DOWNS = Register("FIFO_DOWNS", 0x45)
 FIFO_CONFIG_1 = Register("FIFO_CONFIG_1", 0x47)
+OFFSET_6 = Register("OFFSET_6", 0x77)
 CMD = Register("CMD", 0x7E)
 
 ACCEL_STATUS = PMU_STATUS.field(5, 4)
@@ -73,11 +73,7 @@ class Bmi160(Chip):
     )
     fifo_size = 1024
     fifo_frame = bosch.FRAME.itemsize
-    biases = BiasRegisters(
-        bosch.bias_fields(),
-        enable=((bosch.ACCEL_ENABLE_160, 1), (bosch.GYRO_ENABLE_160, 1)),
-        source=source,
-    )
+    biases = (bosch.bias_fields(OFFSET_6.field(6), OFFSET_6.field(7)),)
 
     def rates(self) -> Sequence[float]:
         return list(bosch.RATES)

@@ -14,7 +14,7 @@ import numpy as np
 
 from calib.errors import DriverError
 from drivers.chips import bosch
-from drivers.chips.base import BiasRegisters, Device, Register, Samples, Setup, sensitivities
+from drivers.chips.base import Device, Register, Samples, Setup, sensitivities
 from drivers.chips.bmi160 import CHIP_ID, CMD, NORMAL_BANDWIDTH, UNDIVIDED, Bmi160
 
 STATUS = Register("STATUS", 0x03)
@@ -77,9 +77,7 @@ class Bmi270(Bmi160):
         }
     )
     fifo_size = 2048
-    biases = BiasRegisters(
-        bosch.bias_fields(), enable=((ACC_OFF_EN, 1), (GYR_OFF_EN, 1)), source=source
-    )
+    biases = (bosch.bias_fields(ACC_OFF_EN, GYR_OFF_EN),)
 
     def configure(self, device: Device, setup: Setup) -> None:
         device.write(PWR_CONF, 0)  # no advanced power save: registers answer at once

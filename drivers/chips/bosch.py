@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.chips.base import BiasField, Field, Register
+from drivers.chips.base import BiasField, BiasSet, Field, Register
 
 HEAD_SKIP, HEAD_TIME, HEAD_CONFIG, HEAD_EMPTY = 0x40, 0x44, 0x48, 0x80
 HEAD_ACCEL, HEAD_GYRO, HEAD_BOTH = 0x84, 0x88, 0x8C
@@ -71,11 +71,16 @@ def parse_frames(data: bytes, *, config_length: int) -> Frames:
     return Frames(rows["accel"].astype(np.int16), rows["gyro"].astype(np.int16), skipped, damaged)
 
 
-def bias_fields() -> tuple[BiasField, ...]:
+def bias_fields(accel_enable: Field, gyro_enable: Field) -> BiasSet:
     """Return the bias registers 71 to 77: 8 bits of 3.9 mg, 10 bits of 0.061 °/s."""
     high = Register("OFFSET_6", 0x77)
     accel = tuple(
-        BiasField(f"accel.bias.{axis}", (Register(f"OFFSET_{k}", 0x71 + k).field(7, 0),), 0.0039)
+        BiasField(
+            f"accel.bias.{axis}",
+            (Register(f"OFFSET_{k}", 0x71 + k).field(7, 0),),
+            0.0039,
+            enable=((accel_enable, 1),),
+        )
         for k, axis in enumerate("xyz")
     )
     gyro = tuple(
@@ -83,6 +88,7 @@ def bias_fields() -> tuple[BiasField, ...]:
             f"gyro.bias.{axis}",
             (high.field(2 * k + 1, 2 * k), Register(f"OFFSET_{3 + k}", 0x74 + k).field(7, 0)),
             0.061,
+            enable=((gyro_enable, 1),),
         )
         for k, axis in enumerate("xyz")
     )
@@ -92,7 +98,3 @@ def bias_fields() -> tuple[BiasField, ...]:
 def celsius(counts: NDArray[np.int16]) -> NDArray[np.float64]:
     """Return °C: 512 counts per °C about 23 °C."""
     return counts.astype(np.float64) / 512 + 23
-
-
-ACCEL_ENABLE_160: Field = Register("OFFSET_6", 0x77).field(6)
-GYRO_ENABLE_160: Field = Register("OFFSET_6", 0x77).field(7)

@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drivers.chips.base import (
-    BiasRegisters,
     Chip,
     Device,
     Register,
@@ -75,9 +74,7 @@ class Icm20948(Chip):
     frame = np.dtype([("accel", ">i2", 3), ("gyro", ">i2", 3), ("temperature", ">i2")])
     fifo_size = 512
     fifo_frame = 14
-    biases = BiasRegisters(
-        accel_bias_fields(0x14, 3, bank=1) + gyro_bias_fields(0x03, bank=2), source=source
-    )
+    biases = (accel_bias_fields(0x14, 3, bank=1) + gyro_bias_fields(0x03, bank=2),)
 
     def rates(self) -> Sequence[float]:
         return [1125 / (1 + divider) for divider in range(256)]

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from drivers.chips.base import (
     BiasField,
-    BiasRegisters,
     Chip,
     Device,
     Register,
@@ -113,7 +112,7 @@ class Icm42688(Chip):
     frame = np.dtype([("temperature", ">i2"), ("accel", ">i2", 3), ("gyro", ">i2", 3)])
     fifo_size = 2048
     fifo_frame = PACKET.itemsize
-    biases = BiasRegisters(
+    biases = (
         (
             _bias("accel.bias.x", (4, 7, 4), 5, 0.0005),
             _bias("accel.bias.y", (7, 3, 0), 6, 0.0005),
@@ -122,7 +121,6 @@ class Icm42688(Chip):
             _bias("gyro.bias.y", (1, 7, 4), 2, 1 / 32),
             _bias("gyro.bias.z", (4, 3, 0), 3, 1 / 32),
         ),
-        source=source,
     )
 
     def rates(self) -> Sequence[float]:

@@ -10,7 +10,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from drivers.chips.base import BiasField, BiasRegisters, Device, Register, Samples
+from drivers.chips.base import BiasField, BiasSet, Device, Register, Samples
 from drivers.chips.lsm6ds3 import (
     CONTINUOUS,
     CTRL2_G,
@@ -40,15 +40,16 @@ TAG_GYRO, TAG_ACCEL = 1, 2
 WORD = np.dtype([("tag", "u1"), ("data", "<i2", 3)])
 
 
-def _biases(weight: float, code: int, coarse: BiasRegisters | None) -> BiasRegisters:
-    return BiasRegisters(
-        tuple(
-            BiasField(f"accel.bias.{axis}", (register.field(7, 0),), weight, sign=-1)
-            for axis, register in zip("xyz", OFS_USR, strict=True)
-        ),
-        enable=((USR_OFF_W, code), (USR_OFF_ON_OUT, 1)),
-        coarse=coarse,
-        source="DS12140",
+def _biases(weight: float, code: int) -> BiasSet:
+    return tuple(
+        BiasField(
+            f"accel.bias.{axis}",
+            (register.field(7, 0),),
+            weight,
+            sign=-1,
+            enable=((USR_OFF_W, code), (USR_OFF_ON_OUT, 1)),
+        )
+        for axis, register in zip("xyz", OFS_USR, strict=True)
     )
 
 
@@ -63,7 +64,7 @@ class Lsm6dso(Lsm6ds3):
     fifo_frame = 2 * WORD.itemsize
     counts_per_celsius: ClassVar[float] = 256.0
     rate_codes: ClassVar = RATES | {3332.0: 9, 6667.0: 10}
-    biases = _biases(2**-10, 0, _biases(2**-6, 1, None))
+    biases = (_biases(2**-10, 0), _biases(2**-6, 1))
 
     def start_fifo(self, device: Device) -> None:
         code = ODR_G.get(device.read(CTRL2_G)[0])

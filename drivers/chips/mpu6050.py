@@ -12,7 +12,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.chips.base import BiasRegisters, Device
+from drivers.chips.base import Device
 from drivers.chips.mpu6500 import Mpu6500, accel_bias_fields, gyro_bias_fields
 
 
@@ -25,9 +25,7 @@ class Mpu6050(Mpu6500):
     dlpf: ClassVar = {188.0: 1, 98.0: 2, 42.0: 3, 20.0: 4, 10.0: 5, 5.0: 6}
     bandwidths = tuple(dlpf)
     fifo_size = 1024
-    biases = BiasRegisters(
-        accel_bias_fields(0x06, 2) + gyro_bias_fields(0x13), source="i2cdevlib MPU6050"
-    )
+    biases = (accel_bias_fields(0x06, 2) + gyro_bias_fields(0x13),)
 
     def _configure_accel_filter(self, device: Device, code: int) -> None:
         pass  # one low-pass serves both triads

@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from drivers.chips.base import (
     BiasField,
-    BiasRegisters,
     Chip,
     Device,
     Register,
@@ -90,7 +89,7 @@ class Mpu6500(Chip):
     frame = np.dtype([("accel", ">i2", 3), ("temperature", ">i2"), ("gyro", ">i2", 3)])
     fifo_size = 512
     fifo_frame = 14
-    biases = BiasRegisters(accel_bias_fields(0x77, 3) + gyro_bias_fields(0x13), source=source)
+    biases = (accel_bias_fields(0x77, 3) + gyro_bias_fields(0x13),)
 
     def rates(self) -> Sequence[float]:
         # With the low-pass on, the base rate is 1 kHz.

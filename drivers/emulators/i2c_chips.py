@@ -56,7 +56,7 @@ def chip_emulators() -> dict[str, Emulator]:
     """Return an emulator for every part of every chip family."""
     out = {}
     for chip in chips().values():
-        for part in chip.models.values():
+        for part in (*chip.models.values(), *chip.aliases):
             name = normal_name(part)
             out[name] = Emulator(
                 name,

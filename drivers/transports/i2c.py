@@ -127,8 +127,6 @@ class I2CDriver(Driver):
         setup = self._make_setup(chip)
         chip.configure(device, setup)
         self._clock.sleep(chip.start_up)
-        if self._fifo and chip.fifo_size:
-            chip.start_fifo(device)
         self._device, self._chip = device, chip
         rate = chip.nearest_rate(setup.rate)
         accel, gyro = (
@@ -143,6 +141,13 @@ class I2CDriver(Driver):
             gyro_lsb=DEGREE / gyro.counts,
             rate=rate,
         )
+        self._begin_stream(device, chip)
+
+    def _begin_stream(self, device: Device, chip: Chip) -> None:
+        rate = self._info.rate
+        assert rate is not None
+        if self._fifo and chip.fifo_size:
+            chip.start_fifo(device)
         # A FIFO is read when a few samples wait, well before it is half full.
         self._pause = 1 / (4 * rate)
         if self._fifo and chip.fifo_size:
@@ -155,6 +160,11 @@ class I2CDriver(Driver):
             chip.sample(device)  # of unknown age: the next one comes when it is new
         self._times = SampleTimes(rate, self._clock.now(), age=age)
         self._lost = 0
+
+    def restart_stream(self, settle: float) -> None:
+        """Drop what waits, and begin anew after `settle` seconds; time goes on from 0."""
+        self._clock.sleep(settle)
+        self._begin_stream(self.device, self.chip)
 
     def _identify(self, bus: Bus) -> tuple[str, Chip]:
         answers = identify(bus, self._place)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from calib.types import FloatArray
 from drivers.chips import get_chip
-from drivers.chips.base import STANDARD_GRAVITY, BiasField, BiasRegisters, Field, Register
+from drivers.chips.base import STANDARD_GRAVITY, BiasField, Field, Register
 from drivers.emulators.base import EmulatedSensor
 
 MOST_AT_ONCE = 8192
@@ -275,30 +275,17 @@ class ChipModel(ABC):
         The factory trim already belongs to what `source` gives, so only the change from it counts.
         """
         shift = np.zeros(6)
-        biases = self.active_biases()
-        if biases is not None:
-            for field in biases.fields:
-                values = {f.register: self.peek(f.register) for f in field.fields}
-                trim = {f.register: self._trim_bytes.get(f.register, 0) for f in field.fields}
-                counts = field.decode(values) - field.decode(trim)
-                shift[_channel(field)] = field.sign * counts * field.unit
+        for field in (field for biases in self.chip.biases for field in biases):
+            values = {register: self.peek(register) for register in field.registers}
+            trim = {register: self._trim_bytes.get(register, 0) for register in field.registers}
+            shift[_channel(field)] += field.shift(values)
+            if not field.enable:
+                shift[_channel(field)] -= field.shift(trim)
         return shift
 
-    def active_biases(self) -> BiasRegisters | None:
-        """Return the bias registers as they are switched on now, or None."""
-        biases = self.chip.biases
-        while biases is not None:
-            if all(self.peek(field) == value for field, value in biases.enable):
-                return biases
-            biases = biases.coarse
-        return None
-
     def _make_trim(self, rng: np.random.Generator) -> dict[Register, int]:
-        biases = self.chip.biases
         out: dict[Register, int] = {}
-        if biases is None or not self.trim_range:
-            return out
-        for field in biases.fields:
+        for field in self.chip.biases[0] if self.chip.biases and self.trim_range else ():
             if field.parameter.startswith("accel"):
                 # The reserved bits hold something too, which a careful writer keeps.
                 blank = {f.register: int(rng.integers(256)) for f in field.fields}
