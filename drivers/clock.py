@@ -121,7 +121,13 @@ class Timeline:
         Gets ``clock_restarts`` and ``repeated_samples``.
     """
 
-    def __init__(self, *, period: float | None, rate: float | None, counters: Counter[str]) -> None:
+    def __init__(
+        self,
+        *,
+        period: float | None,
+        rate: float | None,
+        counters: Counter[str],
+    ) -> None:
         self.clock: Clock = "nominal"
         self.interval = 1.0 / rate if rate else 0.0
         self._period = period

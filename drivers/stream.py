@@ -110,7 +110,9 @@ class StreamDriver(Driver):
     def _start(self, dialect: Dialect) -> None:
         self._parser = dialect.parser(self._options)
         self._timeline = Timeline(
-            period=self._parser.clock_period, rate=self._rate, counters=self._clock_counters
+            period=self._parser.clock_period,
+            rate=self._rate,
+            counters=self._clock_counters,
         )
 
     def _close(self) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections import Counter, deque
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -54,6 +54,14 @@ class Samples:
             None if self.temperature is None else self.temperature[keep],
             None if self.ticks is None else self.ticks[keep],
         )
+
+    def without(self, bad: BoolArray) -> Samples:
+        """Return the samples that are not bad; the bad ones count as lost before the next one.
+
+        Bad ones at the end have no next one: they are in the parser's counters only.
+        """
+        lost = self.lost + bad
+        return replace(self, lost=lost).where(~bad)
 
     @classmethod
     def join(cls, parts: Sequence[Samples]) -> Samples:

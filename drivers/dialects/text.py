@@ -14,19 +14,15 @@ from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
-import pyarrow as pa
-from pyarrow import csv
 
 from calib.errors import AddressError, BadFrameError, RecordingFormatError
 from calib.types import BoolArray, FloatArray, IntArray
 from drivers.dialects.base import Dialect, Parser, Samples
 from drivers.dialects.framing import Bytes, as_bytes
+from drivers.dialects.numbers import NUMBER, parse_numbers
 from drivers.formats.profile import Column, Profile, get_profile, parse_profile
 
-NUMBER = re.compile(rb"[ \t]*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?[ \t]*")
 LABEL = re.compile(rb"[A-Za-z_/][\w/ \[\]()]*[:=]")
-SMALL = 48
-"""Lines below which Python parses faster than a call of pyarrow takes."""
 LONGEST = 4096
 """Bytes of a line, beyond which it is garbage without a line end."""
 
@@ -171,7 +167,9 @@ class TextParser(Parser):
         values = np.zeros((ends.size, len(self._places)))
         if good.any():
             kept = block if good.all() else data[np.repeat(good, lengths)].tobytes()
-            numbers, fine = self._numbers(kept, int(good.sum()))
+            numbers, fine = parse_numbers(
+                kept, fields=self._fields, places=self._places, delimiter=self._delimiter
+            )
             good[good] = fine
             values[good] = numbers[fine]
         blank = self._not_samples(data, starts, lengths, good)
@@ -192,55 +190,6 @@ class TextParser(Parser):
                 out[k] = True
                 self._count("other_lines", 1)
         return out
-
-    def _numbers(self, block: bytes, count: int) -> tuple[FloatArray, BoolArray]:
-        """Parse lines that have the right number of fields; halve a block that does not parse."""
-        if count > SMALL:
-            try:
-                return self._fast(block), np.ones(count, bool)
-            except pa.ArrowInvalid:
-                good = _well_formed(as_bytes(block), self._delimiter or b",")
-                if not good.all():
-                    lengths = np.diff(np.flatnonzero(as_bytes(block) == 10) + 1, prepend=0)
-                    kept = as_bytes(block)[np.repeat(good, lengths)].tobytes()
-                    values = np.zeros((count, len(self._places)))
-                    numbers, fine = self._numbers(kept, int(good.sum()))
-                    good[good] = fine
-                    values[good] = numbers[fine]
-                    return values, good
-                middle = block.find(b"\n", len(block) // 2) + 1
-                if 0 < middle < len(block):
-                    first = block[:middle].count(b"\n")
-                    parts = [
-                        self._numbers(block[:middle], first),
-                        self._numbers(block[middle:], count - first),
-                    ]
-                    return np.vstack([p[0] for p in parts]), np.concatenate([p[1] for p in parts])
-        values, good = np.zeros((count, len(self._places))), np.zeros(count, bool)
-        for k, line in enumerate(block.split(b"\n")[:count]):
-            fields = line.split(self._delimiter)
-            chosen = [fields[place].strip() for place in self._places]
-            if all(NUMBER.fullmatch(field) for field in chosen):
-                values[k] = [float(field) for field in chosen]
-                good[k] = True
-        return values, good
-
-    def _fast(self, block: bytes) -> FloatArray:
-        assert self._delimiter is not None
-        names = [str(k) for k in range(self._fields)]
-        table = csv.read_csv(
-            pa.BufferReader(block),
-            csv.ReadOptions(use_threads=False, column_names=names, block_size=len(block) + 1),
-            csv.ParseOptions(
-                delimiter=self._delimiter.decode(), quote_char=False, ignore_empty_lines=False
-            ),
-            csv.ConvertOptions(
-                column_types=dict.fromkeys(names, pa.float64()),
-                include_columns=[str(place) for place in self._places],
-                null_values=[],
-            ),
-        )
-        return np.column_stack([column.to_numpy() for column in table.columns])
 
     # JSON lines
 
@@ -301,31 +250,6 @@ class TextParser(Parser):
 
 _ALLOWED = np.zeros(256, bool)
 _ALLOWED[np.frombuffer(b"0123456789+-.eE \t\r\n", np.uint8)] = True
-
-
-def _well_formed(data: Bytes, delimiter: bytes) -> BoolArray:
-    """Return which lines have a number in every field, as far as neighbouring bytes can tell."""
-    digit = (data >= 48) & (data <= 57)
-    sign = (data == 43) | (data == 45)
-    exponent = (data == 69) | (data == 101)
-    dot = data == 46
-    edge = (data == delimiter[0]) | (data == 10)
-    blank = (data == 32) | (data == 9) | (data == 13)
-    before = np.concatenate([[True], (edge | blank)[:-1]])
-    bad = sign & ~before & ~np.concatenate([[False], exponent[:-1]])
-    mantissa = digit | dot
-    bad |= exponent & ~np.concatenate([[False], mantissa[:-1]])
-    bad |= (sign | exponent) & np.concatenate([(edge | blank)[1:], [True]])
-    # A blank between two parts of one field.
-    bad |= (mantissa | sign) & np.concatenate([[False], (blank & ~before)[:-1]])
-    fields = np.flatnonzero(edge)
-    begins = np.concatenate([[0], fields[:-1] + 1])
-    many = np.add.reduceat(dot.view(np.uint8), begins) > 1
-    many |= np.add.reduceat(exponent.view(np.uint8), begins) > 1
-    many |= ~np.logical_or.reduceat(digit, begins)
-    bad[begins] |= many
-    lines = np.concatenate([[0], np.flatnonzero(data == 10)[:-1] + 1])
-    return ~np.logical_or.reduceat(bad, lines)
 
 
 def is_remark(line: bytes) -> bool:

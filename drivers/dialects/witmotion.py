@@ -76,7 +76,11 @@ class WitMotionParser(Parser):
             if data[starts[k] + 1] == ACCEL and int(starts[-1]) + LENGTH >= used:
                 used, starts = int(starts[k]), starts[:k]  # its other half may still come
         self.accepted_bytes += LENGTH * starts.size
-        self._count("skipped_bytes", used - LENGTH * starts.size)
+        if starts.size and self.accepted_bytes == LENGTH * starts.size:
+            self._count("incomplete_bytes", int(starts[0]))  # we came in the middle of a frame
+            self._count("skipped_bytes", used - LENGTH * starts.size - int(starts[0]))
+        else:
+            self._count("skipped_bytes", used - LENGTH * starts.size)
         self._count("damaged_frames", int((damaged < used).sum()))
         return self._pair(data, starts, used), used
 
@@ -113,8 +117,13 @@ class WitMotionParser(Parser):
         totals += self._totals
         removed = LENGTH * int(replies.sum())
         self._totals += [kinds.size, used - removed, *lone.sum(axis=0)]
-        self._count("unpaired_halves", int(lone.sum()))
         at = starts[first]
+        if self._last is None:  # we came in the middle of a cycle
+            early = int(lone[: int(np.argmax(first)) if at.size else None].sum())
+            self._count("incomplete_bytes", LENGTH * early)
+            self._count("unpaired_halves", int(lone.sum()) - early)
+        else:
+            self._count("unpaired_halves", int(lone.sum()))
         if not at.size:
             return Samples.none()
         accel = windows(data, at + 2, 8).copy().view("<i2").astype(np.float64)

@@ -91,7 +91,8 @@ class EmulatedSource(ByteSource):
             if time.monotonic() >= deadline:
                 return b"", None
             time.sleep(TURN)
-        data = self.device.stream(pace.sent, pace.sent + due) + self._answers
+        data = self.device.stream(pace.sent, pace.sent + due) if due else b""
+        data += self._answers
         pace.sent += due
         self._answers = b""
         return data, pace.sent / rate
