@@ -27,6 +27,7 @@ from calib.solvers import accel_solvers, gyro_solvers
 from calib.statics import find_poses
 from calib.turns import Turns, find_turns
 from calib.types import FloatArray
+from calib.units import check_units
 
 T = TypeVar("T")
 
@@ -74,6 +75,8 @@ def calibrate(
 
     Raises
     ------
+    UnitError
+        If the values do not have the unit that was declared.
     InsufficientMotionError
         If the sensor was never at rest, or in one pose only.
     ValueError
@@ -87,6 +90,7 @@ def calibrate(
     _choose(accel_solvers(), "accel_method", accel_method)
     solve_gyro = _choose(gyro_solvers(), "gyro_method", gyro_method).solve
     poses = find_poses(recording)
+    check_units(recording, poses)
     _check_poses(recording, poses)
 
     accel = _accel_fit(poses, accel_method, gravity=gravity.value)

@@ -16,6 +16,7 @@ References
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -156,7 +157,23 @@ class Propagation:
         return self.steps.total(rotated * self.steps.step[:, None, None])
 
 
-def propagate(steps: TurnSteps, matrix: FloatArray, bias: FloatArray) -> Propagation:
+Kinematics = Callable[[FloatArray, IntArray], FloatArray]
+"""From the rotation vectors of steps (n, 3) and where turns begin to the quaternions (n, 4) at the
+end of each step, from identity at the beginning of its turn."""
+
+
+def by_quaternions(rotvec: FloatArray, first: IntArray) -> FloatArray:
+    """Chain the exact quaternion of each step."""
+    return cumulative_quat_segments(quat_from_rotvec(rotvec), first)
+
+
+def propagate(
+    steps: TurnSteps,
+    matrix: FloatArray,
+    bias: FloatArray,
+    *,
+    kinematics: Kinematics = by_quaternions,
+) -> Propagation:
     """Integrate the turns with the gyroscope's ``I + S + M`` and bias ((3,), or one per turn).
 
     Each step's rotation vector is its angle plus the coning term ``a_before x a / 12``.
@@ -172,7 +189,7 @@ def propagate(steps: TurnSteps, matrix: FloatArray, bias: FloatArray) -> Propaga
     rotvec = angle.copy()
     rotvec[1:] += np.cross(angle[:-1], angle[1:]) / 12
     rotvec[steps.first[:-1]] = angle[steps.first[:-1]]
-    half = cumulative_quat_segments(quat_from_rotvec(rotvec), steps.first)
+    half = kinematics(rotvec, steps.first)
     last = half[steps.first[1:] - 1]
     half = quat_multiply(half, quat_from_rotvec(-0.5 * rotvec))
     middle = mat_from_quat(half)

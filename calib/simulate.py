@@ -102,7 +102,10 @@ def simulate(
     """
     device = DeviceInfo(chip="simulated") if device is None else device
     true_time = _sample_times(motion, rate, time)
+    # Moments and warm-up are counted on the sensor's own clock.
+    start = sampling.clock_offset
     state = motion.state(true_time)
+    state = replace(state, time=true_time + start, power_on=motion.power_on + start)
     random = noise.draw(true_time, rng=rng)
     if state.vibration is not None:
         shake = np.sqrt(state.vibration) * rng.normal(size=state.force.shape)
@@ -128,6 +131,41 @@ def simulate(
         device=device,
         notes={"motion": motion.name},
     )
+
+
+def digital_twin(
+    recording: Recording,
+    motion: Motion,
+    model: SensorModel,
+    noise: NoiseModel,
+    *,
+    rng: np.random.Generator,
+) -> Recording:
+    """Return what `model` would have recorded on the motion of a recording.
+
+    It has the recording's times, lost samples, clock and device.
+
+    Parameters
+    ----------
+    recording : Recording
+    motion : Motion
+        Its own, from `calib.simulation.recorded`: time 0 is the recording's first sample.
+    model : SensorModel
+    noise : NoiseModel
+    rng : numpy Generator
+    """
+    start = float(recording.time[0])
+    twin = simulate(
+        motion,
+        model,
+        noise,
+        rng=rng,
+        time=recording.time - start,
+        device=recording.device,
+        sampling=Sampling(clock_offset=start, clock=recording.clock),
+    )
+    notes = {"motion": "of a recording"}
+    return replace(twin, time=recording.time, lost=recording.lost, notes=notes)
 
 
 def _sample_times(motion: Motion, rate: float | None, time: FloatArray | None) -> FloatArray:

@@ -236,6 +236,34 @@ class Effect(ABC):
                 out[channel] = out[channel] + value * values if channel in out else value * values
         return out
 
+    def typical(self, *, span: tuple[float, float]) -> dict[str, float]:
+        """Return parameters of typical size on every axis; shapes in the middle of their range.
+
+        Parameters
+        ----------
+        span : (start, stop), s
+            Of the recording, where moments lie.
+
+        Raises
+        ------
+        ValueError
+            If a shape parameter has no typical value, such as a full scale.
+        """
+        out = {p.name: p.typical for p in self.parameters if p.unit != PRESENCE}
+        for item in self.shape:
+            if item.low is None or item.high is None:
+                if item.unit != "s":
+                    raise ValueError(f"{self.slug} has no typical `{item.name}`: give it")
+                out[item.name] = 0.5 * (span[0] + span[1])
+            elif item.spacing == "log":
+                out[item.name] = float(np.sqrt(item.low * item.high))
+            elif not item.optional:
+                out[item.name] = 0.5 * (item.low + item.high)
+        if not out:
+            names = ", ".join(item.name for item in self.shape)
+            raise ValueError(f"{self.slug} has no typical parameters: give {names}")
+        return out
+
     def check(self, parameters: Mapping[str, float]) -> None:
         """Check that `parameters` are this effect's own, finite, with every shape parameter there.
 

@@ -1,1 +1,9 @@
-"""Recording minus simulation: where, what, how much, proven on held-out data."""
+"""Recording minus simulation: where, what, how much, proven on held-out data.
+
+`diagnose_recording` compares a recording with its own digital twin.
+"""
+
+from calib.mismatch.diagnosis import Diagnosis, Finding, Unexplained
+from calib.mismatch.engine import diagnose_recording
+
+__all__ = ["Diagnosis", "Finding", "Unexplained", "diagnose_recording"]

@@ -11,7 +11,7 @@ acceleration follow from the product rule and nothing is differenced::
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -143,6 +143,11 @@ class Motion:
     def turns(self) -> FloatArray:
         """Intervals of turns from rest to rest, (m, 2) s."""
         return self.intervals("turn")
+
+    def until(self, duration: float) -> Motion:
+        """Return this motion, ended at `duration` seconds if it lasts longer."""
+        kept = (replace(s, stop=min(s.stop, duration)) for s in self.segments if s.start < duration)
+        return replace(self, duration=min(self.duration, duration), segments=tuple(kept))
 
     def state(self, time: FloatArray) -> State:
         """Return the true state at (n,) times, s."""

@@ -19,6 +19,8 @@ import numpy as np
 from scipy.signal import lfilter
 
 from calib.effects.base import G, Signals
+from calib.poses import Poses
+from calib.recording import Recording
 from calib.types import FloatArray
 
 
@@ -91,6 +93,23 @@ CONSUMER = NoiseModel(
 """A consumer part. White noise is the MPU-6050's (product specification rev. 3.4: 400 µg/√Hz,
 0.005 dps/√Hz); the slow terms are of the size that Allan deviations of such parts show (floors
 of about 30 µg and 7 deg/h, random walk seen from some 100 s on)."""
+
+
+def noise_at_rest(recording: Recording, poses: Poses) -> NoiseModel:
+    """Return the white noise of a recording at its rests; slower noise is left at 0.
+
+    From successive differences, which drift does not enter; rounding to LSB is part of it. Where no
+    rest has two samples, there is no noise.
+    """
+    total, count = np.zeros(2), 0
+    for start, stop in zip(poses.start, poses.stop, strict=True):
+        for k, values in enumerate((recording.accel, recording.gyro)):
+            total[k] += np.square(np.diff(values[start:stop], axis=0)).mean(axis=1).sum() / 2
+        count += stop - start - 1
+    if count < 1 or not recording.interval:
+        return NoiseModel()
+    density = np.sqrt(total / count * 2 * recording.interval)
+    return NoiseModel(accel_noise_density=float(density[0]), gyro_noise_density=float(density[1]))
 
 
 def _triad_noise(

@@ -10,7 +10,7 @@ from scipy.linalg import solve_triangular
 from calib.errors import NotConvergedError
 from calib.solvers._closure_noise import Information, Judgement, judge
 from calib.solvers._closure_system import COLUMN, ClosureSystem, Linearised
-from calib.solvers._determined import TOLERANCE, determined
+from calib.solvers._gyro_determined import TOLERANCE, determined
 from calib.types import BoolArray, FloatArray
 
 START_PRIOR = np.array([0.1] * 3 + [0.1] * 3 + [0.05] * 6)
@@ -30,6 +30,8 @@ class ClosureFit:
     values : (12,) array
     information : (12, 12) array
         Of the data; what was left out adds nothing to it.
+    bias_gain : (12, 3) array
+        How an error of a bias that the closures do not estimate moves the gradient; else zero.
     judgement : Judgement
         Noise beyond the known, and what was left out.
     used : (m,) array of bool
@@ -40,6 +42,7 @@ class ClosureFit:
 
     values: FloatArray
     information: FloatArray
+    bias_gain: FloatArray
     judgement: Judgement
     used: BoolArray
     residuals: FloatArray
@@ -55,13 +58,18 @@ def fit_closures(system: ClosureSystem, static: Information) -> ClosureFit:
         previous, judgement = judgement, judge(system, lin, static)
         if judgement.agrees(previous, lin):
             break
-    _, jacobian = _whiten(lin, judgement)
-    information = jacobian.T @ jacobian + static.precision
-    shifts = lin.shifts(judgement.left_out)
     weight = np.linalg.inv(lin.total_covariance(judgement.scale))
-    fitted = np.linalg.solve(shifts.T @ weight @ shifts, shifts.T @ weight @ lin.residual)
-    residuals = lin.residual - shifts @ fitted
-    return ClosureFit(values, information, judgement, used, residuals)
+    shifts = lin.shifts(judgement.left_out)
+    fitted = np.linalg.solve(shifts.T @ weight @ shifts, shifts.T @ weight)
+    weight = weight - weight @ shifts @ fitted
+    return ClosureFit(
+        values,
+        lin.jacobian.T @ weight @ lin.jacobian + static.precision,
+        lin.jacobian.T @ weight @ lin.bias_jacobian * ~system.estimated[:3],
+        judgement,
+        used,
+        lin.residual - shifts @ (fitted @ lin.residual),
+    )
 
 
 def _start(system: ClosureSystem, static: Information) -> tuple[FloatArray, BoolArray]:
@@ -82,7 +90,7 @@ def _start(system: ClosureSystem, static: Information) -> tuple[FloatArray, Bool
     reach = np.concatenate([np.tile(steps.duration[:, None], 3), turned[:, COLUMN]], axis=1)
     while not used.all():
         lin = system.linearise(values)
-        spread = reach @ np.sqrt(np.diag(covariance)) / np.sqrt(3)
+        spread = reach @ (system.estimated * np.sqrt(np.diag(covariance))) / np.sqrt(3)
         new = used | (spread < UNAMBIGUOUS)
         if (new == used).all():
             if used.any():

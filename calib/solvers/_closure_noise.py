@@ -18,7 +18,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from calib.solvers._closure_system import ClosureSystem, LeftOut, Linearised
-from calib.solvers._determined import TOLERANCE
+from calib.solvers._gyro_determined import TOLERANCE
 from calib.types import FloatArray
 
 SIGNIFICANCE = 0.01

@@ -3,11 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.closure import Directions, TurnSteps, closure_residual, horizontal_basis, propagate
+from calib.closure import (
+    Directions,
+    Kinematics,
+    Propagation,
+    TurnSteps,
+    by_quaternions,
+    closure_residual,
+    horizontal_basis,
+    propagate,
+)
 from calib.model import Triad
 from calib.rotation import skew
 from calib.turns import Turns
@@ -39,6 +48,8 @@ class Linearised:
     residual : (2m,) array, rad
         Two horizontal components a turn.
     jacobian : (2m, 12) array
+        Zero for parameters that the closures do not estimate.
+    bias_jacobian : (2m, 3) array
     covariance : (2m, 2m) array, rad²
         From the directions at the poses and the integrated noise of the rate.
     inflation : (2, m, 2, 2) array
@@ -49,6 +60,7 @@ class Linearised:
 
     residual: FloatArray
     jacobian: FloatArray
+    bias_jacobian: FloatArray
     covariance: FloatArray
     inflation: FloatArray
     pose_shift: FloatArray
@@ -84,6 +96,12 @@ class ClosureSystem:
         Growth of the integrated rate's covariance with time.
     deviation : (m, 3) array, rad/s
         Of the bias during each turn from the mean bias.
+    estimated : (12,) array of bool
+        Parameters that the closures estimate; the others stay as they are.
+    bias_covariance : (3, 3) array
+        Of the bias, where the closures do not estimate it.
+    kinematics : function
+        How steps are chained to an attitude.
     """
 
     steps: TurnSteps
@@ -91,22 +109,29 @@ class ClosureSystem:
     directions: Directions
     noise: FloatArray
     deviation: FloatArray
+    estimated: BoolArray
+    bias_covariance: FloatArray
+    kinematics: Kinematics = by_quaternions
 
     def select(self, which: BoolArray) -> ClosureSystem:
         """Return the system of some of the turns."""
-        return ClosureSystem(
-            self.steps.select(which),
-            self.turns.select(which),
-            self.directions,
-            self.noise,
-            self.deviation[which],
+        return replace(
+            self,
+            steps=self.steps.select(which),
+            turns=self.turns.select(which),
+            deviation=self.deviation[which],
         )
 
     def linearise(self, values: FloatArray) -> Linearised:
         """Propagate every turn with these parameters (12,) and differentiate."""
         triad, m, k = unpack(values), len(self.turns), len(self.directions.up)
         inverse = np.asarray(np.linalg.inv(triad.matrix), np.float64)
-        motion = propagate(self.steps, triad.matrix, triad.bias + self.deviation)
+        motion = propagate(
+            self.steps,
+            triad.matrix,
+            triad.bias + self.deviation,
+            kinematics=self.kinematics,
+        )
         up, cov = self.directions.up, self.directions.covariance
         before, after = self.turns.before, self.turns.after
         predicted = np.einsum("mij,mj->mi", motion.mat, up[after])
@@ -117,30 +142,43 @@ class ClosureSystem:
         source = np.concatenate([np.zeros(3, int), 1 + COLUMN])
         row = np.concatenate([np.arange(3), _ROW])
         phi = -np.einsum("maip,ip->map", integrals[..., source], inverse[:, row])
-        jacobian = -np.einsum("mea,map->mep", basis, phi)
+        jacobian = -np.einsum("mea,map->mep", basis, phi).reshape(2 * m, -1)
 
         # A rotation of either direction about the basis vectors at its own pose.
         at_pose = horizontal_basis(up)
-        own = basis @ at_pose[before].transpose(0, 2, 1)
-        other = -basis @ motion.mat @ at_pose[after].transpose(0, 2, 1)
-        shift = np.zeros((m, 2, k, 2))
+        blocks = np.zeros((m, 2, k, 2))
         index = np.arange(m)
-        shift[index, :, before], shift[index, :, after] = own, other
-        pose_shift = shift.reshape(2 * m, k, 2)
+        blocks[index, :, before] = basis @ at_pose[before].transpose(0, 2, 1)
+        blocks[index, :, after] = -basis @ motion.mat @ at_pose[after].transpose(0, 2, 1)
+        shift = blocks.reshape(2 * m, 2 * k)
         # Covariance of those rotations: a rotation r moves up by cross(r, up).
         turn = at_pose @ skew(up)
         rotation = turn @ cov @ turn.transpose(0, 2, 1)
-        covariance = np.einsum("aki,kij,bkj->ab", pose_shift, rotation, pose_shift, optimize=True)
+        moved = (shift.reshape(2 * m, k, 1, 2) @ rotation).reshape(2 * m, 2 * k)
+        covariance = moved @ shift.T
+        covariance += jacobian[:, :3] @ self.bias_covariance @ jacobian[:, :3].T
+
+        noise, missed = self._rate_noise(motion, inverse)
+        across = basis.transpose(0, 2, 1)
+        rows = 2 * index[:, None] + np.arange(2)
+        covariance[rows[:, :, None], rows[:, None, :]] += basis @ noise @ across
+        residual = np.einsum("mea,ma->me", basis, closure_residual(up[before], predicted))
+        return Linearised(
+            residual.ravel(),
+            jacobian * self.estimated,
+            jacobian[:, :3],
+            covariance,
+            np.stack([np.broadcast_to(np.eye(2), (m, 2, 2)), basis @ missed @ across]),
+            shift.reshape(2 * m, k, 2),
+        )
+
+    def _rate_noise(
+        self, motion: Propagation, inverse: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return the covariances (m, 3, 3) of white noise and of what the trapezoid may miss."""
         noise = motion.noise(inverse @ self.noise @ inverse.T)
         missed = motion.missed(inverse)
         # White noise alone makes a quarter of its own size look like roughness.
         level, floor = np.trace(missed, axis1=1, axis2=2), 0.25 * np.trace(noise, axis1=1, axis2=2)
         missed *= np.clip(1 - floor / np.maximum(level, 1e-30), 0, 1)[:, None, None]
-        across = basis.transpose(0, 2, 1)
-        rows = 2 * index[:, None] + np.arange(2)
-        covariance[rows[:, :, None], rows[:, None, :]] += basis @ noise @ across
-        inflation = np.stack([np.broadcast_to(np.eye(2), (m, 2, 2)), basis @ missed @ across])
-        residual = np.einsum("mea,ma->me", basis, closure_residual(up[before], predicted))
-        return Linearised(
-            residual.ravel(), jacobian.reshape(2 * m, -1), covariance, inflation, pose_shift
-        )
+        return noise, missed

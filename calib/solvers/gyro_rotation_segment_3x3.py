@@ -30,33 +30,13 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from calib.closure import TurnSteps, pose_directions
-from calib.fit import Exclusion, Fit
+from calib.fit import Fit
 from calib.model import Triad
 from calib.poses import Poses
 from calib.recording import Recording
-from calib.solvers._closure_fit import fit_closures
-from calib.solvers._closure_noise import Information
-from calib.solvers._closure_system import ClosureSystem, unpack
-from calib.solvers._determined import (
-    GYRO_NAMES,
-    GYRO_UNITS,
-    TOLERANCE,
-    determined,
-    gyro_advice,
-    visible_turning,
-)
-from calib.solvers._static_bias import noise_growth, static_bias
+from calib.solvers._closure_solver import solve_closures
 from calib.solvers.base import GyroSolver
 from calib.turns import Turns
-from calib.types import FloatArray
-
-REASONS = {
-    "turn": "the turn does not close with the others: clipped, shaken, or moved at its ends",
-    "pose": "gravity's direction here disagrees with the turns before and after: bumped",
-}
-
-AMBIGUOUS = "the turn is so long that its angle is uncertain by more than gravity can tell apart"
 
 
 def solve(
@@ -94,67 +74,15 @@ def solve(
     NotConvergedError
         If the equations do not settle.
     """
-    bias = static_bias(recording, poses)
-    precision = np.zeros((12, 12))
-    precision[:3, :3] = np.linalg.inv(bias.covariance)
-    static = Information(precision, np.concatenate([bias.bias, np.zeros(9)]))
-    steps = TurnSteps.of(recording, turns)
-    system = ClosureSystem(
-        steps,
+    return solve_closures(
+        recording,
+        poses,
         turns,
-        pose_directions(poses, accel),
-        noise_growth(recording, poses),
-        0.5 * (bias.deviation[turns.before] + bias.deviation[turns.after]),
-    )
-    fit = fit_closures(system, static)
-
-    judged = determined(fit.information, TOLERANCE)
-    free = judged.free
-    covariance = np.full((12, 12), np.nan)
-    inverse = np.linalg.inv(fit.information[np.ix_(free, free)])
-    covariance[np.ix_(free, free)] = inverse
-    covariance[~judged.known] = covariance[:, ~judged.known] = np.nan
-    undetermined = tuple(n for n, ok in zip(GYRO_NAMES, judged.known, strict=True) if not ok)
-    triad = unpack(fit.values)
-    left_out = fit.judgement.left_out
-    used = turns.select(fit.used)
-    skipped = turns.select(~fit.used).interval
-    excluded = [
-        *bias.excluded,
-        *(_exclusion(interval, AMBIGUOUS) for interval in skipped),
-        *(
-            _exclusion((used if kind == "turn" else poses).interval[i], REASONS[kind])
-            for kind, i in left_out
-        ),
-    ]
-    kept = np.array([("turn", i) not in left_out for i in range(len(used))], bool)
-    residuals = fit.residuals.reshape(-1, 2)[kept]
-    return Fit(
+        accel,
         method=GYRO_SOLVER.name,
-        triad=triad,
-        names=GYRO_NAMES,
-        values=fit.values,
-        units=GYRO_UNITS,
-        covariance=covariance,
-        residuals=residuals,
-        residual_unit="rad",
-        intervals=used.interval[kept],
-        degrees_of_freedom=_degrees_of_freedom(
-            len(used), len(poses), int(free.sum()), len(left_out)
-        ),
-        condition_number=judged.condition_number,
-        undetermined=undetermined,
-        advice=gyro_advice(undetermined, *visible_turning(steps, system.directions, turns, triad)),
-        excluded=tuple(excluded),
+        model=np.ones(12, bool),
+        static_bias_only=False,
     )
-
-
-def _exclusion(interval: FloatArray, reason: str) -> Exclusion:
-    return Exclusion((float(interval[0]), float(interval[1])), 0.0, reason)
-
-
-def _degrees_of_freedom(turns: int, poses: int, parameters: int, left_out: int) -> int:
-    return 2 * turns + 3 * poses - parameters - 2 * left_out
 
 
 GYRO_SOLVER = GyroSolver(

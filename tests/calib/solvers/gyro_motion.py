@@ -22,6 +22,7 @@ class Motion:
     rest: float = 3.0
     turn: float = 2.0
     rate: float = 100.0
+    ramp: float = 0.5  # part of a turn that is spent on speeding up, and on slowing down
     mat_ns: FloatArray = field(default_factory=lambda: np.eye(3))
 
 
@@ -55,8 +56,10 @@ def simulate(
     accel = Triad() if accel is None else accel
     dt = 1 / (motion.rate * OVERSAMPLE)
     rest, turn = round(motion.rest / dt), round(motion.turn / dt)
-    phase = np.arange(turn) / turn
-    speed = 30 * phase**2 * (1 - phase) ** 2 / (turn * dt)  # integral 1, minimum jerk
+    edge = np.minimum(np.arange(turn), turn - np.arange(turn)) / (turn * motion.ramp)
+    edge = np.clip(edge, 0, 1)
+    speed = edge**2 * (3 - 2 * edge)
+    speed /= speed.sum() * dt
     parts, edges, n = [np.zeros((rest, 3))], [(0, rest)], rest
     for rotvec in motion.turns:
         parts += [speed[:, None] * rotvec, np.zeros((rest, 3))]
@@ -79,6 +82,21 @@ def simulate(
     return Truth(
         recording, known_poses(recording, start, stop, accel_noise, gyro_noise), rate, mats
     )
+
+
+def noisy(
+    clean: Truth, *, rng: np.random.Generator, gyro_noise: float, accel_noise: float
+) -> Truth:
+    """Return a recording made without noise with noise added: many runs from one simulation."""
+    r = clean.recording
+    recording = Recording(
+        r.time,
+        r.accel + rng.normal(0, accel_noise, r.accel.shape),
+        r.gyro + rng.normal(0, gyro_noise, r.gyro.shape),
+        clock="device",
+    )
+    poses = known_poses(recording, clean.poses.start, clean.poses.stop, accel_noise, gyro_noise)
+    return Truth(recording, poses, clean.rate, clean.mat_ns)
 
 
 def known_poses(recording, start, stop, accel_noise, gyro_noise) -> Poses:

@@ -28,17 +28,6 @@ def solve(truth: Truth, accel: Triad | None = None) -> Fit:
     )
 
 
-def test_errors_are_what_the_covariance_says() -> None:
-    nees = []
-    for seed in range(40):
-        fit = solve(simulate(Motion(protocol()), GYRO, rng=np.random.default_rng(seed)))
-        error = fit.values - TRUTH
-        nees.append(error @ np.linalg.solve(fit.covariance, error) / 12)
-        assert not fit.undetermined
-    # The mean of 40 chi-squares with 12 degrees of freedom, over 12: 1 +- 0.065.
-    assert 0.75 < np.mean(nees) < 1.25
-
-
 def test_without_noise_the_answer_is_exact() -> None:
     truth = simulate(
         Motion(protocol(), rate=400.0),

@@ -1,0 +1,317 @@
+"""From the search's outcome to a diagnosis: numbers with standard errors, places, proof, words."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calib.calibration import Quantity, parameter_unit
+from calib.effects import effects, get_effect
+from calib.effects.base import Effect
+from calib.mismatch.diagnosis import (
+    Absorbed,
+    Change,
+    Finding,
+    Interval,
+    Rival,
+    Unexplained,
+    Verdict,
+)
+from calib.mismatch.families import effect_columns
+from calib.mismatch.heldout import HeldOut, held_out
+from calib.mismatch.noise import make_whitener, range_basis
+from calib.mismatch.rows import Kind, Rows
+from calib.mismatch.search import TIE, Accepted, Outcome, fitted
+from calib.model import SensorModel
+from calib.recording import CHANNELS
+from calib.types import FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """The joint fit of everything: steps from where the rows stand, and their covariance."""
+
+    step: FloatArray
+    covariance: FloatArray
+    at: tuple[int, ...]
+    extra: int
+
+
+def estimate(outcome: Outcome, *, reference: bool) -> Estimate:
+    """Fit baseline, nuisances and all findings jointly, shape parameters along with them."""
+    rows = outcome.rows
+    mean = fitted(rows, outcome.accepted)
+    shapes = [_shape_columns(rows, a, reference=reference) for a in outcome.accepted]
+    full = np.hstack((mean, *shapes))
+    scale = np.linalg.norm(full, axis=0)
+    scale[scale == 0] = 1.0
+    whitener = make_whitener(rows, outcome.levels, outcome.contrast, mean[:, :0])
+    design = whitener.whiten(full / scale)
+    u, s, vt = np.linalg.svd(design, full_matrices=False)
+    good = s > 1e-9 * s[0]
+    half = (vt[good].T / s[good]) / scale[:, None]
+    step = half @ (u[:, good].T @ whitener.whiten(rows.residual))
+    start = rows.baseline.shape[1] + rows.nuisance.shape[1]
+    at = [start]
+    for a in outcome.accepted:
+        at.append(at[-1] + a.columns.shape[1])
+    return Estimate(step, half @ half.T, tuple(at), at[-1])
+
+
+def _shape_columns(rows: Rows, a: Accepted, *, reference: bool) -> FloatArray:
+    """Return the derivative of a finding by each of its shape parameters (per its logarithm)."""
+    if not a.candidate.physical or not a.candidate.shape:
+        return np.zeros((len(rows.residual), 0))
+    effect = get_effect(a.candidate.name)
+    out = []
+    for item in effect.shape:
+        if item.spacing != "log":
+            continue
+        pair = []
+        for factor in (1.02, 1 / 1.02):
+            shape = {**a.candidate.shape, item.name: a.candidate.shape[item.name] * factor}
+            found = effect_columns(effect, rows, shape, reference=reference)
+            parts = [found.get(n, np.zeros(len(rows.residual))) for n in a.candidate.parameters]
+            pair.append(np.stack(parts, axis=1) @ (a.values / a.typical))
+        out.append((pair[0] - pair[1]) / (2 * np.log(1.02)))
+    return np.stack(out, axis=1) if out else np.zeros((len(rows.residual), 0))
+
+
+def explain(
+    outcome: Outcome, model: SensorModel, *, reference: bool, names: tuple[str, ...]
+) -> tuple[list[Finding], list[Unexplained], tuple[tuple[str, ...], FloatArray]]:
+    """Return findings, what is unexplained, and names and covariance of the model's parameters."""
+    rows, accepted = outcome.rows, outcome.accepted
+    fit = estimate(outcome, reference=reference)
+    findings: list[Finding] = []
+    unexplained: list[Unexplained] = []
+    n_base, at_shape = len(names), fit.extra
+    known = list(names)
+    index = list(range(n_base))
+    for i, a in enumerate(accepted):
+        rivals = _rivals(a)
+        if not a.candidate.physical:
+            unexplained.append(_unexplained(rows, a, rivals))
+            continue
+        part = slice(fit.at[i], fit.at[i + 1])
+        values = a.values + fit.step[part] * a.typical
+        sigma = np.sqrt(np.diag(fit.covariance)[part]) * a.typical
+        effect = get_effect(a.candidate.name)
+        parameters = {
+            n: Quantity(float(v), float(s), parameter_unit(f"{effect.slug}.{n}"))
+            for n, v, s in zip(a.candidate.parameters, values, sigma, strict=True)
+        }
+        for item in effect.shape:
+            here, spread = a.candidate.shape[item.name], None
+            if item.spacing == "log":
+                spread = float(here * np.sqrt(fit.covariance[at_shape, at_shape]))
+                at_shape += 1
+            elif item.unit == "s" and item.low is None:
+                spread = _moment_sigma(rows, here)
+            parameters[item.name] = Quantity(float(here), spread, item.unit)
+        absorbed, proof = _proof(outcome, fit, i, names)
+        reason = ""
+        if effect.kind == "event" and proof.gain <= 0:
+            reason = "it happened once: no other pose or turn shows it"
+        if proof.gain <= 0 and effect.kind != "event":
+            unexplained.append(
+                replace(
+                    _unexplained(rows, a, rivals),
+                    follows=f"{effect.follows}, but not on held-out data",
+                )
+            )
+            continue
+        findings.append(
+            Finding(
+                effect=effect.slug,
+                title=effect.title,
+                kind=effect.kind,
+                channels=_channels(effect, parameters),
+                intervals=_intervals(rows, a),
+                regime=effect.follows,
+                parameters=parameters,
+                p_value=min(1.0, 1.0 / a.e_value),
+                absorbed_by=absorbed,
+                held_out=None if reason else proof,
+                held_out_reason=reason,
+                rivals=rivals,
+                to_separate=_to_separate(effect, rivals),
+                sentence=effect.sentence,
+            )
+        )
+        if effect.kind == "sensor":
+            known += [f"{effect.slug}.{n}" for n in a.candidate.parameters]
+            index += list(range(part.start, part.stop))
+    scale = np.ones(len(fit.step))
+    for i, a in enumerate(accepted):
+        scale[fit.at[i] : fit.at[i + 1]] = a.typical
+    covariance = (fit.covariance * np.outer(scale, scale))[np.ix_(index, index)]
+    return findings, unexplained, (tuple(known), covariance)
+
+
+def _rivals(a: Accepted) -> tuple[Rival, ...]:
+    own = a.posterior.get(a.candidate.group, 0.0)
+    if own <= 0:
+        return ()
+    found = [
+        Rival(name, value / own)
+        for name, value in a.posterior.items()
+        if name != a.candidate.group and value > TIE
+    ]
+    return tuple(sorted(found, key=lambda r: -r.odds))
+
+
+def _unexplained(rows: Rows, a: Accepted, rivals: tuple[Rival, ...]) -> Unexplained:
+    c = a.candidate
+    whole = (float(rows.interval[0, 0]), float(rows.interval[-1, 1]))
+    return Unexplained(
+        channels=c.channels,
+        intervals=(c.interval or whole,),
+        follows=c.name,
+        p_value=min(1.0, 1.0 / a.e_value),
+        rivals=rivals,
+    )
+
+
+def _channels(effect: Effect, parameters: Mapping[str, Quantity]) -> tuple[str, ...]:
+    """Return the channels that a significant parameter touches."""
+    found = set()
+    for p in effect.parameters:
+        q = parameters.get(p.name)
+        if q is not None and (q.sigma is None or abs(q.value) > 2 * q.sigma):
+            found |= set(p.channels)
+    if not found:
+        found = {c for p in effect.parameters if p.name in parameters for c in p.channels}
+    return tuple(c for c in CHANNELS if c in found)
+
+
+def _intervals(rows: Rows, a: Accepted) -> tuple[Interval, ...]:
+    start, stop = float(rows.interval[0, 0]), float(rows.interval[-1, 1])
+    effect = get_effect(a.candidate.name)
+    if effect.kind == "event":
+        for item in effect.shape:
+            if item.unit == "s" and item.low is None:
+                start = a.candidate.shape[item.name]
+    return ((start, stop),)
+
+
+def _moment_sigma(rows: Rows, moment: float) -> float:
+    """Return the standard error of a moment that lies anywhere in its rest or turn."""
+    k = int(np.clip(np.searchsorted(rows.interval[:, 0], moment, side="right") - 1, 0, None))
+    length = float(rows.interval[k, 1] - rows.interval[k, 0])
+    return float(length / np.sqrt(12.0))
+
+
+def _proof(
+    outcome: Outcome, fit: Estimate, which: int, names: tuple[str, ...]
+) -> tuple[tuple[Absorbed, ...], HeldOut]:
+    """Return which baseline parameters had absorbed a finding, and its held-out worth."""
+    rows = outcome.rows
+    own = outcome.accepted[which]
+    others = [a for i, a in enumerate(outcome.accepted) if i != which]
+    mean = fitted(rows, others)
+    residual = rows.residual
+    if own.in_model:
+        residual = residual + own.columns @ (own.values / own.typical)
+    scale = np.linalg.norm(mean, axis=0)
+    scale[scale == 0] = 1.0
+    whitener = make_whitener(rows, outcome.levels, outcome.contrast, mean[:, :0])
+    without = np.linalg.lstsq(whitener.whiten(mean / scale), whitener.whiten(residual), rcond=1e-9)
+    sigma = np.sqrt(np.diag(fit.covariance))
+    absorbed = []
+    for j, name in enumerate(names):
+        shift = float(without[0][j] / scale[j] - fit.step[j])
+        if sigma[j] > 0 and abs(shift) > sigma[j]:
+            absorbed.append(Absorbed(name, shift, parameter_unit(name), abs(shift) / sigma[j]))
+    absorbed.sort(key=lambda item: -item.standard_errors)
+    proof = held_out(
+        rows,
+        mean,
+        own.columns,
+        residual,
+        levels=outcome.levels,
+        contrast=outcome.contrast,
+        channels=own.candidate.channels,
+    )
+    return tuple(absorbed[:8]), proof
+
+
+_CLOCK_LIKE = ("warm_up", "bias_step")
+_HEAT_LIKE = ("temperature", "temperature_rate")
+
+
+def _to_separate(effect: Effect, rivals: tuple[Rival, ...]) -> str:
+    """Say what to record so that a finding and its rivals come apart."""
+    if not rivals:
+        return ""
+    slugs = [effect.slug, *(r.effect for r in rivals)]
+    clock = any(s.endswith(_CLOCK_LIKE) or s.startswith("time ") for s in slugs)
+    heat = any(s.endswith(_HEAT_LIKE) for s in slugs)
+    if clock and heat:
+        return (
+            "Cool the sensor while you repeat the poses, so that temperature and time since "
+            "power-on do not rise together."
+        )
+    known = effects()
+    parts = [f"{known[s].title}: {known[s].needs}" for s in slugs if s in known]
+    return "To tell them apart, record what each needs. " + "; ".join(parts) + "."
+
+
+def changes(outcome: Outcome, rows_before: Rows) -> tuple[tuple[Change, ...], tuple[float, float]]:
+    """Return residual RMS and log-likelihood before and after, on the rows that were fitted."""
+    rows = outcome.rows
+    residual = rows.residual
+    for a in outcome.accepted:
+        if a.in_model:
+            residual = residual + a.columns @ (a.values / a.typical)
+    before = np.hstack((rows.baseline, rows.nuisance))
+    after = fitted(rows, outcome.accepted)
+    out: dict[str, list[float]] = {}
+    units = {}
+    likelihood = []
+    for mean in (before, after):
+        whitener = make_whitener(rows, outcome.levels, outcome.contrast, mean)
+        white = whitener.project(residual)
+        likelihood.append(-0.5 * float(white @ white))
+        plain = range_basis(whitener.whiten(mean))
+        fit = whitener.whiten(residual)
+        coefficients = np.linalg.lstsq(whitener.whiten(mean), fit, rcond=1e-10)[0]
+        left = residual - mean @ coefficients
+        floor = np.append(np.diag(whitener.factor @ whitener.factor.T), outcome.contrast)
+        keep = 1.0 - plain.shape[1] / len(residual)
+        for label, unit, own in _row_kinds(rows):
+            out.setdefault(label, []).append(float(np.sqrt(np.mean(np.square(left[own])))))
+            units[label] = (unit, float(np.sqrt(np.mean(floor[own]) * keep)))
+    del rows_before
+    found = tuple(
+        Change(label, units[label][0], v[0], v[1], units[label][1]) for label, v in out.items()
+    )
+    return found, (likelihood[0], likelihood[1])
+
+
+def _row_kinds(rows: Rows) -> list[tuple[str, str, FloatArray]]:
+    out = []
+    for label, unit, own in (
+        ("accel at rest", "m/s²", (rows.kind <= Kind.CONTRAST) & (rows.channel // 3 == 0)),
+        ("gyro at rest", "rad/s", (rows.kind <= Kind.CONTRAST) & (rows.channel // 3 == 1)),
+        ("attitude after turns", "rad", rows.kind == Kind.ATTITUDE),
+        ("velocity after turns", "m/s", rows.kind == Kind.VELOCITY),
+    ):
+        if (own & (rows.channel >= -1)).any():
+            out.append((label, unit, own))
+    return out
+
+
+def verdict(
+    findings: tuple[Finding, ...], unexplained: tuple[Unexplained, ...], *, able: bool
+) -> Verdict:
+    """Return the verdict."""
+    if findings and unexplained:
+        return "partly_explained"
+    if findings:
+        return "explained"
+    if unexplained:
+        return "unexplained"
+    return "consistent" if able else "undetermined"

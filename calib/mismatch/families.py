@@ -1,0 +1,150 @@
+"""The catalogue as candidates: every effect, its parameters singly and together, every shape."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from itertools import product
+
+import numpy as np
+
+from calib.effects import effects
+from calib.effects.base import Effect, ShapeParameter, TransformEffect
+from calib.mismatch.rows import Rows
+from calib.mismatch.score import Candidate, Stack
+from calib.types import FloatArray
+
+SHAPES = 7
+"""Candidates for each continuous shape parameter (its grid is refined once it was chosen)."""
+
+PHYSICAL = 0.6
+"""Prior probability of all physics together; the rivals share the rest."""
+
+
+def add_catalogue(
+    stack: Stack, rows: Rows, *, skip: tuple[str, ...] = (), reference: bool = False
+) -> None:
+    """Add the candidates of every effect that can show in these rows.
+
+    Parameters
+    ----------
+    stack : Stack
+    rows : Rows
+    skip : tuple of str
+        Effects that are not tried.
+    reference : bool
+        Whether the rows compare with a reference, which some parameters need.
+    """
+    known = effects()
+    for slug, effect in known.items():
+        # What acts on the readout (clipping, rounding, a unit) shows in the samples, not in rows.
+        readout = isinstance(effect, TransformEffect) and effect.stage == "readout"
+        if slug not in skip and (not readout or slug == "dropped_samples"):
+            _add(stack, effect, rows, reference=reference, weight=PHYSICAL / len(known))
+
+
+def _add(stack: Stack, effect: Effect, rows: Rows, *, reference: bool, weight: float) -> None:
+    """Add an effect's candidates; their weights sum to `weight`."""
+    shapes = list(_shapes(effect, rows))
+    channels = {p.name: p.channels for p in effect.parameters}
+    for shape in shapes:
+        found = effect_columns(effect, rows, shape, reference=reference)
+        if not found:
+            continue
+        index = dict(zip(found, stack.add(np.stack(list(found.values()), axis=1)), strict=True))
+        for names, share in _subsets(tuple(found)):
+            touched: tuple[str, ...] = tuple(dict.fromkeys(c for n in names for c in channels[n]))
+            stack.candidates.append(
+                Candidate(
+                    name=effect.slug,
+                    index=np.array([index[n] for n in names]),
+                    weight=weight * share / len(shapes),
+                    physical=True,
+                    channels=touched,
+                    parameters=names,
+                    shape=dict(shape),
+                )
+            )
+
+
+def effect_columns(
+    effect: Effect, rows: Rows, shape: Mapping[str, float], *, reference: bool
+) -> dict[str, FloatArray]:
+    """Return the row columns of an effect's parameters, in units of their typical sizes."""
+    sizes = {p.name: p.typical for p in effect.parameters if reference or not p.reference_only}
+    out = {}
+    for name, signals in effect.columns(rows.state, shape).items():
+        if name in sizes:
+            values = rows.column(signals) * sizes[name]
+            if np.abs(values).max() > 0:
+                out[name] = values
+    return out
+
+
+def _subsets(names: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], float]]:
+    """Yield each parameter alone, those that differ only in axis together, and all together."""
+    if not names:
+        return
+    if len(names) == 1:
+        yield names, 1.0
+        return
+    kinds: dict[str, list[str]] = {}
+    for name in names:
+        kinds.setdefault(re.sub(r"[xyz]+$", "", name), []).append(name)
+    groups = [tuple(v) for v in kinds.values() if 1 < len(v) < len(names)]
+    parts: list[list[tuple[str, ...]]] = [[(n,) for n in names], [names]]
+    if groups:
+        parts.append(groups)
+    for part in parts:
+        for subset in part:
+            yield subset, 1.0 / len(parts) / len(part)
+
+
+def _shapes(effect: Effect, rows: Rows) -> Iterator[Mapping[str, float]]:
+    """Yield the shapes that are tried: of optional sizes one at a time, of integers all."""
+    integers = [item for item in effect.shape if item.spacing == "integer"]
+    sizes = [item for item in effect.shape if item.spacing != "integer"]
+    optional = [item for item in sizes if item.optional]
+    fixed = [item for item in sizes if not item.optional]
+    for choice in [[item] for item in optional] or [[]]:
+        tried = [*fixed, *choice, *integers]
+        grids = [shape_grid(item, rows, SHAPES) for item in tried]
+        for values in product(*grids):
+            yield {item.name: float(v) for item, v in zip(tried, values, strict=True)}
+
+
+def shape_grid(item: ShapeParameter, rows: Rows, count: int) -> FloatArray:
+    """Return the values of a shape parameter that are tried.
+
+    A moment within the recording is tried in the middle of every rest and turn; a time constant
+    on a logarithmic grid between its bounds, no longer than three times the recording.
+    """
+    time = rows.state.time
+    start, stop = float(time[0]), float(time[-1])
+    if item.spacing == "integer":
+        return np.arange(item.low or 0, (item.high or 0) + 1, dtype=np.float64)
+    if item.unit == "s" and item.spacing == "linear" and item.low is None:
+        return np.asarray(rows.interval.mean(axis=1)[1:])
+    low = item.low if item.low is not None else (stop - start) / 100
+    high = item.high if item.high is not None else stop - start
+    if item.unit == "s" and item.spacing == "log":
+        high = max(min(high, 3 * (stop - start)), 1.01 * low)
+    return (
+        np.geomspace(low, high, count) if item.spacing == "log" else np.linspace(low, high, count)
+    )
+
+
+def neighbours(
+    effect: Effect, rows: Rows, shape: Mapping[str, float]
+) -> Iterator[dict[str, float]]:
+    """Yield shapes around a chosen one, one parameter at a time, within the grid's spacing."""
+    for item in effect.shape:
+        grid = shape_grid(item, rows, SHAPES)
+        here = shape.get(item.name)
+        if here is None or len(grid) < 2 or item.spacing == "integer":
+            continue
+        at = int(np.argmin(np.abs(grid - here)))
+        low, high = grid[max(at - 1, 0)], grid[min(at + 1, len(grid) - 1)]
+        space = np.geomspace if item.spacing == "log" else np.linspace
+        for value in space(low, high, 17):
+            yield {**shape, item.name: float(value)}

@@ -1,0 +1,235 @@
+"""The grid on which a diagnosis works: rests thinned to short means, turns sample by sample.
+
+Every row of the diagnosis is a linear functional of the signals over one rest or one turn, so a
+rest needs only a few means (`REST_STEP` apart), while a turn needs each sample. The grid's length
+is therefore that of the turns, not that of the recording.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from calib.poses import Poses
+from calib.recording import Recording
+from calib.types import BoolArray, FloatArray, IntArray
+
+REST_STEP = 0.25
+"""Length of the means that a rest is thinned to, s."""
+
+LONGEST_TURN = 30.0
+"""Motion that lasts longer than this between two rests is not closed, s: the errors of a hand
+shaking a sensor for minutes say nothing of its calibration."""
+
+CELLS = 150
+"""At most so many cells (parts of a rest, each with a mean and two contrasts)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Grid:
+    """Points (means over ``[edge, edge + count)`` samples), and the segments that they belong to.
+
+    Parameters
+    ----------
+    time, temperature : (n,) arrays
+        Of the points; ``temperature`` is None where it was not measured.
+    accel, gyro : (n, 3) arrays
+        Measured means.
+    count : (n,) array of int
+        Samples in each point.
+    vibration : (n, 3) array, (m/s²)²
+        Short-time variance of the specific force above its level at rest.
+    first, last : (s,) arrays of int
+        Points ``[first, last)`` of each segment, in the order of time.
+    interval : (s, 2) array, s
+    before, after : (s,) arrays of int
+        Pose at either end of a segment: the same for a cell of a rest, neighbours for a turn.
+    """
+
+    time: FloatArray
+    accel: FloatArray
+    gyro: FloatArray
+    temperature: FloatArray | None
+    count: IntArray
+    vibration: FloatArray
+    since_turn: FloatArray
+    first: IntArray
+    last: IntArray
+    interval: FloatArray
+    before: IntArray
+    after: IntArray
+    n_poses: int
+
+    @property
+    def is_rest(self) -> BoolArray:
+        """Whether each segment is a cell of a rest, (s,) bool."""
+        rest: BoolArray = self.before == self.after
+        return rest
+
+    @property
+    def segment(self) -> IntArray:
+        """The segment of each point, (n,)."""
+        return np.repeat(np.arange(len(self.first)), self.last - self.first)
+
+    @property
+    def pose(self) -> IntArray:
+        """The pose of each point, (n,); -1 in turns."""
+        return np.where(self.is_rest, self.before, -1)[self.segment]
+
+
+def make_grid(recording: Recording, poses: Poses, *, margin: int = 3) -> Grid:
+    """Cut a recording into cells of rests and turns between them.
+
+    Parameters
+    ----------
+    recording : Recording
+    poses : Poses
+        In the order of time.
+    margin : int
+        Samples at either end of a rest that are given to the turn beside it, so that the turn is
+        integrated from rest to rest.
+    """
+    step = max(recording.interval, 1e-9)
+    width = max(1, round(REST_STEP / step))
+    cells = _cell_counts(poses, CELLS)
+    starts: list[IntArray] = []
+    segments: list[tuple[int, int, int, int]] = []
+    n_points = 0
+
+    def add(edges: IntArray, stop: int, before: int, after: int) -> None:
+        nonlocal n_points
+        starts.append(np.stack((edges, np.append(edges[1:], stop)), axis=1))
+        segments.append((n_points, n_points + len(edges), before, after))
+        n_points += len(edges)
+
+    for k in range(len(poses)):
+        start, stop = int(poses.start[k]), int(poses.stop[k])
+        # A rest keeps at least six points, so that it has a mean and two contrasts.
+        trim = min(margin, max(0, (stop - start - 6) // 2))
+        inner = np.linspace(start + trim, stop - trim, int(cells[k]) + 1).astype(np.int64)
+        for a, b in pairwise(inner):
+            n = max(1, min(b - a, max(6, (b - a) // width)))
+            edges = np.unique(np.linspace(a, b, n + 1).astype(np.int64)[:-1])
+            add(edges, int(b), k, k)
+        if k + 1 < len(poses):
+            following = min(margin, max(0, int(poses.stop[k + 1] - poses.start[k + 1] - 6) // 2))
+            a, b = stop - trim, int(poses.start[k + 1]) + following
+            if b - a >= 2 and (b - a) * step <= LONGEST_TURN:
+                add(np.arange(a, b, dtype=np.int64), b, k, k + 1)
+    bounds = np.concatenate(starts)
+    table = np.array(segments, np.int64)
+    return _fill(recording, poses, bounds, table)
+
+
+def _cell_counts(poses: Poses, limit: int) -> IntArray:
+    """Split long rests so that their drift shows, but no more than `limit` cells in all."""
+    length = poses.interval[:, 1] - poses.interval[:, 0]
+    cells = np.ones(len(poses), np.int64)
+    typical = max(10.0, float(np.median(length)) * 1.5, float(length.sum()) / limit)
+    return np.maximum(cells, np.floor(length / typical).astype(np.int64))
+
+
+def _fill(recording: Recording, poses: Poses, bounds: IntArray, table: IntArray) -> Grid:
+    count = bounds[:, 1] - bounds[:, 0]
+
+    def mean(values: FloatArray) -> FloatArray:
+        # reduceat over interleaved [start, stop) pairs; the odd ones are the gaps between.
+        flat = bounds.ravel()
+        if flat[-1] == len(values):
+            flat = flat[:-1]
+        sums: FloatArray = np.add.reduceat(values, flat, axis=0)[::2]
+        shape = (-1, *([1] * (values.ndim - 1)))
+        return sums / count.reshape(shape)
+
+    first, last, before, after = table.T
+    accel = mean(recording.accel)
+    time = mean(recording.time)
+    temperature = None if recording.temperature is None else mean(smooth_temperature(recording))
+    rest = np.repeat(before == after, last - first)
+    interval = np.stack(
+        (recording.time[bounds[first, 0]], recording.time[bounds[last - 1, 1] - 1]), axis=1
+    )
+    ended = _turn_ends(recording, poses)
+    last_end = np.searchsorted(ended, time, side="right") - 1
+    since = np.where(last_end >= 0, time - ended[np.maximum(last_end, 0)], np.inf)
+    return Grid(
+        time=time,
+        accel=accel,
+        gyro=mean(recording.gyro),
+        temperature=temperature,
+        count=count,
+        vibration=_vibration(recording, bounds, rest, first, last),
+        since_turn=since,
+        first=first,
+        last=last,
+        interval=interval,
+        before=before,
+        after=after,
+        n_poses=len(poses),
+    )
+
+
+def _turn_ends(recording: Recording, poses: Poses) -> FloatArray:
+    """Return when each motion before a rest ended, s: the last sample that clearly still turned.
+
+    The detector of rests begins a rest late, to be sure; a settling is counted from the end of
+    motion itself.
+    """
+    if len(poses) < 2:
+        return np.zeros(0)
+    noise = np.array(
+        [recording.gyro[a:b].std(axis=0) for a, b in zip(poses.start, poses.stop, strict=True)]
+    )
+    limit = 5.0 * np.median(noise, axis=0)
+    out = np.empty(len(poses) - 1)
+    for k in range(1, len(poses)):
+        a, b = int(poses.stop[k - 1]), int(poses.start[k]) + 1
+        moving = (np.abs(recording.gyro[a:b] - poses.gyro[k]) > limit).any(axis=1)
+        out[k - 1] = recording.time[a + int(np.flatnonzero(moving)[-1]) if moving.any() else b - 1]
+    return out
+
+
+def smooth_temperature(recording: Recording, *, window: float = 10.0) -> FloatArray:
+    """Return the temperature smoothed over `window` seconds (two passes of a moving mean).
+
+    A part's temperature changes over minutes; its readout is coarse and noisy, and its time
+    derivative needs the noise gone.
+    """
+    assert recording.temperature is not None
+    values = recording.temperature
+    width = round(window / max(recording.interval, 1e-9)) // 2 * 2 + 1
+    width = min(width, len(values) // 4 * 2 + 1)
+    for _ in range(2):
+        # Extend by point reflection so that the ends keep their slope.
+        half = width // 2
+        if half == 0:
+            return values
+        left = 2 * values[:half].mean() - values[half:0:-1]
+        right = 2 * values[-half:].mean() - values[-2 : -half - 2 : -1]
+        padded = np.concatenate((left, values, right))
+        sums = np.concatenate(([0.0], np.cumsum(padded)))
+        values = (sums[width:] - sums[:-width]) / width
+    return values
+
+
+def _vibration(
+    recording: Recording, bounds: IntArray, rest: FloatArray, first: IntArray, last: IntArray
+) -> FloatArray:
+    """Variance of the specific force from its second differences, averaged over each segment."""
+    accel = recording.accel
+    out = np.zeros((len(bounds), 3))
+    if len(accel) < 5:
+        return out
+    second = np.zeros_like(accel)
+    # The variance of white noise is that of its second differences over six.
+    second[1:-1] = np.square(accel[2:] - 2 * accel[1:-1] + accel[:-2]) / 6.0
+    sums = np.concatenate((np.zeros((1, 3)), np.cumsum(second, axis=0)))
+    a, b = bounds[first, 0], bounds[last - 1, 1]
+    level = (sums[b] - sums[a]) / (b - a)[:, None]
+    resting = rest[first]
+    if resting.any():
+        level = np.maximum(level - np.median(level[resting], axis=0), 0.0)
+    out[:] = np.repeat(level, last - first, axis=0)
+    return out

@@ -1,0 +1,195 @@
+"""Held-out blocks: what a finding is worth on poses and turns that did not see it.
+
+Folds take every fifth pose with the turn that follows it. With ``r`` the whitened residual after
+the fit of all rows and ``Q`` an orthonormal basis of the fitted columns, what a fit *without* the
+rows B would have left there is ``(I - Q_B Q_B')^-1 r_B``: no fit is repeated. Directions that only
+B determines (the attitude of a pose that is held out) have no prediction and are left out.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from calib.mismatch.noise import make_whitener
+from calib.mismatch.rows import Kind, Rows
+from calib.recording import CHANNELS
+from calib.types import BoolArray, FloatArray, IntArray
+
+FOLDS = 5
+
+_UNITS = {Kind.ATTITUDE: "rad", Kind.VELOCITY: "m/s"}
+
+
+class HeldOut(NamedTuple):
+    """Residual RMS on held-out blocks before and after, beside what noise alone leaves."""
+
+    before: float
+    after: float
+    noise_floor: float
+    unit: str
+    rows: str
+    gain: float
+
+
+def held_out(
+    rows: Rows,
+    fitted_before: FloatArray,
+    columns: FloatArray,
+    residual: FloatArray,
+    *,
+    levels: FloatArray,
+    contrast: FloatArray,
+    channels: tuple[str, ...],
+) -> HeldOut:
+    """Leave out every block in turn, without and with the columns of one finding.
+
+    Parameters
+    ----------
+    rows : Rows
+    fitted_before : (m, p) array
+        Columns of all else that is fitted.
+    columns : (m, k) array
+        Of the finding.
+    residual : (m,) array
+        With the finding's part in it.
+    levels, contrast : arrays
+        Noise, as the search ends with it.
+    channels : tuple of str
+        What the finding touches: the rows that are reported are of these channels.
+
+    Returns
+    -------
+    HeldOut
+        RMS in physical units over the kind of rows in which the finding shows most; ``gain`` is the
+        log-likelihood gained on all held-out rows, drift being noise.
+    """
+    # Parameters alone predict what is held out: drift is not interpolated, but weighs as jitter.
+    still = np.array(levels)
+    names = [c.name for c in rows.components]
+    for i, name in enumerate(names):
+        if name.endswith(" walk"):
+            still[names.index(name.replace(" walk", " jitter"))] += 0.5 * still[i]
+            still[i] = 0.0
+    after = np.hstack((fitted_before, columns))
+    which, label, unit = _telling_rows(rows, fitted_before, columns, still, contrast, channels)
+    size = [
+        _leave_out(rows, mean, residual, still, contrast, which) for mean in (fitted_before, after)
+    ]
+    gain = _gain(rows, fitted_before, after, residual, levels, contrast)
+    return HeldOut(size[0][0], size[1][0], size[1][1], unit, label, gain)
+
+
+def fold_of(rows: Rows) -> IntArray:
+    """Return the fold of each row."""
+    _, order = np.unique(rows.block, return_inverse=True)
+    return np.asarray(order % FOLDS)
+
+
+def _telling_rows(
+    rows: Rows,
+    mean: FloatArray,
+    columns: FloatArray,
+    levels: FloatArray,
+    contrast: FloatArray,
+    channels: tuple[str, ...],
+) -> tuple[BoolArray, str, str]:
+    whitener = make_whitener(rows, levels, contrast, mean)
+    power = np.square(whitener.project(columns)).sum(axis=1)
+    touched = np.isin(rows.channel, [CHANNELS.index(c) for c in channels])
+    best = (-1.0, np.zeros(len(power), bool), "", "")
+    for kind in Kind:
+        for triad, unit in (("accel", "m/s²"), ("gyro", "rad/s")):
+            own = rows.kind == kind
+            label = kind.name.lower()
+            if kind in (Kind.MEAN, Kind.CONTRAST):
+                own &= touched & (rows.channel // 3 == (0 if triad == "accel" else 1))
+                label = f"{triad} {'means' if kind == Kind.MEAN else 'changes'} at rest"
+            else:
+                unit = _UNITS[kind]
+                label = f"{label} closure of turns"
+            if own.any() and power[own].sum() > best[0]:
+                best = (float(power[own].sum()), own, label, unit)
+    return best[1], best[2], best[3]
+
+
+def _leave_out(
+    rows: Rows,
+    mean: FloatArray,
+    residual: FloatArray,
+    levels: FloatArray,
+    contrast: FloatArray,
+    which: BoolArray,
+) -> tuple[float, float]:
+    """Return the held-out RMS over the rows `which`, and the RMS that noise alone leaves."""
+    whitener = make_whitener(rows, levels, contrast, mean)
+    left, basis = whitener.project(residual), whitener.basis
+    fold = fold_of(rows)
+    square, floor, number = 0.0, 0.0, 0
+    for k in range(FOLDS):
+        own = np.flatnonzero(fold == k)
+        if not len(own):
+            continue
+        # Without walks the covariance does not couple segments, so neither does its factor.
+        values, vectors = np.linalg.eigh(np.eye(len(own)) - basis[own] @ basis[own].T)
+        good = values > 1e-4
+        inverse = (vectors[:, good] / values[good]) @ vectors[:, good].T
+        error = _colour(rows, whitener.factor, whitener.scale, own, inverse @ left[own][:, None])
+        spread = _colour(
+            rows, whitener.factor, whitener.scale, own, vectors[:, good] / np.sqrt(values[good])
+        )
+        seen = which[own]
+        square += float(np.square(error[seen]).sum())
+        floor += float(np.square(spread[seen]).sum())
+        number += int(seen.sum())
+    if not number:
+        return 0.0, 0.0
+    return float(np.sqrt(square / number)), float(np.sqrt(floor / number))
+
+
+def _colour(
+    rows: Rows, factor: FloatArray, scale: FloatArray, own: IntArray, values: FloatArray
+) -> FloatArray:
+    """Undo the whitening of rows `own`, which must be closed under the covariance."""
+    out = np.empty_like(values)
+    dense = own < rows.n_dense
+    out[dense] = factor[np.ix_(own[dense], own[dense])] @ values[dense]
+    out[~dense] = values[~dense] * scale[own[~dense] - rows.n_dense, None]
+    return out
+
+
+def _gain(
+    rows: Rows,
+    before: FloatArray,
+    after: FloatArray,
+    residual: FloatArray,
+    levels: FloatArray,
+    contrast: FloatArray,
+) -> float:
+    """Return the held-out log-likelihood gained, with the full noise model."""
+    fold = fold_of(rows)
+    value = []
+    for mean in (before, after):
+        whitener = make_whitener(rows, levels, contrast, mean)
+        left = whitener.project(residual)
+        half = whitener.unwhiten_transposed(np.eye(len(left)))
+        hidden = half @ whitener.basis
+        pull = whitener.unwhiten_transposed(left[:, None])[:, 0]
+        total = 0.0
+        for k in range(FOLDS):
+            own = np.flatnonzero(fold == k)
+            if not len(own):
+                continue
+            # P_BB^-1 (P y)_B is the prediction error of block B, P_BB^-1 its covariance.
+            block = half[own] @ half[own].T - hidden[own] @ hidden[own].T
+            scale = np.sqrt(np.diag(block))
+            scale[scale == 0] = 1.0
+            values, vectors = np.linalg.eigh(block / np.outer(scale, scale))
+            good = values > 1e-6
+            along = vectors.T @ (pull[own] / scale)
+            total += 0.5 * float(
+                np.log(values[good]).sum() - (np.square(along[good]) / values[good]).sum()
+            )
+        value.append(total)
+    return value[1] - value[0]

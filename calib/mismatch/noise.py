@@ -1,0 +1,234 @@
+"""The noise model: white noise, jitter and random walk of each bias, the closures' own errors.
+
+Their levels are estimated by restricted maximum likelihood: the likelihood of what no column of
+the mean can reach. With the columns of every effect in the mean, an effect cannot hide as drift.
+
+References
+----------
+.. [1] Patterson, Thompson, "Recovery of inter-block information when block sizes are unequal",
+   Biometrika 58, 1971, p. 545 (restricted likelihood).
+.. [2] Gilmour, Thompson, Cullis, "Average information REML", Biometrics 51, 1995, p. 1440, eq. (7).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import linalg
+
+from calib.mismatch.rows import Rows
+from calib.types import FloatArray
+
+WITHIN = 1.0
+"""How much the drift of axes of one triad differs: standard deviation of the logarithm of a level
+(a variance), so that one axis has rarely more than three times the drift of another."""
+
+
+@dataclass(frozen=True, eq=False)
+class Levels:
+    """Levels of the components, and the penalised restricted log-likelihood that they reach."""
+
+    values: FloatArray
+    log_likelihood: float
+
+
+def covariance(rows: Rows, levels: FloatArray) -> FloatArray:
+    """Return the covariance of the dense rows."""
+    out = rows.white.copy()
+    for level, component in zip(levels, rows.components, strict=True):
+        out += level * component.matrix
+    return out
+
+
+def expected_levels(rows: Rows) -> FloatArray:
+    """Return the levels that the priors are centred on."""
+    return np.array([c.expected for c in rows.components])
+
+
+def prior_precision(rows: Rows) -> FloatArray:
+    """Return the precision of the logarithms of the levels.
+
+    Each is uncertain by its ``spread``; components of one group (one kind of drift on the axes of
+    one triad) share most of that, and differ among each other by `WITHIN` only.
+    """
+    spread = np.array([c.spread for c in rows.components])
+    group = np.array([c.group for c in rows.components])
+    same = (group[:, None] == group) & (group != "")
+    shared = np.where(same, np.outer(spread, spread) - WITHIN**2, 0.0)
+    own = np.where(group != "", WITHIN**2, np.square(spread))
+    return np.asarray(np.linalg.inv(shared + np.diag(own)))
+
+
+def estimate_levels(
+    rows: Rows, mean: FloatArray, start: FloatArray, *, iterations: int = 15
+) -> Levels:
+    """Estimate the levels by penalised average-information REML.
+
+    Parameters
+    ----------
+    rows : Rows
+    mean : (n_dense, p) array
+        Columns of the mean; any rank.
+    start : (c,) array
+        Levels to start from.
+    """
+    y = rows.residual[: rows.n_dense]
+    matrices = [c.matrix for c in rows.components]
+    centre = np.log(expected_levels(rows))
+    precision = prior_precision(rows)
+    basis = range_basis(mean)
+    logs = np.log(start)
+    best: tuple[float, FloatArray] | None = None
+    damping = 0.0
+    for _ in range(iterations):
+        levels = np.exp(logs)
+        projector, value = _projector(covariance(rows, levels), basis, y)
+        value -= 0.5 * float((logs - centre) @ precision @ (logs - centre))
+        if best is not None and value < best[0] - 1e-6:
+            # Too long a step: go back half way.
+            damping += 1
+            if damping > 4:
+                break
+            logs = 0.5 * (logs + best[1])
+            continue
+        gain = np.inf if best is None else value - best[0]
+        best = (value, logs)
+        if gain < 0.02:
+            break
+        py = projector @ y
+        vpy = np.stack(
+            [level * (v @ py) for level, v in zip(levels, matrices, strict=True)], axis=1
+        )
+        trace = np.array(
+            [
+                level * float(np.vdot(projector, v))
+                for level, v in zip(levels, matrices, strict=True)
+            ]
+        )
+        gradient = 0.5 * (vpy.T @ py - trace) - precision @ (logs - centre)
+        information = 0.5 * vpy.T @ projector @ vpy + precision
+        # Average information is poor far from the optimum: never less than half the trace's own.
+        information += np.diag(0.1 * np.abs(trace))
+        step = np.linalg.solve(information, gradient)
+        logs = logs + np.clip(step, -2.0, 2.0)
+    assert best is not None
+    return Levels(np.exp(best[1]), best[0])
+
+
+def range_basis(mean: FloatArray, *, tolerance: float = 1e-9) -> FloatArray:
+    """Return independent columns with the span of `mean`, scaled to unit length."""
+    size = np.linalg.norm(mean, axis=0)
+    scaled = mean[:, size > 0] / size[size > 0]
+    if not scaled.size:
+        return np.asarray(scaled)
+    q, r, _ = linalg.qr(scaled, mode="economic", pivoting=True)
+    rank = int((np.abs(np.diag(r)) > tolerance * abs(r[0, 0])).sum())
+    return np.asarray(q[:, :rank])
+
+
+def _projector(cov: FloatArray, basis: FloatArray, y: FloatArray) -> tuple[FloatArray, float]:
+    """Return ``P = inv(V) - inv(V) X inv(X' inv(V) X) X' inv(V)`` and the restricted likelihood."""
+    factor = linalg.cholesky(cov, lower=True)
+    inverse, _ = linalg.lapack.dpotri(factor, lower=1)
+    inverse = np.tril(inverse) + np.tril(inverse, -1).T
+    weighted = inverse @ basis
+    inner = linalg.cholesky(basis.T @ weighted, lower=True)
+    half = linalg.solve_triangular(inner, weighted.T, lower=True)
+    projector = inverse - half.T @ half
+    log_det = 2 * np.log(np.diag(factor)).sum() + 2 * np.log(np.diag(inner)).sum()
+    return projector, float(-0.5 * (log_det + y @ projector @ y))
+
+
+def contrast_variance(rows: Rows) -> FloatArray:
+    """Return the variance of the contrast rows: white noise times one robust factor a channel.
+
+    Drift within a rest and correlated noise lift it above white noise. What repeats in every rest
+    or goes with time (an effect) is taken out first.
+    """
+    variance = rows.white_diagonal.copy()
+    start = rows.n_dense
+    y, channel = rows.residual[start:], rows.channel[start:]
+    time = rows.interval[rows.segment[start:]].mean(axis=1)
+    order = (
+        np.tile(np.repeat([0, 1], 6), len(y) // 12) if len(y) % 12 == 0 else np.zeros(len(y), int)
+    )
+    for c in range(6):
+        squares = []
+        for k in (0, 1):
+            own = np.flatnonzero((channel == c) & (order == k))
+            if len(own) < 5:
+                continue
+            scaled = y[own] / np.sqrt(variance[own])
+            design = np.stack((np.ones(len(own)), (time[own] - time[own].mean())), axis=1)
+            left = scaled - design @ np.linalg.lstsq(design, scaled, rcond=None)[0]
+            squares.append(np.square(left) * len(own) / (len(own) - 2))
+        if not squares:
+            continue
+        values = np.concatenate(squares)
+        # The median of chi-squared with one degree of freedom is 0.4549.
+        level = float(np.median(values)) / 0.4549
+        level = max(level, float(np.minimum(values, 9.0 * max(level, 1e-12)).mean()))
+        shrunk = (len(values) * level + 6.0) / (len(values) + 6.0)
+        variance[channel == c] *= max(1.0, shrunk)
+    return variance
+
+
+@dataclass(frozen=True, eq=False)
+class Whitener:
+    """Whitens rows and projects out what is always fitted (baseline and nuisances)."""
+
+    factor: FloatArray
+    scale: FloatArray
+    basis: FloatArray
+    n_dense: int
+
+    def whiten(self, values: FloatArray) -> FloatArray:
+        """Return whitened (m, ...) rows."""
+        out = np.empty_like(values, dtype=np.float64)
+        out[: self.n_dense] = linalg.solve_triangular(
+            self.factor, values[: self.n_dense], lower=True, check_finite=False
+        )
+        rest = values[self.n_dense :]
+        out[self.n_dense :] = rest / (self.scale if rest.ndim == 1 else self.scale[:, None])
+        return out
+
+    def unwhiten_transposed(self, values: FloatArray) -> FloatArray:
+        """Return the transposed whitening applied to (m, k) rows: ``inv(L)' values``."""
+        out = np.empty_like(values)
+        out[: self.n_dense] = linalg.solve_triangular(
+            self.factor, values[: self.n_dense], lower=True, trans="T", check_finite=False
+        )
+        out[self.n_dense :] = values[self.n_dense :] / self.scale[:, None]
+        return out
+
+    def project(self, values: FloatArray) -> FloatArray:
+        """Return whitened rows without what the fitted columns can reach."""
+        white = self.whiten(values)
+        return white - self.basis @ (self.basis.T @ white)
+
+
+def make_whitener(
+    rows: Rows, levels: FloatArray, contrast: FloatArray, fitted: FloatArray
+) -> Whitener:
+    """Return the whitener for these levels, with the (m, p) `fitted` columns projected out."""
+    factor = linalg.cholesky(covariance(rows, levels), lower=True)
+    plain = Whitener(factor, np.sqrt(contrast), np.zeros((len(rows.residual), 0)), rows.n_dense)
+    return Whitener(factor, plain.scale, range_basis(plain.whiten(fitted)), rows.n_dense)
+
+
+def level_likelihood(rows: Rows, basis: FloatArray, levels: FloatArray) -> float:
+    """Return the penalised restricted log-likelihood of given levels.
+
+    ``basis`` is the `range_basis` of the mean's dense rows.
+    """
+    factor = linalg.cholesky(covariance(rows, levels), lower=True, check_finite=False)
+    both = np.column_stack((basis, rows.residual[: rows.n_dense]))
+    white = linalg.solve_triangular(factor, both, lower=True, check_finite=False)
+    q, r = linalg.qr(white[:, :-1], mode="economic", check_finite=False)
+    y = white[:, -1]
+    left = float(y @ y - np.square(q.T @ y).sum())
+    log_det = 2 * np.log(np.diag(factor)).sum() + 2 * np.log(np.abs(np.diag(r))).sum()
+    logs = np.log(levels / expected_levels(rows))
+    prior = float(logs @ prior_precision(rows) @ logs)
+    return float(-0.5 * (log_det + left + prior))

@@ -1,0 +1,136 @@
+"""Rows: what the diagnosis looks at, wherever the rows come from.
+
+A row is a linear functional of the measured signals whose expectation the model predicts: a mean
+at rest, the gravity direction after a turn, the velocity after a turn, or a windowed difference
+from a reference. What a term adds to the signals, its ``column``, becomes a column of rows by the
+same functional, so that every effect of the catalogue is judged in one place.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from enum import IntEnum
+from typing import Any
+
+import numpy as np
+
+from calib.effects.base import State
+from calib.recording import CHANNELS
+from calib.types import BoolArray, FloatArray, IntArray
+
+
+class Kind(IntEnum):
+    """What a row measures."""
+
+    MEAN = 0  # mean of one channel over a cell of a rest, or over a window
+    CONTRAST = 1  # change of one channel within a cell: linear and quadratic, orthogonal to MEAN
+    ATTITUDE = 2  # gravity direction after a turn, rad
+    VELOCITY = 3  # velocity after a turn, m/s
+
+
+@dataclass(frozen=True, eq=False)
+class Component:
+    """One unknown variance: ``level * matrix`` adds to the covariance of the dense rows.
+
+    ``expected`` is the level that the prior is centred on, ``spread`` the standard deviation of
+    its logarithm. Components of one ``group`` have similar levels.
+    """
+
+    name: str
+    matrix: FloatArray
+    expected: float
+    spread: float = 2.5
+    group: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """Residual rows with everything that judges them.
+
+    The first ``n_dense`` rows have the covariance ``white + sum(level * component)``; the rest
+    (contrasts within a rest) are independent, with variance ``white_diagonal``.
+
+    Parameters
+    ----------
+    residual : (m,) array
+        Measured minus modelled.
+    baseline : (m, p) array
+        Derivatives with respect to the baseline's parameters ``names``.
+    nuisance : (m, q) array
+        Derivatives with respect to what must be fitted but is not reported (attitudes).
+    functional : six sparse (m, n) matrices
+        One for each channel: the row is the sum over channels of ``functional[c] @ signal[c]``.
+    state : State
+        The true state on the n points.
+    white : (n_dense, n_dense) array
+    white_diagonal : (m - n_dense,) array
+    components : tuple of Component
+    kind, channel, segment : (m,) arrays of int
+        ``channel`` is 0 to 5, or -1 for rows that combine channels; ``segment`` numbers the rest
+        or turn that the row was measured in.
+    block : (m,) array of int
+        What is held out together.
+    interval : (s, 2) array, s
+        Of each segment.
+    is_rest : (s,) array of bool
+    pieces : six sparse (m, s) matrices
+        Response to a constant on each channel in each segment (functional times indicator).
+    """
+
+    residual: FloatArray
+    baseline: FloatArray
+    names: tuple[str, ...]
+    nuisance: FloatArray
+    functional: tuple[Any, ...]
+    state: State
+    point_segment: IntArray
+    white: FloatArray
+    white_diagonal: FloatArray
+    components: tuple[Component, ...]
+    kind: IntArray
+    channel: IntArray
+    segment: IntArray
+    block: IntArray
+    interval: FloatArray
+    is_rest: BoolArray
+    pieces: tuple[Any, ...] = field(default=())
+
+    @property
+    def n_dense(self) -> int:
+        """How many rows have a dense covariance."""
+        return len(self.white)
+
+    def column(self, signals: Mapping[str, FloatArray]) -> FloatArray:
+        """Return the (m,) row column of what a term adds to the signals, by channel."""
+        out = np.zeros(len(self.residual))
+        for name, values in signals.items():
+            out += self.functional[CHANNELS.index(name)] @ values
+        return out
+
+    def columns(self, channel: int, values: FloatArray) -> FloatArray:
+        """Return the (m, k) row columns of (n, k) values on one channel."""
+        out: FloatArray = self.functional[channel] @ values
+        return out
+
+    def without(self, drop: BoolArray) -> Rows:
+        """Return the rows that are not marked in `drop`, (m,) bool."""
+        keep = ~np.asarray(drop, bool)
+        dense, rest = keep[: self.n_dense], keep[self.n_dense :]
+        return replace(
+            self,
+            residual=self.residual[keep],
+            baseline=self.baseline[keep],
+            nuisance=self.nuisance[keep],
+            functional=tuple(f[keep] for f in self.functional),
+            white=self.white[np.ix_(dense, dense)],
+            white_diagonal=self.white_diagonal[rest],
+            components=tuple(
+                replace(c, matrix=c.matrix[np.ix_(dense, dense)]) for c in self.components
+            ),
+            kind=self.kind[keep],
+            channel=self.channel[keep],
+            segment=self.segment[keep],
+            block=self.block[keep],
+            pieces=tuple(p[keep] for p in self.pieces),
+        )

@@ -1,0 +1,181 @@
+"""Evidence for what was left out: closed-form Bayes factors that are e-values.
+
+A hypothesis adds columns ``Z`` (whitened, with all that is fitted projected out, in units of their
+typical size) with coefficients drawn from ``N(0, s²)``, s running over `SCALES`. Against the
+residual y alone its Bayes factor is
+
+    log B(s) = -1/2 log det(I + s² Z'Z) + 1/2 y'Z (I/s² + Z'Z)^-1 Z'y.
+
+Averaged over scales, places and shapes with weights that sum to one it has expectation at most one
+where nothing was left out, so that P(B > 100) < 1 %: the price of all looks is in the weights.
+
+References
+----------
+.. [1] Vovk, Wang, "E-values: calibration, combination and applications", Ann. Statist. 49, 2021.
+.. [2] Liang et al., "Mixtures of g priors for Bayesian variable selection", JASA 103, 2008.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy import sparse
+
+from calib.mismatch.noise import Whitener
+from calib.types import FloatArray, IntArray
+
+SCALES = np.geomspace(0.01, 3.0, 8)
+"""Sizes that are tried, relative to the typical one."""
+
+_LOST = 1e-8
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """One hypothesis, as columns of a `Stack`, and its prior weight.
+
+    Parameters
+    ----------
+    name : str
+        An effect's slug; for a rival that is no physics, what the residual follows.
+    index : array of int
+        Which columns of the stack.
+    summed : bool
+        Whether those columns make one (a window) or have a coefficient each.
+    weight : float
+        Prior probability; all candidates together sum to at most one.
+    physical : bool
+        False for rivals.
+    parameters : tuple of str
+        Names of the coefficients; empty for rivals.
+    shape : mapping
+        Shape parameters (time constants, moments).
+    channels : tuple of str
+    interval : (start, stop) or None, s
+        Of a window.
+    """
+
+    name: str
+    index: IntArray
+    weight: float
+    physical: bool
+    channels: tuple[str, ...]
+    summed: bool = False
+    parameters: tuple[str, ...] = ()
+    shape: Mapping[str, float] = field(default_factory=dict)
+    interval: tuple[float, float] | None = None
+
+    @property
+    def is_single(self) -> bool:
+        """Whether it has one coefficient."""
+        return self.summed or len(self.index) == 1
+
+    @property
+    def group(self) -> str:
+        """Candidates of one group are one answer: an effect, or a rival of one channel."""
+        return self.name if self.physical else f"{self.name} {self.channels[0]}"
+
+
+class Stack:
+    """Columns that candidates share, so that whitening them is one product."""
+
+    def __init__(self, rows: int) -> None:
+        self._rows = rows
+        self._parts: list[FloatArray] = []
+        self._count = 0
+        self.candidates: list[Candidate] = []
+
+    def add(self, columns: FloatArray) -> IntArray:
+        """Add (m, k) columns and return their indices."""
+        self._parts.append(columns)
+        first = self._count
+        self._count += columns.shape[1]
+        return np.arange(first, self._count)
+
+    @property
+    def columns(self) -> FloatArray:
+        """All columns, (m, k)."""
+        if not self._parts:
+            return np.zeros((self._rows, 0))
+        if len(self._parts) > 1:
+            self._parts = [np.hstack(self._parts)]
+        return self._parts[0]
+
+    def of(self, candidate: Candidate) -> FloatArray:
+        """Return the (m, k) columns of one candidate."""
+        own = self.columns[:, candidate.index]
+        return own.sum(axis=1, keepdims=True) if candidate.summed else own
+
+    def log_bayes_factors(
+        self, whitener: Whitener, y: FloatArray, *, which: list[int] | None = None
+    ) -> FloatArray:
+        """Return log B of every candidate, averaged over `SCALES`.
+
+        Parameters
+        ----------
+        whitener : Whitener
+            With all that is fitted projected out. A column that keeps less than 1e-8 of its power
+            there cannot be told from what is fitted, and counts as nothing.
+        y : (m,) array
+            Whitened projected residual.
+        which : list of int, optional
+            The candidates to score; the others get -inf.
+        """
+        which = list(range(len(self.candidates))) if which is None else which
+        used = np.unique(np.concatenate([self.candidates[i].index for i in which]))
+        place = np.zeros(self._count, np.int64)
+        place[used] = np.arange(len(used))
+        white = whitener.whiten(self.columns[:, used])
+        basis = whitener.basis
+        projected = white - basis @ (basis.T @ white)
+        total = np.square(white).sum(axis=0)
+        projected[:, np.square(projected).sum(axis=0) < _LOST * total] = 0.0
+        match = y @ projected
+        out = np.full(len(self.candidates), -np.inf)
+        single = [i for i in which if self.candidates[i].is_single]
+        if single:
+            index = [place[self.candidates[i].index] for i in single]
+            power, along = _singles(index, projected, match, total)
+            strength = np.square(SCALES)[:, None] * power
+            gain = 0.5 * np.square(along) / np.maximum(power, 1e-300) * strength / (1 + strength)
+            out[single] = _average(gain - 0.5 * np.log1p(strength))
+        for i in which:
+            if not self.candidates[i].is_single:
+                own = place[self.candidates[i].index]
+                out[i] = _joint(projected[:, own], match[own])
+        return out
+
+
+def _singles(
+    index: list[IntArray], projected: FloatArray, match: FloatArray, total: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the power of each single (or summed) column, and its match with the residual."""
+    column = np.repeat(np.arange(len(index)), [len(k) for k in index])
+    pick = sparse.csc_matrix(
+        (np.ones(len(column)), (np.concatenate(index), column)),
+        shape=(projected.shape[1], len(index)),
+    )
+    summed = (pick.T @ projected.T).T
+    power = np.square(summed).sum(axis=0)
+    lost = power < _LOST * (pick.T @ total)
+    power[lost] = 0.0
+    return power, np.where(lost, 0.0, pick.T @ match)
+
+
+def _joint(columns: FloatArray, match: FloatArray) -> float:
+    values, vectors = np.linalg.eigh(columns.T @ columns)
+    values = np.maximum(values, 0.0)
+    along = np.square(vectors.T @ match)
+    square = np.square(SCALES)[:, None]
+    strength = square * values
+    gain = 0.5 * (along * square / (1 + strength)).sum(axis=1)
+    return float(_average(gain - 0.5 * np.log1p(strength).sum(axis=1)))
+
+
+def _average(log_factors: FloatArray) -> FloatArray:
+    """Return the logarithm of the mean over the first axis."""
+    top = log_factors.max(axis=0)
+    mean: FloatArray = top + np.log(np.exp(log_factors - top).mean(axis=0))
+    return mean

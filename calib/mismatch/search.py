@@ -1,0 +1,381 @@
+"""The search: the best explanation, refitted with all that was found, until nothing is left.
+
+Each round asks whether anything is left (the average of all Bayes factors, an e-value), and what:
+the physics of the catalogue against each other and against honest rivals. Noise is estimated under
+each hypothesis that matters, so that drift competes with effects on equal terms.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Protocol
+
+import numpy as np
+from scipy.special import logsumexp
+
+from calib.effects import get_effect
+from calib.effects.base import Term, TransformEffect
+from calib.mismatch.families import add_catalogue, effect_columns, neighbours
+from calib.mismatch.noise import (
+    contrast_variance,
+    estimate_levels,
+    expected_levels,
+    level_likelihood,
+    make_whitener,
+    range_basis,
+)
+from calib.mismatch.rivals import add_rivals
+from calib.mismatch.rows import Rows
+from calib.mismatch.score import Candidate, Stack
+from calib.recording import CHANNELS
+from calib.types import FloatArray
+
+CLAIM = 100.0
+"""E-value at which something is claimed to be left: at most 1 % of clean recordings reach it."""
+
+TIE = 0.05
+"""Posterior probability above which another name is reported as a rival."""
+
+LEADERS = 5
+"""How many of the best are scored with noise levels of their own."""
+
+ROUNDS = 8
+"""At most so many findings."""
+
+
+class Problem(Protocol):
+    """Where rows come from: a recording and its twin, a simulation, or a reference."""
+
+    reference: bool
+
+    def rows(self) -> Rows:
+        """Return recording minus model, linearised where the model stands."""
+        ...
+
+    def move(
+        self, baseline: Mapping[str, float], nuisance: FloatArray, terms: tuple[Term, ...]
+    ) -> None:
+        """Move the model: baseline and nuisances by steps, further terms to these."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Accepted:
+    """A hypothesis that was accepted.
+
+    ``values`` are its coefficients in the units of the effect's parameters, ``in_model`` whether
+    the rows' residual already has them taken out.
+    """
+
+    candidate: Candidate
+    columns: FloatArray
+    typical: FloatArray
+    values: FloatArray
+    in_model: bool
+    e_value: float
+    posterior: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class Ranking:
+    """Log evidence (prior weight times Bayes factor) of every candidate, and of each group."""
+
+    stack: Stack
+    evidence: FloatArray
+    best: dict[str, Candidate]
+    groups: dict[str, float]
+    levels: FloatArray
+
+    @property
+    def total(self) -> float:
+        """Log e-value that anything is left."""
+        return float(logsumexp(list(self.groups.values()))) if self.groups else -np.inf
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """What the search ends with: rows, what was accepted, and the noise under all of it."""
+
+    rows: Rows
+    accepted: tuple[Accepted, ...]
+    levels: FloatArray
+    contrast: FloatArray
+    total: float
+    candidates: tuple[Candidate, ...]
+
+
+def search(problem: Problem, *, skip: tuple[str, ...] = ()) -> Outcome:
+    """Find what was left out, one hypothesis after another."""
+    accepted: list[Accepted] = []
+    rows = problem.rows()
+    stack = make_stack(rows, skip=skip, reference=problem.reference)
+    start = expected_levels(rows)
+    ranking = rank(rows, stack, accepted, start)
+    while ranking.total >= np.log(CLAIM) and len(accepted) < ROUNDS:
+        chosen = choose(rows, ranking, accepted)
+        if chosen is None:
+            break
+        accepted.append(_accept(rows, stack, chosen, float(np.exp(min(ranking.total, 700)))))
+        rows, stack, accepted = _refit(problem, rows, accepted, ranking.levels, skip)
+        accepted = _prune(rows, stack, accepted, ranking.levels)
+        ranking = rank(rows, stack, accepted, ranking.levels)
+    contrast = contrast_variance(rows)
+    levels = estimate_levels(rows, fitted(rows, accepted)[: rows.n_dense], ranking.levels).values
+    accepted = [
+        replace(a, posterior=_posterior(rows, stack, accepted, i, levels))
+        for i, a in enumerate(accepted)
+    ]
+    return Outcome(rows, tuple(accepted), levels, contrast, ranking.total, tuple(stack.candidates))
+
+
+def make_stack(rows: Rows, *, skip: tuple[str, ...], reference: bool) -> Stack:
+    """Return every candidate: the catalogue and its rivals."""
+    stack = Stack(len(rows.residual))
+    add_catalogue(stack, rows, skip=skip, reference=reference)
+    add_rivals(stack, rows)
+    return stack
+
+
+def fitted(rows: Rows, accepted: list[Accepted] | tuple[Accepted, ...]) -> FloatArray:
+    """Return all columns that are always fitted: baseline, nuisances, and what was accepted."""
+    return np.hstack((rows.baseline, rows.nuisance, *(a.columns for a in accepted)))
+
+
+def rank(rows: Rows, stack: Stack, accepted: list[Accepted], start: FloatArray) -> Ranking:
+    """Score every candidate under the noise that it implies.
+
+    An effect that was left out raises the drift of its channels. So each candidate is also scored
+    with the drift of its own channels as it is with all physics in the mean, and the leaders with
+    drift estimated anew for each of them. Lower drift costs the likelihood of the null, and that
+    cost is in the evidence: drift and effect compete on equal terms.
+    """
+    mean = fitted(rows, accepted)
+    dense = mean[: rows.n_dense]
+    basis = range_basis(dense)
+    contrast = contrast_variance(rows)
+    base = estimate_levels(rows, dense, start)
+    wide = np.hstack((dense, _physics(stack)[: rows.n_dense]))
+    every = estimate_levels(rows, wide, base.values)
+    weight = np.log(np.array([c.weight for c in stack.candidates]))
+
+    def score(levels: FloatArray, null: float, which: list[int] | None) -> FloatArray:
+        whitener = make_whitener(rows, levels, contrast, mean)
+        y = whitener.project(rows.residual)
+        return stack.log_bayes_factors(whitener, y, which=which) + (null - base.log_likelihood)
+
+    evidence = score(base.values, base.log_likelihood, None)
+    for channels in (*((c,) for c in CHANNELS), CHANNELS[:3], CHANNELS[3:]):
+        which = [i for i, c in enumerate(stack.candidates) if c.channels == channels]
+        if which:
+            levels = _swap(rows, base.values, every.values, channels)
+            null = level_likelihood(rows, basis, levels)
+            evidence = np.maximum(evidence, score(levels, null, which))
+    evidence += weight
+    best, groups = _grouped(stack, evidence)
+    for name in sorted(groups, key=lambda g: -groups[g])[:LEADERS]:
+        if groups[name] < np.log(CLAIM) - 7:
+            break
+        own = stack.of(best[name])[: rows.n_dense]
+        levels = estimate_levels(rows, np.hstack((dense, own)), every.values).values
+        which = [i for i, c in enumerate(stack.candidates) if c.group == name]
+        again = score(levels, level_likelihood(rows, basis, levels), which) + weight
+        evidence = np.maximum(evidence, again)
+    best, groups = _grouped(stack, evidence)
+    return Ranking(stack, evidence, best, groups, base.values)
+
+
+def _swap(rows: Rows, base: FloatArray, every: FloatArray, channels: tuple[str, ...]) -> FloatArray:
+    """Return the levels of `every` for the drift of some channels, and of `base` for the rest."""
+    own = np.array([c.name.split(" ")[0] in channels for c in rows.components])
+    return np.where(own, np.minimum(base, every), base)
+
+
+def _grouped(stack: Stack, evidence: FloatArray) -> tuple[dict[str, Candidate], dict[str, float]]:
+    index: dict[str, list[int]] = {}
+    for i, c in enumerate(stack.candidates):
+        index.setdefault(c.group, []).append(i)
+    best = {g: stack.candidates[k[int(np.argmax(evidence[k]))]] for g, k in index.items()}
+    return best, {g: float(logsumexp(evidence[k])) for g, k in index.items()}
+
+
+def _physics(stack: Stack) -> FloatArray:
+    """Return the physical columns, thinned where an effect has many shapes."""
+    index: list[int] = []
+    shapes: dict[str, list[Candidate]] = {}
+    for c in stack.candidates:
+        if c.physical:
+            shapes.setdefault(c.name, []).append(c)
+    for items in shapes.values():
+        each = list(dict.fromkeys(int(k) for c in items for k in c.index))
+        limit = 6
+        index += each if len(each) <= limit else each[:: -(-len(each) // limit)]
+    return stack.columns[:, index]
+
+
+def choose(rows: Rows, ranking: Ranking, accepted: list[Accepted]) -> Candidate | None:
+    """Return what explains most: physics, unless the rivals together are more probable."""
+    best, groups = ranking.best, ranking.groups
+    physical = [g for g in groups if best[g].physical]
+    rival = [g for g in groups if not best[g].physical]
+    top = max(physical, key=lambda g: groups[g], default=None)
+    other = max(rival, key=lambda g: groups[g], default=None)
+    if top is None:
+        return None if other is None else best[other]
+    if other is None:
+        return best[top]
+    for_physics = logsumexp([groups[g] for g in physical])
+    for_rivals = logsumexp([groups[g] for g in rival])
+    if for_physics >= for_rivals:
+        return best[top]
+    # Two causes at once can look like one smooth rival: let physics try twice.
+    if groups[top] > np.log(CLAIM):
+        stack = ranking.stack
+        pair = _accept(rows, stack, best[top], 1.0)
+        second = rank(rows, stack, [*accepted, pair], ranking.levels)
+        left = [v for g, v in second.groups.items() if second.best[g].physical]
+        if left and groups[top] + max(left) > for_rivals and max(left) > np.log(CLAIM):
+            return best[top]
+    return best[other]
+
+
+def _accept(rows: Rows, stack: Stack, chosen: Candidate, e_value: float) -> Accepted:
+    columns = stack.of(chosen)
+    typical = np.ones(columns.shape[1])
+    if chosen.physical:
+        sizes = {p.name: p.typical for p in get_effect(chosen.name).parameters}
+        typical = np.array([sizes[n] for n in chosen.parameters])
+    return Accepted(chosen, columns, typical, np.zeros(columns.shape[1]), False, e_value)
+
+
+def _refit(
+    problem: Problem,
+    rows: Rows,
+    accepted: list[Accepted],
+    levels: FloatArray,
+    skip: tuple[str, ...],
+) -> tuple[Rows, Stack, list[Accepted]]:
+    """Fit everything jointly, move the model there, and linearise anew."""
+    contrast = contrast_variance(rows)
+    levels = estimate_levels(rows, fitted(rows, accepted)[: rows.n_dense], levels).values
+    accepted[-1] = _refine(problem, rows, accepted, levels, contrast)
+    step = solve(rows, accepted, levels, contrast)
+    p, q = rows.baseline.shape[1], rows.nuisance.shape[1]
+    terms, at = [], p + q
+    moved = []
+    for a in accepted:
+        k = a.columns.shape[1]
+        change = step[at : at + k] * a.typical
+        at += k
+        if _movable(a.candidate):
+            a = replace(a, values=a.values + change, in_model=True)
+            values = dict(zip(a.candidate.parameters, a.values, strict=True))
+            terms.append(Term(a.candidate.name, {**values, **a.candidate.shape}))
+        moved.append(a)
+    baseline = dict(zip(rows.names, step[:p], strict=True))
+    problem.move(baseline, step[p : p + q], tuple(terms))
+    rows = problem.rows()
+    stack = make_stack(rows, skip=skip, reference=problem.reference)
+    return rows, stack, [_renew(a, rows, reference=problem.reference) for a in moved]
+
+
+def _movable(candidate: Candidate) -> bool:
+    return candidate.physical and not isinstance(get_effect(candidate.name), TransformEffect)
+
+
+def _renew(a: Accepted, rows: Rows, *, reference: bool) -> Accepted:
+    if not a.candidate.physical:
+        return a
+    found = effect_columns(
+        get_effect(a.candidate.name), rows, a.candidate.shape, reference=reference
+    )
+    columns = [found[n] for n in a.candidate.parameters]
+    return replace(a, columns=np.stack(columns, axis=1))
+
+
+def solve(
+    rows: Rows,
+    accepted: list[Accepted] | tuple[Accepted, ...],
+    levels: FloatArray,
+    contrast: FloatArray,
+) -> FloatArray:
+    """Return the generalised least-squares step of all that is fitted."""
+    mean = fitted(rows, accepted)
+    whitener = make_whitener(rows, levels, contrast, mean[:, :0])
+    scale = np.maximum(np.linalg.norm(mean, axis=0), 1e-300)
+    step = np.linalg.lstsq(
+        whitener.whiten(mean / scale), whitener.whiten(rows.residual), rcond=1e-9
+    )[0]
+    return np.asarray(step / scale)
+
+
+def _refine(
+    problem: Problem, rows: Rows, accepted: list[Accepted], levels: FloatArray, contrast: FloatArray
+) -> Accepted:
+    """Refine the shape parameters of the last accepted between the grid's values."""
+    last = accepted[-1]
+    if not last.candidate.physical or not last.candidate.shape:
+        return last
+    whitener = make_whitener(rows, levels, contrast, fitted(rows, accepted[:-1]))
+    y = whitener.project(rows.residual)
+    effect = get_effect(last.candidate.name)
+    best = last
+
+    def gain(a: Accepted) -> float:
+        z = whitener.project(a.columns)
+        return float(np.square(z @ np.linalg.lstsq(z, y, rcond=1e-9)[0]).sum())
+
+    value = gain(best)
+    for shape in neighbours(effect, rows, last.candidate.shape):
+        found = effect_columns(effect, rows, shape, reference=problem.reference)
+        if not all(n in found for n in last.candidate.parameters):
+            continue
+        tried = replace(
+            last,
+            candidate=replace(last.candidate, shape=shape),
+            columns=np.stack([found[n] for n in last.candidate.parameters], axis=1),
+        )
+        new = gain(tried)
+        if new > value:
+            best, value = tried, new
+    return best
+
+
+def _prune(
+    rows: Rows, stack: Stack, accepted: list[Accepted], levels: FloatArray
+) -> list[Accepted]:
+    """Drop what the later findings have made superfluous (linear in the model: only rivals)."""
+    if len(accepted) < 2:
+        return accepted
+    contrast = contrast_variance(rows)
+    keep = list(accepted)
+    for a in accepted[:-1]:
+        others = [b for b in keep if b is not a]
+        if a.in_model:
+            continue
+        whitener = make_whitener(rows, levels, contrast, fitted(rows, others))
+        y = whitener.project(rows.residual)
+        single = Stack(len(rows.residual))
+        index = single.add(a.columns)
+        single.candidates.append(replace(a.candidate, index=index, summed=False))
+        if single.log_bayes_factors(whitener, y)[0] + np.log(a.candidate.weight) < np.log(10.0):
+            keep = others
+    return keep
+
+
+def _posterior(
+    rows: Rows, stack: Stack, accepted: list[Accepted], which: int, levels: FloatArray
+) -> dict[str, float]:
+    """Return the posterior of every group in the place of one finding, the others kept."""
+    others = [b for i, b in enumerate(accepted) if i != which]
+    own = accepted[which]
+    mean = fitted(rows, others)
+    whitener = make_whitener(rows, levels, contrast_variance(rows), mean)
+    residual = rows.residual
+    if own.in_model:
+        residual = residual + own.columns @ (own.values / own.typical)
+    scores = stack.log_bayes_factors(whitener, whitener.project(residual))
+    evidence = scores + np.log(np.array([c.weight for c in stack.candidates]))
+    _, groups = _grouped(stack, evidence)
+    total = logsumexp(list(groups.values()))
+    return {g: float(np.exp(v - total)) for g, v in groups.items() if v - total > np.log(1e-3)}

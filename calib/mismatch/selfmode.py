@@ -1,0 +1,43 @@
+"""A recording against its own digital twin: no reference but gravity, and rest."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from calib.effects.base import Term
+from calib.mismatch.grid import Grid
+from calib.mismatch.rows import Rows
+from calib.mismatch.twin import Twin, build_rows, fit_twin, sample_noise, start_twin
+from calib.model import SensorModel
+from calib.types import BoolArray, FloatArray
+
+
+class SelfProblem:
+    """Rows of a recording against its twin under a model whose baseline is fitted to it."""
+
+    reference = False
+
+    def __init__(
+        self, grid: Grid, model: SensorModel | None, *, gravity: float, full_gyro: bool
+    ) -> None:
+        self.grid = grid
+        self.noise = sample_noise(grid)
+        self.start = start_twin(grid, model, gravity=gravity, full_gyro=full_gyro)
+        self.twin: Twin = fit_twin(grid, self.start, self.noise)
+        self.given = () if model is None else model.terms
+        self.drop: BoolArray | None = None
+
+    def rows(self) -> Rows:
+        """Return recording minus twin."""
+        rows = build_rows(self.grid, self.twin, self.noise)
+        return rows if self.drop is None else rows.without(self.drop[rows.segment])
+
+    def move(
+        self, baseline: Mapping[str, float], nuisance: FloatArray, terms: tuple[Term, ...]
+    ) -> None:
+        """Move the twin."""
+        twin = self.twin.moved(baseline, np.asarray(nuisance).reshape(-1, 2))
+        self.twin = replace(twin, model=replace(twin.model, terms=(*self.given, *terms)))

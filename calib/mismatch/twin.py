@@ -1,0 +1,410 @@
+"""The digital twin of a recording: the sensor model and the attitudes that reproduce it.
+
+`build_rows` linearises recording minus twin; `fit_twin` iterates it to the best baseline.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import sparse
+
+from calib.effects.base import State
+from calib.mismatch.closure import across, close_turn
+from calib.mismatch.grid import Grid
+from calib.mismatch.rows import Component, Kind, Rows
+from calib.model import SensorModel, Triad
+from calib.recording import AXES, CHANNELS
+from calib.types import FloatArray, IntArray
+
+ACCEL_MISALIGNMENT = ("yx", "zx", "zy")
+GYRO_MISALIGNMENT = ("xy", "xz", "yx", "yz", "zx", "zy")
+
+# Weak knowledge that keeps the iteration steady where a recording says nothing: standard deviations
+# many times what uncalibrated parts have. It is no part of any evidence.
+_LOOSE = {"bias": 2.0, "scale_factor_error": 0.5, "misalignment": 0.3}
+
+
+@dataclass(frozen=True, eq=False)
+class Twin:
+    """A sensor model, and the unit vector up in frame s at each rest (k, 3)."""
+
+    model: SensorModel
+    up: FloatArray
+    full_gyro: bool
+    gravity: float
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the baseline's parameters, in the order of their columns."""
+        names = [f"accel.bias.{a}" for a in AXES]
+        names += [f"accel.scale_factor_error.{a}" for a in AXES]
+        names += [f"accel.misalignment.{p}" for p in ACCEL_MISALIGNMENT]
+        names += [f"gyro.bias.{a}" for a in AXES]
+        names += [f"gyro.scale_factor_error.{a}" for a in AXES]
+        if self.full_gyro:
+            names += [f"gyro.misalignment.{p}" for p in GYRO_MISALIGNMENT]
+        return tuple(names)
+
+    def moved(self, step: Mapping[str, float], angles: FloatArray) -> Twin:
+        """Return the twin with baseline parameters and attitudes (k, 2) moved."""
+        triads = []
+        for name, triad in (("accel", self.model.accel), ("gyro", self.model.gyro)):
+            now = triad.parameters(name)
+            new = {k: now[k] + v for k, v in step.items() if k in now}
+            triads.append(triad.with_parameters(new))
+        up = self.up + np.einsum("kij,kj->ki", across(self.up), angles)
+        up /= np.linalg.norm(up, axis=1, keepdims=True)
+        return replace(self, model=replace(self.model, accel=triads[0], gyro=triads[1]), up=up)
+
+
+def true_state(grid: Grid, twin: Twin) -> State:
+    """Return the true state on the grid: at rest exactly so, in turns as the twin corrects it."""
+    measured = State(
+        time=grid.time,
+        force=grid.accel,
+        rate=grid.gyro,
+        temperature=grid.temperature,
+        reference_temperature=twin.model.reference_temperature,
+        power_on=float(grid.time[0]),
+        since_turn=grid.since_turn,
+        vibration=grid.vibration,
+        gravity=twin.gravity,
+    )
+    corrected = twin.model.correct(measured)
+    pose = grid.pose
+    rest = pose >= 0
+    force, rate = corrected.accel.copy(), corrected.gyro.copy()
+    force[rest] = twin.gravity * twin.up[pose[rest]]
+    rate[rest] = 0.0
+    return replace(measured, force=force, rate=rate)
+
+
+def baseline_column(name: str, state: State) -> dict[str, FloatArray]:
+    """Return what one unit of a baseline parameter adds to the signals."""
+    triad, group, index = name.split(".")
+    values = state.force if triad == "accel" else state.rate
+    channel = f"{triad}.{index[0]}"
+    if group == "bias":
+        return {channel: np.ones(len(values))}
+    return {channel: values[:, AXES.index(index[-1])]}
+
+
+def start_twin(grid: Grid, model: SensorModel | None, *, gravity: float, full_gyro: bool) -> Twin:
+    """Return a first twin: the given model, or one from the rests alone."""
+    means = _pose_means(grid)
+    if model is None:
+        model = SensorModel(gyro=Triad(bias=means[:, 3:].mean(axis=0)))
+        if grid.temperature is not None:
+            model = replace(model, reference_temperature=float(np.median(grid.temperature)))
+    up = means[:, :3] - model.accel.bias
+    up /= np.linalg.norm(up, axis=1, keepdims=True)
+    twin = Twin(model, up, full_gyro, gravity)
+    accel = [n for n in twin.names if n.startswith("accel")]
+    k = len(up)
+    loose = np.array([_LOOSE[n.split(".")[1]] for n in accel])
+    for _ in range(12):
+        matrix, bias = twin.model.accel.matrix, twin.model.accel.bias
+        force = gravity * twin.up
+        residual = means[:, :3] - force @ matrix.T - bias
+        state = State(np.arange(k, dtype=float), force, np.zeros_like(force))
+        design = np.zeros((k, 3, len(accel) + 2 * k))
+        for j, name in enumerate(accel):
+            for channel, values in baseline_column(name, state).items():
+                design[:, CHANNELS.index(channel), j] = values
+        turn = gravity * np.einsum("ij,kjl->kil", matrix, across(twin.up))
+        for p in range(k):
+            design[p, :, len(accel) + 2 * p : len(accel) + 2 * p + 2] = turn[p]
+        flat = design.reshape(3 * k, -1)
+        now = twin.model.accel.parameters("accel")
+        pull = np.array([now[n] for n in accel]) / loose
+        ridge = np.zeros((len(accel), flat.shape[1]))
+        ridge[:, : len(accel)] = np.diag(1.0 / loose)
+        # The ridge weighs as 1 m/s² of residual does: nothing beside poses that determine.
+        step = np.linalg.lstsq(
+            np.vstack((flat, 1e-3 * ridge)),
+            np.concatenate((residual.ravel(), -1e-3 * pull)),
+            rcond=None,
+        )[0]
+        twin = twin.moved(
+            dict(zip(accel, step[: len(accel)], strict=True)),
+            step[len(accel) :].reshape(k, 2),
+        )
+        if np.abs(step).max() < 1e-9:
+            break
+    return twin
+
+
+def _pose_means(grid: Grid) -> FloatArray:
+    pose = grid.pose
+    rest = pose >= 0
+    weight = np.where(rest, grid.count, 0).astype(float)[rest]
+    both = np.hstack((grid.accel, grid.gyro))[rest]
+    total = np.bincount(pose[rest], weight, grid.n_poses)
+    out = np.empty((grid.n_poses, 6))
+    for c in range(6):
+        out[:, c] = np.bincount(pose[rest], weight * both[:, c], grid.n_poses) / total
+    return out
+
+
+def build_rows(grid: Grid, twin: Twin, noise: FloatArray) -> Rows:
+    """Return recording minus twin as rows, linearised at the twin.
+
+    Parameters
+    ----------
+    grid, twin : Grid, Twin
+    noise : (n, 6) array
+        Variance of each point's mean on each channel, white part.
+    """
+    state = true_state(grid, twin)
+    measured = np.hstack((grid.accel, grid.gyro))
+    # Terms and transforms that the model already holds are taken out of the measured signals.
+    explained = _explained(grid, twin, state)
+    model = twin.model
+    predicted = np.hstack((model.accel.distort(state.force), model.gyro.distort(state.rate)))
+    inverse = (np.linalg.inv(model.accel.matrix), np.linalg.inv(model.gyro.matrix))
+    rest = np.flatnonzero(grid.is_rest)
+    turns = np.flatnonzero(~grid.is_rest)
+    n, n_cell, n_turn = len(grid.time), len(rest), len(turns)
+    n_mean, n_close = 6 * n_cell, 5 * n_turn
+    m = n_mean + n_close + 12 * n_cell
+    entries: list[list[tuple[IntArray, IntArray, FloatArray]]] = [[] for _ in CHANNELS]
+    residual = np.zeros(m)
+    kind = np.empty(m, np.int64)
+    channel = np.full(m, -1, np.int64)
+    segment = np.empty(m, np.int64)
+    nuisance = np.zeros((m, 2 * grid.n_poses))
+    left = measured - explained - predicted
+    tilt = twin.gravity * np.einsum("ij,kjl->kil", model.accel.matrix, across(twin.up))
+    for i, s in enumerate(rest):
+        a, b = int(grid.first[s]), int(grid.last[s])
+        weights = _cell_weights(grid.count[a:b])
+        points = np.arange(a, b)
+        rows = (
+            np.arange(6) + 6 * i,
+            *(n_mean + n_close + 12 * i + 6 * j + np.arange(6) for j in (0, 1)),
+        )
+        for w, row in zip(weights, rows, strict=True):
+            residual[row] = w @ left[a:b]
+            channel[row] = np.arange(6)
+            segment[row] = s
+            kind[row] = Kind.MEAN if row[0] < n_mean else Kind.CONTRAST
+            for c in range(6):
+                entries[c].append((np.full(b - a, row[c]), points, w))
+        p = int(grid.before[s])
+        nuisance[rows[0][:3], 2 * p : 2 * p + 2] = tilt[p]
+    angle, effort = np.zeros(n_turn), np.zeros(n_turn)
+    for i, s in enumerate(turns):
+        a, b = int(grid.first[s]), int(grid.last[s])
+        p, q = int(grid.before[s]), int(grid.after[s])
+        closure = close_turn(
+            grid.time[a:b],
+            state.force[a:b],
+            state.rate[a:b],
+            twin.up[p],
+            twin.up[q],
+            gravity=twin.gravity,
+        )
+        row = n_mean + 5 * i + np.arange(5)
+        residual[row] = closure.residual
+        kind[row] = [Kind.ATTITUDE] * 2 + [Kind.VELOCITY] * 3
+        segment[row] = s
+        nuisance[row, 2 * p : 2 * p + 2] += closure.before
+        nuisance[row, 2 * q : 2 * q + 2] += closure.after
+        angle[i], effort[i] = closure.angle, closure.effort
+        points = np.tile(np.arange(a, b), 5)
+        index = np.repeat(row, b - a)
+        for turn_weights, first, back in (
+            (closure.accel_weights, 0, inverse[0]),
+            (closure.gyro_weights, 3, inverse[1]),
+        ):
+            onto = turn_weights @ back
+            part = slice(2 * (b - a), None) if first == 0 else slice(None)
+            for c in range(3):
+                entries[first + c].append((index[part], points[part], onto[:, :, c].ravel()[part]))
+    functional = tuple(
+        sparse.csr_matrix(
+            (
+                np.concatenate([e[2] for e in part]),
+                (np.concatenate([e[0] for e in part]), np.concatenate([e[1] for e in part])),
+            ),
+            shape=(m, n),
+        )
+        for part in entries
+    )
+    baseline = np.zeros((m, len(twin.names)))
+    for j, name in enumerate(twin.names):
+        for key, values in baseline_column(name, state).items():
+            baseline[:, j] += functional[CHANNELS.index(key)] @ values
+    dense = n_mean + n_close
+    member = sparse.csr_matrix(
+        (np.ones(n), (np.arange(n), grid.segment)), shape=(n, len(grid.first))
+    )
+    white = np.zeros((dense, dense))
+    diagonal = np.zeros(m - dense)
+    for c, f in enumerate(functional):
+        top = f[:dense]
+        white += (top.multiply(noise[:, c]) @ top.T).toarray()
+        diagonal += np.asarray(f[dense:].power(2) @ noise[:, c]).ravel()
+    pieces = tuple((f @ member).tocsr() for f in functional)
+    components = _components(grid, pieces, kind[:dense], segment[:dense], white, angle, effort)
+    return Rows(
+        residual=residual,
+        baseline=baseline,
+        names=twin.names,
+        nuisance=nuisance,
+        functional=functional,
+        state=state,
+        point_segment=grid.segment,
+        white=white,
+        white_diagonal=diagonal,
+        components=components,
+        kind=kind,
+        channel=channel,
+        segment=segment,
+        block=grid.before[segment],
+        interval=grid.interval,
+        is_rest=grid.is_rest,
+        pieces=pieces,
+    )
+
+
+def _explained(grid: Grid, twin: Twin, state: State) -> FloatArray:
+    """Return what the model's further terms add to the signals, (n, 6)."""
+    model = twin.model
+    if not model.terms:
+        return np.zeros((len(grid.time), 6))
+    plain = replace(model, terms=())
+    full, bare = model.distort(state), plain.distort(state)
+    return np.hstack((full.accel - bare.accel, full.gyro - bare.gyro))
+
+
+def _cell_weights(count: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the weights of a mean and of two contrasts over three bins, all of one variance."""
+    total = count.sum()
+    bins = np.minimum(np.arange(len(count)) * 3 // len(count), 2)
+    size = np.bincount(bins, count, 3)
+    mean = count / total
+    parts = [np.where(bins == k, count / size[k], 0.0) for k in range(3)]
+    linear = (parts[2] - parts[0]) / np.sqrt(6.0)
+    quadratic = (parts[0] - 2 * parts[1] + parts[2]) / np.sqrt(18.0)
+    return mean, linear, quadratic
+
+
+def _components(
+    grid: Grid,
+    pieces: tuple[sparse.csr_matrix, ...],
+    kind: IntArray,
+    segment: IntArray,
+    white: FloatArray,
+    angle: FloatArray,
+    effort: FloatArray,
+) -> tuple[Component, ...]:
+    """Return the unknown variances: per channel a jitter and a random walk; the closures' own."""
+    dense = len(kind)
+    middle = grid.interval.mean(axis=1)
+    span = max(float(middle[-1] - middle[0]), 1e-9)
+    walk = np.minimum.outer(middle - middle[0], middle - middle[0]) / span
+    out = []
+    for c, name in enumerate(CHANNELS):
+        response = pieces[c][:dense].toarray()
+        own = np.flatnonzero((kind == Kind.MEAN) & (np.abs(response).sum(axis=1) > 0))
+        typical = float(np.median(np.diag(white)[own])) if len(own) else 1.0
+        triad = name.split(".")[0]
+        for label, matrix, share in (
+            ("jitter", response @ response.T, 0.05),
+            ("walk", response @ walk @ response.T, 1.0),
+        ):
+            out.append(
+                Component(f"{name} {label}", matrix, share * typical, 2.0, f"{triad} {label}")
+            )
+    for label, which, scale in (
+        ("attitude", Kind.ATTITUDE, None),
+        ("attitude by angle", Kind.ATTITUDE, angle),
+        ("velocity", Kind.VELOCITY, None),
+        ("velocity by effort", Kind.VELOCITY, effort),
+    ):
+        rows = np.flatnonzero(kind == which)
+        if not len(rows):
+            continue
+        turn_of = np.searchsorted(np.flatnonzero(~grid.is_rest), segment[rows])
+        size = np.ones(len(rows)) if scale is None else np.square(scale[turn_of])
+        typical = float(np.median(np.diag(white)[rows]))
+        matrix = np.zeros((dense, dense))
+        matrix[rows, rows] = size
+        out.append(Component(label, matrix, 0.02 * typical / max(float(np.median(size)), 1e-12)))
+    return tuple(out)
+
+
+def sample_noise(grid: Grid) -> FloatArray:
+    """Return the variance of each point's mean on each channel, (n, 6), white part.
+
+    From successive differences of the points at rest (quarter seconds), so that noise that is
+    correlated over a few samples counts in full and drift does not. A rest that is clearly noisier
+    than the others (vibration, a hand) has its own level.
+    """
+    values = np.hstack((grid.accel, grid.gyro))
+    segment, pose = grid.segment, grid.pose
+    pair = (segment[1:] == segment[:-1]) & (pose[1:] >= 0)
+    weight = grid.count[1:] * grid.count[:-1] / (grid.count[1:] + grid.count[:-1])
+    square = np.square(np.diff(values, axis=0)) * weight[:, None]
+    own = np.empty((grid.n_poses, 6))
+    number = np.bincount(pose[1:][pair], minlength=grid.n_poses)
+    for c in range(6):
+        own[:, c] = np.bincount(pose[1:][pair], square[pair, c], grid.n_poses)
+    own /= np.maximum(number, 1)[:, None]
+    usable = number >= 4
+    common = np.median(own[usable] if usable.any() else own, axis=0)
+    floor = np.maximum(common, 1e-12 * np.square(np.abs(values)).max(axis=0) + 1e-18)
+    ratio = np.where(usable[:, None], own / floor, 1.0)
+    # A ratio beyond four standard errors of its estimate is a rest with a level of its own.
+    limit = 1.0 + 4.0 * np.sqrt(2.0 / np.maximum(number, 1))[:, None]
+    level = floor * np.where(ratio > limit, ratio, 1.0)
+    each = np.where((pose >= 0)[:, None], level[np.maximum(pose, 0)], floor)
+    return np.asarray(each / grid.count[:, None])
+
+
+def fit_twin(grid: Grid, twin: Twin, noise: FloatArray, *, iterations: int = 8) -> Twin:
+    """Fit baseline and attitudes to the recording by robust Gauss-Newton.
+
+    Closures that disagree with the rest by far (a bumped turn, lost samples) are down-weighted.
+    """
+    loose = np.array([_LOOSE[n.split(".")[1]] for n in twin.names])
+    for _ in range(iterations):
+        rows = build_rows(grid, twin, noise)
+        twin, size = _step(rows, twin, loose)
+        if size < 1e-7:
+            break
+    return twin
+
+
+def _step(rows: Rows, twin: Twin, loose: FloatArray) -> tuple[Twin, float]:
+    p = len(twin.names)
+    dense = rows.n_dense
+    sigma = np.sqrt(
+        np.diag(rows.white) + sum(c.expected * np.diag(c.matrix) for c in rows.components)
+    )
+    design = np.hstack((rows.baseline, rows.nuisance))[:dense] / sigma[:, None]
+    y = rows.residual[:dense] / sigma
+    now = {**twin.model.accel.parameters("accel"), **twin.model.gyro.parameters("gyro")}
+    ridge = np.zeros((p, design.shape[1]))
+    ridge[:, :p] = np.diag(1.0 / loose)
+    pull = -np.array([now[n] for n in twin.names]) / loose
+    weight = np.ones(dense)
+    step = np.zeros(design.shape[1])
+    for _ in range(4):
+        root = np.sqrt(weight)
+        step = np.linalg.lstsq(
+            np.vstack((design * root[:, None], ridge)), np.append(y * root, pull), rcond=None
+        )[0]
+        left = np.abs(y - design @ step)
+        # Each kind has its own scale: what the closures leave is not known beforehand.
+        for kind in np.unique(rows.kind[:dense]):
+            own = rows.kind[:dense] == kind
+            scale = max(float(np.median(left[own])) / 0.6745, 1.0)
+            weight[own] = np.minimum(1.0, 3.0 * scale / np.maximum(left[own], 1e-12)) / scale**2
+    angles = step[p:].reshape(-1, 2)
+    moved = twin.moved(dict(zip(twin.names, step[:p], strict=True)), np.clip(angles, -0.5, 0.5))
+    return moved, float(np.abs(step).max())

@@ -1,0 +1,150 @@
+"""What every solver by attitude closure does around the fit: set up, judge, report."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from calib.closure import Kinematics, TurnSteps, by_quaternions, pose_directions
+from calib.fit import Exclusion, Fit
+from calib.model import Triad
+from calib.poses import Poses
+from calib.recording import Recording
+from calib.solvers._closure_fit import ClosureFit, fit_closures
+from calib.solvers._closure_noise import Information, Judgement
+from calib.solvers._closure_system import ClosureSystem, unpack
+from calib.solvers._gyro_determined import (
+    GYRO_NAMES,
+    GYRO_UNITS,
+    TOLERANCE,
+    determined,
+    gyro_advice,
+    visible_turning,
+)
+from calib.solvers._static_bias import StaticBias, noise_growth, static_bias
+from calib.turns import Turns
+from calib.types import BoolArray, FloatArray
+
+REASONS = {
+    "turn": "the turn does not close with the others: clipped, shaken, or moved at its ends",
+    "pose": "gravity's direction here disagrees with the turns before and after: bumped",
+}
+
+AMBIGUOUS = "the turn is so long that its angle is uncertain by more than gravity can tell apart"
+
+
+def solve_closures(
+    recording: Recording,
+    poses: Poses,
+    turns: Turns,
+    accel: Triad,
+    *,
+    method: str,
+    model: BoolArray,
+    static_bias_only: bool,
+    kinematics: Kinematics = by_quaternions,
+) -> Fit:
+    """Solve the parameters of a model (a mask (12,)) from closures and the bias at rest.
+
+    With `static_bias_only` the bias is that of the poses, and its error is part of the closures'
+    covariance; without, both kinds of equations are solved together.
+
+    Raises
+    ------
+    InsufficientMotionError
+        If there is no pose.
+    NotConvergedError
+        If the equations do not settle.
+    """
+    bias = static_bias(recording, poses)
+    precision = np.zeros((12, 12))
+    precision[:3, :3] = np.linalg.inv(bias.covariance)
+    static = Information(precision, np.concatenate([bias.bias, np.zeros(9)]))
+    if not len(turns):
+        empty = np.zeros(0)
+        fit = ClosureFit(
+            static.mean, precision, np.zeros((12, 3)), Judgement(np.zeros(2)), empty > 0, empty
+        )
+        turned = np.zeros(3), np.zeros(3)
+    else:
+        steps = TurnSteps.of(recording, turns)
+        system = ClosureSystem(
+            steps,
+            turns,
+            pose_directions(poses, accel),
+            noise_growth(recording, poses),
+            0.5 * (bias.deviation[turns.before] + bias.deviation[turns.after]),
+            model & ~(static_bias_only & (np.arange(12) < 3)),
+            bias.covariance if static_bias_only else np.zeros((3, 3)),
+            kinematics,
+        )
+        fit = fit_closures(system, static)
+        turned = visible_turning(steps, system.directions, turns, unpack(fit.values))
+    return _report(poses, turns, bias, fit, model, turned, method=method)
+
+
+def _report(
+    poses: Poses,
+    turns: Turns,
+    bias: StaticBias,
+    fit: ClosureFit,
+    model: BoolArray,
+    turned: tuple[FloatArray, FloatArray],
+    *,
+    method: str,
+) -> Fit:
+    judged = determined(fit.information[np.ix_(model, model)], TOLERANCE[model])
+    free = judged.free
+    names = tuple(np.array(GYRO_NAMES)[model].tolist())
+    information = fit.information[np.ix_(model, model)][np.ix_(free, free)]
+    inverse = np.asarray(np.linalg.inv(information), np.float64)
+    covariance = np.full((len(names), len(names)), np.nan)
+    covariance[np.ix_(free, free)] = inverse + _drag(fit, model, free, inverse, bias)
+    covariance[~judged.known] = covariance[:, ~judged.known] = np.nan
+    undetermined = tuple(n for n, ok in zip(names, judged.known, strict=True) if not ok)
+    left_out = fit.judgement.left_out
+    used = turns.select(fit.used)
+    kept = np.array([("turn", i) not in left_out for i in range(len(used))], bool)
+    residuals = fit.residuals.reshape(-1, 2)[kept]
+    return Fit(
+        method=method,
+        triad=unpack(fit.values),
+        names=names,
+        values=fit.values[model],
+        units=tuple(np.array(GYRO_UNITS)[model].tolist()),
+        covariance=covariance,
+        residuals=residuals,
+        residual_unit="rad",
+        intervals=used.interval[kept],
+        degrees_of_freedom=2 * (len(used) - len(left_out)) + 3 * len(poses) - int(free.sum()),
+        condition_number=judged.condition_number,
+        undetermined=undetermined,
+        advice=gyro_advice(undetermined, *turned),
+        excluded=(
+            *bias.excluded,
+            *(_exclusion(interval, AMBIGUOUS) for interval in turns.interval[~fit.used]),
+            *(
+                _exclusion((used if kind == "turn" else poses).interval[i], REASONS[kind])
+                for kind, i in left_out
+            ),
+        ),
+    )
+
+
+def _drag(
+    fit: ClosureFit, model: BoolArray, free: BoolArray, inverse: FloatArray, bias: StaticBias
+) -> FloatArray:
+    """Return the covariance between a bias that closures do not estimate and what they do.
+
+    An error d of that bias moves the others by ``-inverse gain d``; their own variance has it.
+    """
+    drag = np.zeros((12, 3))
+    drag[np.flatnonzero(model)[free]] = -inverse @ fit.bias_gain[model][free]
+    cross = np.zeros((12, 12))
+    cross[:, :3] = drag @ bias.covariance
+    cross[:3] = 0.0
+    cross += cross.T
+    return cross[np.ix_(model, model)][np.ix_(free, free)]
+
+
+def _exclusion(interval: FloatArray, reason: str) -> Exclusion:
+    return Exclusion((float(interval[0]), float(interval[1])), 0.0, reason)

@@ -1,0 +1,365 @@
+"""Is a calibration still right for this device, judged by a new recording, in standard errors.
+
+The new recording is corrected with the calibration. A right calibration then leaves
+
+- in every static pose, ``|a| = g``;
+- in every static pose, a mean rate of zero;
+- over every turn, gravity's direction where the gyroscope says it went.
+
+Each is judged by a chi-square in which stand the noise of the new recording, the covariance of the
+calibration, what its own fit left over (its residuals: physics that the model lacks is no change),
+and an allowance for what a bias may do by itself: its wander from pose to pose when it was
+calibrated, Earth's rotation, and typical coefficients of temperature beyond the calibrated range.
+What has changed is then named by fitting the corrected recording anew.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.stats import chi2
+
+from calib.apply import correct_recording
+from calib.calibrate import calibrate
+from calib.calibration import Calibration, Provenance
+from calib.closure import TurnSteps, closure_residual, horizontal_basis, pose_directions, propagate
+from calib.compare import SIGNIFICANCE, Comparison, compare, identity_mismatch
+from calib.effects import get_effect
+from calib.errors import InsufficientMotionError
+from calib.model import SensorModel, Triad
+from calib.poses import Poses, average_poses
+from calib.recording import AXES, Recording
+from calib.solvers.quadric import COLUMNS, NAMES, ROWS
+from calib.statics import find_poses
+from calib.turns import find_turns
+from calib.types import FloatArray
+from calib.units import check_units
+
+EARTH_RATE = 7.292115e-5
+"""rad/s (IERS Conventions 2010, table 1.2)."""
+
+UNCALIBRATED = {
+    "accel.bias": 0.5,
+    "accel.scale_factor_error": 0.03,
+    "accel.misalignment": 0.02,
+    "gyro.bias": np.radians(20.0),
+    "gyro.scale_factor_error": 0.03,
+    "gyro.misalignment": 0.02,
+}
+"""Standard deviation of a parameter that nothing is known of: what a consumer part promises
+(MPU-6050 product specification rev. 3.4, sections 6.1 and 6.2: 50 mg, 3 %, 2 %, 20 °/s)."""
+
+CERTAIN = 0.1
+"""rad; turns whose angle the calibration predicts less certainly than this say nothing."""
+
+
+@dataclass(frozen=True)
+class Check:
+    """One kind of equation: residuals, what is expected of them, and how likely they are.
+
+    ``rms`` and ``expected`` are in ``unit``; ``worst`` is the interval (s) of the largest residual.
+    """
+
+    name: str
+    what: str
+    count: int
+    rms: float
+    expected: float
+    unit: str
+    chi_square: float
+    degrees_of_freedom: int
+    worst: tuple[float, float]
+
+    @property
+    def p_value(self) -> float:
+        """How often an unchanged device would leave as much."""
+        return float(chi2.sf(self.chi_square, self.degrees_of_freedom))
+
+
+@dataclass(frozen=True, eq=False)
+class Verification:
+    """What a new recording says of a calibration.
+
+    ``comparison`` has the parameters that the new recording determines by itself, against the
+    calibration's; None if it determines none. ``remarks`` qualify the answer.
+    """
+
+    checks: tuple[Check, ...]
+    comparison: Comparison | None
+    identity: str
+    remarks: tuple[str, ...]
+    significance: float
+
+    @property
+    def failed(self) -> tuple[Check, ...]:
+        """Checks that an unchanged device would hardly fail, corrected for their number."""
+        limit = self.significance / len(self.checks)
+        return tuple(check for check in self.checks if check.p_value < limit)
+
+    @property
+    def right(self) -> bool:
+        """True if no check failed."""
+        return not self.failed
+
+
+def verify(
+    calibration: Calibration, recording: Recording, *, significance: float = SIGNIFICANCE
+) -> Verification:
+    """Judge a calibration by a new recording of its device: one static pose is enough to begin.
+
+    Parameters
+    ----------
+    calibration : Calibration
+    recording : Recording
+    significance : float
+        Chance of calling the calibration of an unchanged device wrong.
+
+    Raises
+    ------
+    UnitError
+        If the recording's values do not have the unit that was declared.
+    InsufficientMotionError
+        If the recording has no static pose.
+    """
+    if not 0 < significance < 1:
+        raise ValueError(f"`significance` must be between 0 and 1, got {significance}")
+    poses = find_poses(recording)
+    check_units(recording, poses)
+    if not len(poses):
+        raise InsufficientMotionError(
+            f"no static pose in {recording.duration:.4g} s; lay the sensor down for 3 s or more, "
+            "best in several poses"
+        )
+    corrected = correct_recording(replace(calibration, housing=None), recording)
+    still = average_poses(corrected, poses.start, poses.stop)
+    beyond = _beyond(calibration, still)
+    moves = allowances(calibration, beyond)
+    checks = [_gravity_check(calibration, still, moves), _rest_check(calibration, still, moves)]
+    turns = _turn_check(calibration, corrected, still)
+    if turns is not None:
+        checks.append(turns)
+    device = replace(calibration, provenance=Provenance(device=recording.device))
+    return Verification(
+        tuple(check for check in checks if check is not None),
+        _compare_anew(calibration, corrected, moves),
+        identity_mismatch(calibration, device),
+        _remarks(calibration, recording, beyond),
+        significance,
+    )
+
+
+def allowances(calibration: Calibration, beyond: float) -> dict[str, float]:
+    """Return by how much parameters may have moved by themselves, one standard deviation each.
+
+    ``beyond`` is how far outside the calibrated range it is now, K.
+    """
+    accel_bias2 = 0.0 if calibration.accel is None else calibration.accel.residual_rms**2
+    gyro_bias2 = EARTH_RATE**2 / 3 + _wander2(calibration)
+    accel_scale2 = 0.0
+    present = {term.effect for term in calibration.model.terms}
+    if beyond:
+        for slug in ("accel_bias_temperature", "gyro_bias_temperature", "accel_scale_temperature"):
+            typical = 0.0 if slug in present else get_effect(slug).parameters[0].typical
+            move2 = (typical * beyond) ** 2
+            accel_bias2 += move2 if slug == "accel_bias_temperature" else 0.0
+            gyro_bias2 += move2 if slug == "gyro_bias_temperature" else 0.0
+            accel_scale2 += move2 if slug == "accel_scale_temperature" else 0.0
+    out: dict[str, float] = {}
+    for axis in AXES:
+        out[f"accel.bias.{axis}"] = float(np.sqrt(accel_bias2))
+        out[f"gyro.bias.{axis}"] = float(np.sqrt(gyro_bias2))
+        out[f"accel.scale_factor_error.{axis}"] = float(np.sqrt(accel_scale2))
+    return out
+
+
+def _wander2(calibration: Calibration) -> float:
+    """Return the variance of the static rate from pose to pose when it was calibrated."""
+    table = calibration.poses
+    if table is None or calibration.gyro is None:
+        return 0.0
+    still = np.ones(len(table.gyro), bool)
+    for item in calibration.gyro.excluded:
+        low, high = item.interval
+        still &= (table.interval[:, 0] < low) | (table.interval[:, 1] > high)
+    return float(table.gyro[still].var(axis=0, ddof=1).max()) if still.sum() > 2 else 0.0
+
+
+def _beyond(calibration: Calibration, still: Poses) -> float:
+    """Return how far the poses' mean temperature is outside the calibrated range, K."""
+    span = calibration.temperature
+    if span is None or still.temperature is None:
+        return 0.0
+    mean = float(still.temperature.mean())
+    return max(span.low - mean, mean - span.high, 0.0)
+
+
+def _remarks(calibration: Calibration, recording: Recording, beyond: float) -> tuple[str, ...]:
+    remarks = []
+    if calibration.temperature is None or recording.temperature is None:
+        remarks.append("temperature is not known in both, so a bias that followed it is a change")
+    elif beyond:
+        remarks.append(
+            f"the poses are {beyond:.1f} K beyond the calibrated "
+            f"{calibration.temperature.low:.1f} to {calibration.temperature.high:.1f} °C; typical "
+            "coefficients of temperature are allowed for that"
+        )
+    if calibration.undetermined:
+        remarks.append(
+            f"the calibration leaves {len(calibration.undetermined)} parameters undetermined"
+        )
+    return tuple(remarks)
+
+
+def _gravity_check(calibration: Calibration, still: Poses, moves: Mapping[str, float]) -> Check:
+    """Judge ``|a| = g`` over the poses."""
+    size = np.linalg.norm(still.accel, axis=1)
+    residual = size - calibration.gravity.value
+    up = still.accel / size[:, None]
+    noise = np.einsum("ki,kij,kj->k", up, still.accel_covariance, up)
+    left = 0.0
+    if calibration.accel is not None and calibration.accel.degrees_of_freedom > 0:
+        used = int(calibration.accel.used.sum())
+        left = calibration.accel.residual_rms**2 * used / calibration.accel.degrees_of_freedom
+    inverse = np.asarray(np.linalg.inv(calibration.model.accel.matrix))
+    covariance = _covariance(calibration, NAMES, moves)
+    # d|f| = -u.T K (db + dT f) for f = K (a - b), u its direction.
+    normal = up @ inverse
+    design = -np.hstack([normal, normal[:, ROWS] * still.accel[:, COLUMNS]])
+    total = np.diag(noise + left) + design @ covariance @ design.T
+    return _check(
+        "gravity", "|a| - g in each pose", residual[:, None], total, "m/s²", still.interval
+    )
+
+
+def _rest_check(calibration: Calibration, still: Poses, moves: Mapping[str, float]) -> Check:
+    """Judge that the mean rate at rest is zero."""
+    names = tuple(f"gyro.bias.{axis}" for axis in AXES)
+    inverse = np.asarray(np.linalg.inv(calibration.model.gyro.matrix))
+    common = inverse @ _covariance(calibration, names, moves) @ inverse.T
+    k = len(still)
+    wander = np.eye(3) * (_wander2(calibration) + EARTH_RATE**2 / 3)
+    total = np.asarray(np.kron(np.ones((k, k)), common), np.float64)
+    for i in range(k):
+        part = slice(3 * i, 3 * i + 3)
+        total[part, part] += still.gyro_covariance[i] + wander
+    return _check("rest", "rate in each pose", still.gyro, total, "rad/s", still.interval)
+
+
+def _turn_check(calibration: Calibration, corrected: Recording, still: Poses) -> Check | None:
+    """Judge that turns carry gravity from pose to pose, with today's bias taken off."""
+    turns = find_turns(corrected, still)
+    if not len(turns) or calibration.gyro is None:
+        return None
+    steps = TurnSteps.of(corrected, turns)
+    directions = pose_directions(still, Triad())
+    basis = horizontal_basis(directions.up[turns.before])
+    bias = 0.5 * (still.gyro[turns.before] + still.gyro[turns.after])
+    as_told = propagate(steps, np.eye(3), bias).mat
+
+    def closure(mat: FloatArray, up: FloatArray) -> FloatArray:
+        predicted = np.einsum("mij,mj->mi", mat, up[turns.after])
+        error = closure_residual(up[turns.before], predicted)
+        return np.asarray(np.einsum("mea,ma->me", basis, error).ravel())
+
+    residual = closure(as_told, directions.up)
+    turned = tuple(n for n in Triad().parameters("gyro") if ".bias." not in n)
+    step = 1e-5
+    design = np.empty((len(residual), len(NAMES) + len(turned)))
+    for k, name in enumerate((*NAMES, *turned)):
+        moved = Triad().with_parameters({name: step})
+        if name in turned:
+            changed = closure(propagate(steps, moved.matrix, bias).mat, directions.up)
+        else:
+            changed = closure(as_told, pose_directions(still, moved).up)
+        design[:, k] = (changed - residual) / step
+    common = design @ _covariance(calibration, (*NAMES, *turned), {}) @ design.T
+    left = calibration.gyro.residual_rms**2
+    rate = 0.5 * (still.gyro_covariance[turns.before] + still.gyro_covariance[turns.after])
+    drift = np.trace(rate, axis1=1, axis2=2) / 3 * steps.duration**2
+    pose = np.trace(directions.covariance, axis1=1, axis2=2) / 2
+    own = drift + left + pose[turns.before] + pose[turns.after]
+    total = common + np.diag(np.repeat(own, 2))
+    certain = np.diag(total).reshape(-1, 2).max(axis=1) < CERTAIN**2
+    if not certain.any():
+        return None
+    rows = np.repeat(certain, 2)
+    return _check(
+        "turns",
+        "gravity after each turn",
+        residual[rows].reshape(-1, 2),
+        total[np.ix_(rows, rows)],
+        "rad",
+        turns.interval[certain],
+    )
+
+
+def _check(
+    name: str,
+    what: str,
+    residual: FloatArray,
+    covariance: FloatArray,
+    unit: str,
+    interval: FloatArray,
+) -> Check:
+    flat = residual.ravel()
+    square = float(flat @ np.linalg.solve(covariance, flat))
+    worst = int(np.argmax(np.linalg.norm(residual, axis=1)))
+    return Check(
+        name,
+        what,
+        len(residual),
+        float(np.sqrt(np.mean(flat**2))),
+        float(np.sqrt(np.mean(np.diag(covariance)))),
+        unit,
+        square,
+        len(flat),
+        (float(interval[worst, 0]), float(interval[worst, 1])),
+    )
+
+
+def _covariance(
+    calibration: Calibration, names: tuple[str, ...], moves: Mapping[str, float]
+) -> FloatArray:
+    """Return the covariance of some parameters, with what they may have moved by themselves.
+
+    What is not determined is uncertain by what a consumer part promises.
+    """
+    open_ = set(calibration.undetermined)
+    prior = [UNCALIBRATED[name.rpartition(".")[0]] if name in open_ else 0.0 for name in names]
+    move = [moves.get(name, 0.0) for name in names]
+    out: FloatArray = np.diag(np.square(prior) + np.square(move))
+    known = [k for k, name in enumerate(names) if name in calibration.names]
+    index = [calibration.names.index(names[k]) for k in known]
+    out[np.ix_(known, known)] += calibration.covariance[np.ix_(index, index)]
+    return out
+
+
+def _compare_anew(
+    calibration: Calibration, corrected: Recording, moves: Mapping[str, float]
+) -> Comparison | None:
+    """Fit the corrected recording: what a right calibration leaves is no bias, scale or angle."""
+    try:
+        left = calibrate(corrected, gravity=calibration.gravity)
+    except InsufficientMotionError:
+        return None
+    model = SensorModel(
+        _compose(calibration.model.accel, left.model.accel),
+        _compose(calibration.model.gyro, left.model.gyro),
+    )
+    baseline = [name for name in calibration.names if name in left.values]
+    index = [calibration.names.index(name) for name in baseline]
+    known = replace(
+        calibration,
+        model=replace(calibration.model, terms=()),
+        names=tuple(baseline),
+        covariance=calibration.covariance[np.ix_(index, index)],
+        undetermined=tuple(n for n in calibration.undetermined if n in left.values),
+    )
+    return compare(known, replace(left, model=model), allowance=moves)
+
+
+def _compose(known: Triad, left: Triad) -> Triad:
+    """Return the triad of ``known`` after ``left``: what the sensor does today."""
+    return Triad.from_matrix(known.matrix @ left.matrix, known.bias + known.matrix @ left.bias)

@@ -1,0 +1,160 @@
+"""Find the physics that a simulation of this recording leaves out."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from calib.calibration import Calibration, Quantity
+    from calib.mismatch import Diagnosis, Finding
+
+
+def diagnose(
+    recording: Annotated[Path, typer.Argument(metavar="REAL", help="The recording.")],
+    calibration: Annotated[
+        Path | None,
+        typer.Option(help="Compare with the twin under this calibration, not the paper's model."),
+    ] = None,
+    profile: Annotated[str | None, typer.Option(help="Import profile of a foreign log.")] = None,
+    imu: Annotated[int | None, typer.Option(help="Which sensor of a board, from 1.")] = None,
+    gravity: Annotated[float, typer.Option(help="Local gravity, m/s².")] = 9.80665,
+    output: Annotated[
+        Path | None,
+        typer.Option("-o", "--output", help="Write the sensor model that was found."),
+    ] = None,
+    json: Annotated[bool, typer.Option("--json", help="Print one JSON document.")] = False,
+) -> None:
+    """Find the physics that a simulation of this recording leaves out.
+
+    The simulation is the recording's own twin: its rests and turns, under the paper's sensor model
+    (or the one given) fitted to it. Every verdict ends with exit code 0.
+    """
+    import os
+
+    # Matrices of a few hundred rows: more threads only cost CPU.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    from calib.calibration import Gravity
+    from calib.mismatch import diagnose_recording
+    from drivers.calibration_file import load_calibration, save_calibration
+    from drivers.formats import read_recording
+    from imu_cli.output import print_json
+
+    if not 9.7 < gravity < 9.9:
+        raise typer.BadParameter(
+            f"expected m/s² between 9.7 and 9.9, got {gravity:g}", param_hint="--gravity"
+        )
+    known = None if calibration is None else load_calibration(calibration)
+    real = read_recording(recording, profile=profile, imu=imu)
+    found = diagnose_recording(real, gravity=gravity, model=None if known is None else known.model)
+    if output is not None:
+        made = found.calibration(real, gravity=Gravity(gravity, "given"))
+        save_calibration(_signed(made, recording), output)
+    if json:
+        print_json(found.to_json())
+    else:
+        _show(found)
+
+
+def _signed(made: Calibration, recording: Path) -> Calibration:
+    from dataclasses import replace
+    from datetime import UTC, datetime
+    from importlib.metadata import version
+
+    from drivers.calibration_file import describe_input
+
+    return made.with_provenance(
+        replace(
+            made.provenance,
+            inputs=(describe_input(recording),),
+            tool_version=version("imu-cal"),
+            date=datetime.now(UTC).isoformat(timespec="seconds"),
+        )
+    )
+
+
+def _show(found: Diagnosis) -> None:
+    from imu_cli.output import console, warn
+
+    out = console()
+    out.print(f"[bold]{_VERDICTS[found.verdict]}[/]", soft_wrap=True)
+    for number, item in enumerate(found.findings, 1):
+        _show_finding(number, item)
+    for left in found.unexplained:
+        where = ", ".join(left.channels)
+        when = ", ".join(f"{a:.1f} to {b:.1f} s" for a, b in left.intervals)
+        out.print(
+            f"\n[bold]Unexplained[/]: {where}, {when}; follows {left.follows} "
+            f"({_chance(left.p_value)}).",
+            soft_wrap=True,
+        )
+        for rival in left.rivals:
+            out.print(f"  or: {rival.effect} (odds {rival.odds:.2g})")
+    if found.findings or found.unexplained:
+        from rich.table import Table
+
+        table = Table("residual", "unit", "before", "after", "noise floor", box=None)
+        for c in found.changes:
+            table.add_row(
+                c.rows, c.unit, f"{c.before:.4g}", f"{c.after:.4g}", f"{c.noise_floor:.4g}"
+            )
+        out.print()
+        out.print(table)
+    for text in found.missing:
+        warn(f"the recording lacks {text}")
+
+
+_VERDICTS = {
+    "consistent": "Consistent: nothing beyond noise.",
+    "explained": "Explained: what the simulation leaves out has a name.",
+    "partly_explained": "Partly explained: some of what differs has a name, some has none.",
+    "unexplained": "Unexplained: it differs from its simulation, and no known physics fits.",
+    "undetermined": "Undetermined: this recording cannot tell.",
+}
+
+
+def _show_finding(number: int, item: Finding) -> None:
+    from imu_cli.output import console
+
+    out = console()
+    out.print(f"\n[bold]{number}. {item.title}[/] ({item.effect})", soft_wrap=True)
+    out.print(f"   {item.sentence}", soft_wrap=True)
+    when = ", ".join(f"{a:.1f} to {b:.1f} s" for a, b in item.intervals)
+    out.print(
+        f"   Where: {', '.join(item.channels)}; {when}; follows {item.regime}.", soft_wrap=True
+    )
+    out.print(f"   How sure: {_chance(item.p_value)}, all looks counted.", soft_wrap=True)
+    for name, q in item.parameters.items():
+        out.print(f"   {name} = {_quantity(q)}")
+    for a in item.absorbed_by[:4]:
+        out.print(
+            f"   {a.parameter} had absorbed {a.shift:.3g} {a.unit} of it "
+            f"({a.standard_errors:.1f} standard errors).",
+            soft_wrap=True,
+        )
+    if item.held_out is not None:
+        h = item.held_out
+        out.print(
+            f"   On held-out poses and turns, {h.rows}: {h.before:.3g} -> {h.after:.3g} {h.unit} "
+            f"(noise floor {h.noise_floor:.3g}).",
+            soft_wrap=True,
+        )
+    elif item.held_out_reason:
+        out.print(f"   Not checked on held-out data: {item.held_out_reason}.", soft_wrap=True)
+    for rival in item.rivals:
+        out.print(f"   Or: {rival.effect}, odds {rival.odds:.2g} to 1.", soft_wrap=True)
+    if item.to_separate:
+        out.print(f"   {item.to_separate}", soft_wrap=True)
+
+
+def _chance(p_value: float) -> str:
+    if p_value < 1e-6:
+        return "p < 1e-6"
+    return f"p = {p_value:.2g}"
+
+
+def _quantity(q: Quantity) -> str:
+    sigma = "" if q.sigma is None else f" ± {q.sigma:.2g}"
+    return f"{q.value:.4g}{sigma} {q.unit}"

@@ -1,0 +1,120 @@
+"""Simulate a recording: a motion, a sensor with its errors, and noise."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+MOTION_HELP = "bench, paper, rate-table, record-player, pendulum or thermal."
+EFFECT_HELP = (
+    "Add an effect of the catalogue, in SI: slug:name=value,... (repeatable). The slug alone gives "
+    "its typical size on every axis."
+)
+
+
+def simulate(
+    output: Annotated[Path, typer.Option("-o", "--output", help="Recording to write.")],
+    motion: Annotated[str, typer.Option(help=MOTION_HELP)] = "bench",
+    like: Annotated[
+        Path | None,
+        typer.Option(metavar="LOG", help="Digital twin of this recording: its motion and times."),
+    ] = None,
+    calibration: Annotated[
+        Path | None,
+        typer.Option(metavar="CAL.JSON", help="With --like: the sensor that recorded it."),
+    ] = None,
+    sensor: Annotated[
+        Path | None,
+        typer.Option(metavar="CAL.JSON", help="The sensor to simulate; ideal if not given."),
+    ] = None,
+    effect: Annotated[
+        list[str] | None, typer.Option("--effect", metavar="SLUG[:...]", help=EFFECT_HELP)
+    ] = None,
+    rate: Annotated[float | None, typer.Option(help="Samples per second. [default: 100]")] = None,
+    duration: Annotated[
+        str | None, typer.Option(help="Such as 90s or 10min. [default: 3min]")
+    ] = None,
+    noise: Annotated[
+        float, typer.Option(help="Multiple of the sensor's noise; 0 is without.")
+    ] = 1.0,
+    seed: Annotated[int, typer.Option(help="Of all that is random.")] = 0,
+    gravity: Annotated[
+        float | None, typer.Option(help="m/s². [default: 9.80665, or the calibration's]")
+    ] = None,
+    jitter: Annotated[float, typer.Option(help="Of the time stamps, s.")] = 0.0,
+    lost: Annotated[float, typer.Option(help="Probability of a lost sample.")] = 0.0,
+    truth: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Write the true signals as a recording, too."),
+    ] = None,
+    profile: Annotated[
+        str | None, typer.Option(help="Import profile of the --like recording.")
+    ] = None,
+    imu: Annotated[int | None, typer.Option(help="Sensor of the --like board, from 1.")] = None,
+    json: Annotated[bool, typer.Option("--json", help="Describe what was simulated.")] = False,
+) -> None:
+    """Simulate a recording: a motion, a sensor with its errors, and noise.
+
+    Without --sensor the sensor has no errors but a consumer part's noise. With --like and
+    --calibration the result is the digital twin of a recording: what that calibration says the
+    sensor should have read on the same motion.
+    """
+    import numpy as np
+
+    from calib.simulate import Sampling
+    from calib.simulation.library import MOTIONS
+    from drivers.formats import open_writer
+    from imu_cli import output as out
+    from imu_cli.options import parse_duration, parse_effect
+    from imu_cli.simulation import Plan, describe, run
+
+    if motion not in MOTIONS:
+        raise typer.BadParameter(
+            f"{motion!r} is no motion: {', '.join(MOTIONS)}", param_hint="--motion"
+        )
+    if like is not None and calibration is None:
+        raise typer.BadParameter(
+            "the motion of a recording is known only through its calibration: give --calibration "
+            "(imu-cal calibrate makes one)",
+            param_hint="--like",
+        )
+    if like is None and calibration is not None:
+        raise typer.BadParameter(
+            "goes with --like; to simulate this sensor give --sensor", param_hint="--calibration"
+        )
+    if like is not None and (rate is not None or duration is not None):
+        raise typer.BadParameter(
+            "a twin has the times of its recording: leave out --rate and --duration",
+            param_hint="--like",
+        )
+    try:
+        seconds = parse_duration(duration or "3min")
+        plan = Plan(
+            motion=motion,
+            duration=seconds,
+            rate=100.0 if rate is None else rate,
+            gravity=gravity,
+            noise=noise,
+            sampling=Sampling(jitter=jitter, lost=lost),
+            sensor=sensor,
+            like=like,
+            calibration=calibration,
+            profile=profile,
+            imu=imu,
+        )
+        terms = tuple(parse_effect(text, span=plan.span) for text in effect or ())
+    except ValueError as error:
+        raise typer.BadParameter(str(error)) from error
+    # The suffixes are checked before the work is done.
+    writers = [open_writer(path, atomic=True) for path in (output, truth) if path is not None]
+    result = run(plan, terms, rng=np.random.default_rng(seed))
+    for writer, recording in zip(writers, (result.recording, result.truth), strict=False):
+        with writer:
+            writer.append(recording)
+    document = describe(result, output, seed=seed)
+    if json:
+        out.print_json(document)
+    else:
+        out.print_lines(*result.summary(output))

@@ -1,0 +1,66 @@
+"""Say whether a calibration is still right for a device, from a new recording."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+NOT_RIGHT = 6
+
+
+def verify(
+    calibration: Annotated[Path, typer.Argument(metavar="CAL.JSON", help="A calibration file.")],
+    log: Annotated[list[Path], typer.Argument(metavar="LOG...", help="New recording.")],
+    profile: Annotated[
+        str | None, typer.Option(help="Import profile of a foreign log: a name, or a .toml file.")
+    ] = None,
+    imu: Annotated[int | None, typer.Option(help="Which sensor of a board, from 1.")] = None,
+    significance: Annotated[
+        float, typer.Option(help="Chance of calling the calibration of an unchanged device wrong.")
+    ] = 0.001,
+    drop_invalid: Annotated[
+        bool, typer.Option(help="Turn rows that are not finite into gaps.")
+    ] = False,
+    json: Annotated[bool, typer.Option("--json", help="Print the answer as JSON.")] = False,
+) -> None:
+    """Say whether a calibration is still right for a device, from a new recording.
+
+    One static pose is enough to begin; more poses, and turns between them, test more. Exit code 6
+    means that it is not right, and the table says what has changed.
+    """
+    from calib.verify import verify as judge
+    from drivers.calibration_file import load_calibration
+    from drivers.formats import read_recording
+    from imu_cli import comparison_view as view
+    from imu_cli import output
+
+    if not 0 < significance < 1:
+        raise typer.BadParameter(
+            f"expected between 0 and 1, got {significance:g}", param_hint="--significance"
+        )
+    known = load_calibration(calibration)
+    recording = read_recording(log, profile=profile, imu=imu, drop_invalid=drop_invalid)
+    answer = judge(known, recording, significance=significance)
+    if answer.identity:
+        output.warn(f"another device? {answer.identity}")
+    if json:
+        output.print_json(view.verification_document(answer))
+    else:
+        output.print_lines(*view.check_lines(answer))
+        comparison = answer.comparison
+        if not answer.right and comparison is not None and comparison.changed:
+            output.print_lines(
+                "",
+                "changed since it was calibrated:",
+                view.difference_table(comparison.changed, comparison.changed),
+            )
+        output.print_lines(*(f"note: {remark}" for remark in answer.remarks))
+        output.print_lines(
+            "[green]the calibration is right for this recording[/]"
+            if answer.right
+            else "[red]the calibration is NOT right for this device today[/]: calibrate again"
+        )
+    if not answer.right:
+        raise typer.Exit(NOT_RIGHT)

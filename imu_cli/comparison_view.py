@@ -1,0 +1,125 @@
+"""Comparisons and verifications as a person, or a program, reads them."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from calib.compare import Comparison, Difference
+from calib.verify import Check, Verification
+from imu_cli.calibration_view import EVERYDAY, plus_minus, residual_text
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+
+def difference_table(differences: tuple[Difference, ...], changed: tuple[Difference, ...]) -> Table:
+    """Return a table of differences: second less first, with the score in standard errors."""
+    from rich.table import Table
+
+    table = Table(box=None, pad_edge=False, collapse_padding=True, header_style="bold")
+    table.add_column("parameter", no_wrap=True)
+    table.add_column("difference ± std error", justify="right", no_wrap=True)
+    table.add_column("", no_wrap=True)
+    table.add_column("std errors", justify="right", no_wrap=True)
+    table.add_column("", no_wrap=True)
+    for item in differences:
+        group = item.name.rpartition(".")[0]
+        factor, unit = EVERYDAY.get(group, (1.0, item.unit))
+        mark = "[red]changed[/]" if item in changed else ""
+        table.add_row(
+            item.name,
+            plus_minus(factor * item.difference, factor * item.sigma),
+            unit,
+            f"{item.score:+.1f}",
+            mark,
+        )
+    return table
+
+
+def check_lines(verification: Verification) -> list[str]:
+    """Return one line for each check: what is left, what was expected."""
+    lines = []
+    for check in verification.checks:
+        failed = check in verification.failed
+        verdict = "[red]NOT RIGHT[/]" if failed else "right"
+        seen, expected = _size(check.rms, check.unit), _size(check.expected, check.unit)
+        lines.append(
+            f"{check.name:<9}{check.count:>4} {_plural(check)}: {seen} rms, expected {expected}: "
+            f"{verdict} (p = {check.p_value:.2g})"
+        )
+        if failed:
+            low, high = check.worst
+            lines.append(f"             the most at {low:.2f} to {high:.2f} s")
+    return lines
+
+
+def comparison_document(comparison: Comparison) -> dict[str, Any]:
+    """Return a comparison for ``--json``."""
+    changed = comparison.changed
+    return {
+        "same": comparison.same,
+        "p_value": comparison.p_value,
+        "chi_square": comparison.chi_square,
+        "degrees_of_freedom": comparison.degrees_of_freedom,
+        "significance": comparison.significance,
+        "identity_mismatch": comparison.identity or None,
+        "parameters": {
+            item.name: {
+                "first": item.first,
+                "second": item.second,
+                "difference": item.difference,
+                "sigma": item.sigma,
+                "allowance": item.allowance,
+                "score": item.score,
+                "p_value": item.p_value,
+                "changed": item in changed,
+                "unit": item.unit,
+            }
+            for item in comparison.differences
+        },
+        "only_first": list(comparison.only_first),
+        "only_second": list(comparison.only_second),
+    }
+
+
+def verification_document(verification: Verification) -> dict[str, Any]:
+    """Return a verification for ``--json``."""
+    comparison = verification.comparison
+    return {
+        "format": "imu-cal/verification",
+        "version": 1,
+        "right": verification.right,
+        "significance": verification.significance,
+        "identity_mismatch": verification.identity or None,
+        "remarks": list(verification.remarks),
+        "checks": [
+            {
+                "name": check.name,
+                "what": check.what,
+                "right": check not in verification.failed,
+                "count": check.count,
+                "rms": check.rms,
+                "expected": check.expected,
+                "unit": check.unit,
+                "chi_square": check.chi_square,
+                "degrees_of_freedom": check.degrees_of_freedom,
+                "p_value": check.p_value,
+                "worst": list(check.worst),
+            }
+            for check in verification.checks
+        ],
+        "comparison": None if comparison is None else comparison_document(comparison),
+    }
+
+
+def _plural(check: Check) -> str:
+    noun = "turn" if check.name == "turns" else "pose"
+    return noun if check.count == 1 else f"{noun}s"
+
+
+def _size(value: float, unit: str) -> str:
+    if unit == "rad/s":
+        return f"{np.degrees(value):.4f}°/s"
+    return residual_text(value, unit).partition(" (")[0]

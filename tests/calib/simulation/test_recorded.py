@@ -1,0 +1,154 @@
+"""The motion of a recording, found again from what a sensor saw of it."""
+
+import numpy as np
+import pytest
+
+from calib.effects.base import Term
+from calib.model import SensorModel, Triad
+from calib.poses import Poses, average_poses
+from calib.recording import Recording
+from calib.simulate import digital_twin, simulate
+from calib.simulation.bench import bench_protocol
+from calib.simulation.kinematics import Motion
+from calib.simulation.motions import pendulum
+from calib.simulation.noise import NoiseModel, noise_at_rest
+from calib.simulation.recorded import motion_from_reference, motion_of
+from calib.statics import find_poses
+
+G = 9.80665
+MODEL = SensorModel(
+    Triad(np.array([0.3, -0.2, 0.1]), np.array([0.02, -0.01, 0.03])),
+    Triad(np.array([0.02, -0.01, 0.03]), np.array([0.01, -0.02, 0.03])),
+    (Term("gyro_g_sensitivity", {"gxx": 2e-4}),),
+)
+NOISE = NoiseModel(accel_noise_density=4e-3, gyro_noise_density=1e-4, gyro_bias_instability=5e-5)
+
+
+def recorded(seed: int, poses: int = 10, rate: float = 100.0) -> tuple[Motion, Recording, Poses]:
+    rng = np.random.default_rng(seed)
+    motion = bench_protocol(rng, poses=poses, tremor=0.5)
+    recording = simulate(motion, MODEL, NOISE, rng=rng, rate=rate)
+    return motion, recording, find_poses(recording)
+
+
+def tilt(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Angle between the directions of up of two orientations, rad."""
+    return np.linalg.norm(first[:, 2] - second[:, 2], axis=1)
+
+
+def test_orientation_and_force_are_found_again() -> None:
+    motion, recording, poses = recorded(1)
+    found = motion_of(recording, MODEL, poses, gravity=G).state(recording.time)
+    true = motion.state(recording.time)
+    assert np.degrees(tilt(found.mat_ns, true.mat_ns)).max() < 0.05
+    for name, level in (("rate", 1e-4 * np.sqrt(50)), ("force", 4e-3 * np.sqrt(50))):
+        error = getattr(found, name) - getattr(true, name)
+        assert np.sqrt(np.mean(error**2)) < level
+
+
+def test_at_rest_the_found_motion_rests() -> None:
+    _, recording, poses = recorded(2)
+    motion = motion_of(recording, MODEL, poses, gravity=G)
+    assert len(motion.statics) == len(poses) == 10
+    assert len(motion.turns) == 9
+    for start, stop in motion.statics:
+        state = motion.state(np.linspace(start + 0.05, stop - 0.05, 20))
+        assert np.abs(state.rate).max() < 1e-4
+        np.testing.assert_allclose(np.linalg.norm(state.force, axis=1), G, rtol=1e-5)
+
+
+def test_a_noisy_model_still_closes_at_every_pose() -> None:
+    """With a scale factor that is 3 % off, roll and pitch at rest are still gravity's."""
+    motion, recording, poses = recorded(3)
+    wrong = SensorModel(MODEL.accel, Triad(MODEL.gyro.bias), MODEL.terms)
+    found = motion_of(recording, wrong, poses, gravity=G).state(recording.time)
+    true = motion.state(recording.time)
+    rest = np.concatenate([np.arange(a, b) for a, b in zip(poses.start, poses.stop, strict=True)])
+    assert np.degrees(tilt(found.mat_ns[rest], true.mat_ns[rest])).max() < 0.05
+
+
+def test_a_twin_looks_like_its_recording() -> None:
+    _, recording, poses = recorded(4)
+    motion = motion_of(recording, MODEL, poses, gravity=G)
+    quiet = digital_twin(recording, motion, MODEL, NoiseModel(), rng=np.random.default_rng(0))
+    np.testing.assert_array_equal(quiet.time, recording.time)
+    assert quiet.device == recording.device
+    for name, density in (("accel", 4e-3), ("gyro", 1e-4)):
+        left = getattr(recording, name) - getattr(quiet, name)
+        assert np.sqrt(np.mean(left**2)) < 1.5 * density * np.sqrt(50)
+
+
+def test_a_twin_has_the_clock_and_the_gaps_of_its_recording() -> None:
+    _, recording, poses = recorded(5)
+    cut = Recording(
+        np.delete(recording.time, np.s_[3000:3010]) + 1e5,
+        np.delete(recording.accel, np.s_[3000:3010], axis=0),
+        np.delete(recording.gyro, np.s_[3000:3010], axis=0),
+        "host",
+        lost=np.where(np.arange(len(recording) - 10) == 3000, 10, 0),
+    )
+    poses = find_poses(cut)
+    motion = motion_of(cut, MODEL, poses, gravity=G)
+    twin = digital_twin(cut, motion, MODEL, NOISE, rng=np.random.default_rng(0))
+    np.testing.assert_array_equal(twin.time, cut.time)
+    np.testing.assert_array_equal(twin.lost, cut.lost)
+    assert twin.clock == "host"
+
+
+def test_a_recording_without_poses_has_a_motion() -> None:
+    rng = np.random.default_rng(6)
+    recording = simulate(pendulum(hold=0.0, duration=20.0), MODEL, NOISE, rng=rng, rate=100.0)
+    poses = average_poses(recording, np.zeros(0, np.int64), np.zeros(0, np.int64))
+    motion = motion_of(recording, MODEL, poses, gravity=G)
+    assert not motion.segments
+    left = motion.state(recording.time).rate - MODEL.gyro.correct(recording.gyro)
+    assert np.sqrt(np.mean(left**2)) < 3e-3
+
+
+@pytest.mark.parametrize("rate", [100.0, 400.0])
+def test_a_reference_gives_back_its_motion(rate: float) -> None:
+    motion = pendulum(hold=0.0, duration=10.0)
+    time = np.arange(0.0, 10.0, 1 / rate)
+    kinematics = motion.kinematics(time)
+    assert kinematics.path is not None
+    quat = kinematics.turning.quat.copy()
+    quat[::3] *= -1  # the same orientations
+    quat[50:53] = np.nan
+    found = motion_from_reference(time + 7.0, quat, kinematics.path.position, gravity=G)
+    between = time[20:-20] + 0.3 / rate
+    true, state = motion.state(between), found.state(between)
+    np.testing.assert_allclose(state.rate, true.rate, atol=1e-3)
+    np.testing.assert_allclose(state.force, true.force, atol=0.1)
+
+
+def test_a_noisy_reference_is_smoothed_without_delay() -> None:
+    motion = pendulum(hold=0.0, duration=20.0, length=0.5)
+    time = np.arange(0.0, 20.0, 0.005)
+    kinematics = motion.kinematics(time)
+    assert kinematics.path is not None
+    noise = np.random.default_rng(8).normal(0, 2e-4, (len(time), 3))
+    found = motion_from_reference(
+        time, kinematics.turning.quat, kinematics.path.position + noise, gravity=G, bandwidth=6.0
+    )
+    error = (found.state(time).force - motion.state(time).force)[100:-100]
+    assert np.sqrt(np.mean(error**2)) < 0.15
+
+
+def test_references_are_checked() -> None:
+    time, quat = np.arange(5.0), np.tile([1.0, 0, 0, 0], (5, 1))
+    for arguments, name in (
+        ((time, quat[:4]), "quat"),
+        ((time, quat, np.zeros((4, 3))), "position"),
+        ((time, np.full((5, 4), np.nan)), "quat"),
+        ((np.zeros(5), quat), "time"),
+    ):
+        with pytest.raises(ValueError, match=f"`{name}`"):
+            motion_from_reference(*arguments, gravity=G)
+
+
+def test_white_noise_at_rest_is_measured() -> None:
+    _, recording, poses = recorded(9)
+    found = noise_at_rest(recording, poses)
+    assert found.accel_noise_density == pytest.approx(4e-3, rel=0.03)
+    assert found.gyro_noise_density == pytest.approx(1e-4, rel=0.03)
+    assert noise_at_rest(recording, poses.select(np.zeros(0, int))) == NoiseModel()

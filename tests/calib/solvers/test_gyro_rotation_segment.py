@@ -1,0 +1,62 @@
+"""The paper's own method: its convention, several revolutions, and what it cannot see."""
+
+import numpy as np
+from gyro_motion import GRAVITY, Motion, Truth, simulate
+
+from calib.fit import Fit
+from calib.model import Triad
+from calib.solvers import gyro_solvers
+from calib.turns import find_turns
+
+GYRO = Triad([0.03, -0.06, 0.03], [0.1, -0.05, 0.2])
+Q = np.pi / 2
+
+
+def run(turns: list[list[float]], **noise: float) -> tuple[Fit, Truth]:
+    truth = simulate(
+        Motion(np.array(turns), rate=50.0), GYRO, rng=np.random.default_rng(2), **noise
+    )
+    fit = gyro_solvers()["rotation_segment"].solve(
+        truth.recording,
+        truth.poses,
+        find_turns(truth.recording, truth.poses),
+        Triad(),
+        gravity=GRAVITY,
+        options={},
+    )
+    return fit, truth
+
+
+def test_the_scale_factor_is_the_one_that_multiplies_the_rate() -> None:
+    # The paper's equation 13 would give 1 / 1.1 here.
+    fit, _ = run([[Q, 0, 0], [-Q, 0, 0], [Q, 0, 0], [Q, 0, 0]], gyro_noise=1e-6, accel_noise=1e-6)
+    np.testing.assert_allclose(fit.triad.scale_factor_error[0], 0.1, atol=1e-4)
+    np.testing.assert_allclose(fit.triad.bias[0], 0.03, atol=1e-4)
+
+
+def test_several_revolutions_are_counted() -> None:
+    fit, _ = run([[5 * Q, 0, 0], [-9 * Q, 0, 0], [17 * Q, 0, 0], [-Q, 0, 0]])
+    assert abs(fit.triad.scale_factor_error[0] - 0.1) < 1e-3
+
+
+def test_an_axis_that_was_vertical_is_named_and_the_others_are_returned() -> None:
+    turns = [[Q, 0, 0], [-Q, 0, 0], [0, Q, 0], [0, -Q, 0], [0, 0, Q], [0, 0, -Q]] * 2
+    fit, _ = run(turns)
+    assert fit.undetermined == ("gyro.scale_factor_error.z",)
+    assert len(fit.advice) == 1
+    assert "axis z was vertical" in fit.advice[0]
+    assert "remount" in fit.advice[0]
+    assert abs(fit.triad.scale_factor_error[1] + 0.05) < 5 * fit.standard_errors[4]
+    assert fit.triad.scale_factor_error[2] == 0.0
+
+
+def test_one_segment_and_the_bias_at_rest_give_the_scale() -> None:
+    fit, _ = run([[Q, 0, 0]])
+    assert "gyro.scale_factor_error.x" not in fit.undetermined
+    assert abs(fit.triad.scale_factor_error[0] - 0.1) < 5 * fit.standard_errors[3]
+
+
+def test_turns_about_two_axes_are_not_read_as_one() -> None:
+    fit, _ = run([[Q, Q, 0], [-Q, -Q, 0]] * 3)
+    assert "gyro.scale_factor_error.x" in fit.undetermined
+    assert "no turn was about axis x alone" in fit.advice[0]

@@ -1,0 +1,140 @@
+"""``imu-cal simulate``: files, twins, effects and wrong arguments."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner, Result
+
+from calib.calibration import Calibration, Gravity, Noise
+from calib.effects.base import Term
+from calib.model import SensorModel, Triad
+from drivers.calibration_file import save_calibration
+from drivers.formats import read_recording
+from imu_cli.app import app
+from imu_cli.options import parse_duration, parse_effect
+
+
+def run(*arguments: object) -> Result:
+    return CliRunner().invoke(app, ["simulate", *(str(a) for a in arguments)])
+
+
+@pytest.fixture
+def sensor(tmp_path: Path) -> Path:
+    model = SensorModel(
+        Triad(np.array([0.3, -0.2, 0.1]), np.array([0.02, -0.01, 0.03])),
+        Triad(np.array([0.02, -0.01, 0.03]), np.array([0.01, -0.02, 0.03])),
+        (Term("gyro_g_sensitivity", {"gxx": 2e-4}),),
+    )
+    noise = Noise(100.0, np.full(3, 4e-3), np.full(3, 1e-4))
+    path = tmp_path / "sensor.cal.json"
+    empty = np.zeros((0, 0))
+    save_calibration(Calibration(model, (), empty, (), Gravity(9.81), noise=noise), path)
+    return path
+
+
+@pytest.mark.parametrize(
+    "motion", ["bench", "paper", "rate-table", "record-player", "pendulum", "thermal"]
+)
+def test_every_motion(motion: str, tmp_path: Path) -> None:
+    path = tmp_path / "sim.arrow"
+    result = run("--motion", motion, "--duration", "2min", "--rate", 50, "-o", path)
+    assert result.exit_code == 0, result.stderr
+    recording = read_recording(path)
+    assert recording.duration == pytest.approx(120.0, abs=0.1)
+    assert recording.interval == pytest.approx(0.02)
+    assert recording.complete
+
+
+def test_the_same_seed_is_the_same_recording(tmp_path: Path) -> None:
+    first, second, other = (tmp_path / f"{k}.arrow" for k in range(3))
+    for path, seed in ((first, 1), (second, 1), (other, 2)):
+        assert run("--duration", "30s", "--seed", seed, "-o", path).exit_code == 0
+    assert first.read_bytes() == second.read_bytes()
+    assert first.read_bytes() != other.read_bytes()
+
+
+def test_sensor_effects_and_truth(sensor: Path, tmp_path: Path) -> None:
+    path, truth = tmp_path / "sim.csv", tmp_path / "truth.csv"
+    result = run(
+        *("--sensor", sensor, "--effect", "accel_bias_step:bx=0.5,moment=20", "--noise", 0),
+        *("--duration", "40s", "-o", path, "--truth", truth, "--json"),
+    )
+    assert result.exit_code == 0, result.stderr
+    document = json.loads(result.stdout)
+    assert document["format"] == "imu-cal/simulation"
+    assert document["sensor"]["accel.bias.x"] == 0.3
+    assert [term["effect"] for term in document["terms"]] == [
+        "gyro_g_sensitivity",
+        "accel_bias_step",
+    ]
+    assert document["segments"][0]["kind"] == "static"
+    assert document["gravity"] == 9.81
+    measured, true = read_recording(path), read_recording(truth)
+    left = measured.accel[:, 0] - true.accel[:, 0] * 1.02 - 0.3
+    np.testing.assert_allclose(left, np.where(measured.time >= 20, 0.5, 0.0), atol=1e-5)
+
+
+def test_twin_of_a_recording(sensor: Path, tmp_path: Path) -> None:
+    log, twin = tmp_path / "log.arrow", tmp_path / "twin.arrow"
+    assert run("--sensor", sensor, "--duration", "60s", "-o", log).exit_code == 0
+    result = run("--like", log, "--calibration", sensor, "-o", twin, "--noise", 0)
+    assert result.exit_code == 0, result.stderr
+    recorded, found = read_recording(log), read_recording(twin)
+    np.testing.assert_array_equal(found.time, recorded.time)
+    assert np.std(found.gyro - recorded.gyro) < 2e-3
+    assert np.std(found.accel - recorded.accel) < 0.06
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--motion", "flight"], "no motion"),
+        (["--effect", "gyro_warmup"], "did you mean gyro_warm_up"),
+        (["--effect", "gyro_warm_up:kq=1"], "no parameter of gyro_warm_up"),
+        (["--effect", "gyro_warm_up:kx"], "no value"),
+        (["--effect", "gyro_warm_up:kx=much"], "no number"),
+        (["--effect", "saturation"], "full_scale"),
+        (["--effect", "axis_error"], "accel_axes"),
+        (["--duration", "long"], "no duration"),
+        (["--rate", "0"], "--rate"),
+        (["--noise", "-1"], "--noise"),
+        (["--gravity", "1"], "--gravity"),
+        (["--lost", "2"], "lost"),
+        (["--like", "log.csv"], "--calibration"),
+        (["--calibration", "cal.json"], "--like"),
+        (["--like", "log.csv", "--calibration", "cal.json", "--rate", "50"], "--rate"),
+    ],
+)
+def test_wrong_arguments(arguments: list[str], said: str, tmp_path: Path) -> None:
+    result = run(*arguments, "-o", tmp_path / "sim.arrow")
+    assert result.exit_code == 2
+    assert said in " ".join(result.stderr.replace("│", " ").split())
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "code"),
+    [("sim.xyz", [], 3), ("none/sim.arrow", [], 3), ("sim.arrow", ["--sensor", "none.json"], 10)],
+)
+def test_files_that_cannot_be(name: str, options: list[str], code: int, tmp_path: Path) -> None:
+    result = run(*options, "-o", tmp_path / name)
+    assert result.exit_code == code
+    assert "Traceback" not in result.stderr
+    assert not list(tmp_path.iterdir())
+
+
+def test_durations() -> None:
+    assert [parse_duration(t) for t in ("90", "90s", "1.5min", "2h")] == [90.0, 90.0, 90.0, 7200.0]
+    for text in ("", "s", "-1", "0", "1.2.3", "5 days"):
+        with pytest.raises(ValueError, match="no duration"):
+            parse_duration(text)
+
+
+def test_an_effect_may_be_given_in_part() -> None:
+    assert parse_effect("gyro_bias_step", span=(0, 10)).parameters["moment"] == 5.0
+    term = parse_effect("gyro_warm_up:tau=50", span=(0, 10))
+    assert term.parameters["tau"] == 50.0
+    assert term.parameters["kx"] > 0
+    assert parse_effect("bandwidth:gyro_cutoff=20", span=(0, 10)).parameters == {"gyro_cutoff": 20}
