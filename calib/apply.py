@@ -13,6 +13,7 @@ import numpy as np
 from calib.calibration import Calibration
 from calib.effects import get_effect
 from calib.effects.base import State, Term, TransformEffect
+from calib.model import affine
 from calib.recording import Recording
 from calib.types import FloatArray
 
@@ -73,7 +74,7 @@ class Corrector:
         self._affine = []
         for triad in (model.accel, model.gyro):
             matrix = rotation @ np.linalg.inv(triad.matrix)
-            self._affine.append((matrix, (matrix @ triad.bias)[:, None]))
+            self._affine.append((matrix, -matrix @ triad.bias))
 
     def add(self, block: Block) -> tuple[FloatArray, FloatArray]:
         """Return the corrected accel and gyro (m, 3) of the next m samples of the stream.
@@ -95,12 +96,8 @@ class Corrector:
         return self._advance(None, last=True)
 
     def _baseline(self, block: Block) -> tuple[FloatArray, FloatArray]:
-        out = []
-        for (matrix, offset), values in zip(self._affine, (block.accel, block.gyro), strict=True):
-            columns = matrix @ values.T
-            columns -= offset
-            out.append(columns.T)
-        return out[0], out[1]
+        accel, gyro = self._affine
+        return affine(accel[0], block.accel, accel[1]), affine(gyro[0], block.gyro, gyro[1])
 
     def _correct(self, block: Block) -> tuple[FloatArray, FloatArray]:
         if not len(block):

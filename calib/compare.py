@@ -10,6 +10,7 @@ from scipy.stats import chi2, norm
 
 from calib.calibration import Calibration, parameter_unit
 from calib.model import Triad
+from calib.recording import DeviceInfo
 from calib.types import FloatArray
 
 SIGNIFICANCE = 0.001
@@ -119,16 +120,15 @@ def compare(
         int(np.linalg.matrix_rank(scaled_covariance, tol=1e-10)) if known.any() else 0,
         tuple(name for name in first.names if name not in second.names),
         tuple(name for name in second.names if name not in first.names),
-        identity_mismatch(first, second),
+        device_mismatch(first.provenance.device, second.provenance.device),
     )
 
 
-def identity_mismatch(first: Calibration, second: Calibration) -> str:
-    """Return how the devices of two calibrations differ, or "" where nothing says that they do."""
-    one, two = first.provenance.device, second.provenance.device
+def device_mismatch(calibrated: DeviceInfo, seen: DeviceInfo) -> str:
+    """Return how two devices differ, or "" where nothing says that they do."""
     for label, a, b in (
-        ("chip", one.chip, two.chip),
-        ("serial number", one.serial_number, two.serial_number),
+        ("chip", calibrated.chip, seen.chip),
+        ("serial number", calibrated.serial_number, seen.serial_number),
     ):
         if a and b and a != b:
             return f"the {label} is {b}, that of the calibration {a}"

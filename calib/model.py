@@ -15,6 +15,9 @@ from calib.effects.base import Effect, Signals, State, Term, TransformEffect
 from calib.recording import AXES
 from calib.types import FloatArray
 
+CHUNK = 8192
+"""Samples at a time: they stay in the cache, and are too few for BLAS to wake its threads."""
+
 PARAMETER_UNITS = {
     "accel.bias": "m/s²",
     "gyro.bias": "rad/s",
@@ -63,15 +66,12 @@ class Triad:
 
     def distort(self, true: FloatArray) -> FloatArray:
         """Return ``(I + S + M) @ true + bias`` for (n, 3) vectors."""
-        return true @ self.matrix.T + self.bias
+        return affine(self.matrix, true, self.bias)
 
     def correct(self, measured: FloatArray) -> FloatArray:
         """Return ``inv(I + S + M) @ (measured - bias)`` for (n, 3) vectors."""
-        inverse = np.linalg.inv(self.matrix)
-        # Channel by channel in memory: eight times faster than (n, 3) @ (3, 3) row by row.
-        columns = inverse @ measured.T
-        columns -= (inverse @ self.bias)[:, None]
-        return columns.T
+        inverse = np.asarray(np.linalg.inv(self.matrix), np.float64)
+        return affine(inverse, measured, -inverse @ self.bias)
 
     def parameters(self, triad: str) -> dict[str, float]:
         """Return all twelve parameters by their full names; `triad` is ``accel`` or ``gyro``."""
@@ -181,3 +181,16 @@ class SensorModel:
 
 def _settled(before: FloatArray, after: FloatArray) -> bool:
     return bool(np.abs(after - before).max() <= 1e-10 * max(1.0, np.abs(after).max()))
+
+
+def affine(matrix: FloatArray, vectors: FloatArray, offset: FloatArray) -> FloatArray:
+    """Return ``vectors @ matrix.T + offset`` for (n, 3) vectors, channel by channel in memory.
+
+    That is eight times faster than row by row, and `CHUNK` keeps it in the cache.
+    """
+    columns = np.empty((3, len(vectors)))
+    for at in range(0, len(vectors), CHUNK):
+        part = columns[:, at : at + CHUNK]
+        np.matmul(matrix, vectors[at : at + CHUNK].T, out=part)
+        part += offset[:, None]
+    return columns.T

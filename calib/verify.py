@@ -23,9 +23,9 @@ from scipy.stats import chi2
 
 from calib.apply import correct_recording
 from calib.calibrate import calibrate
-from calib.calibration import Calibration, Provenance
+from calib.calibration import Calibration
 from calib.closure import TurnSteps, closure_residual, horizontal_basis, pose_directions, propagate
-from calib.compare import SIGNIFICANCE, Comparison, compare, identity_mismatch
+from calib.compare import SIGNIFICANCE, Comparison, compare, device_mismatch
 from calib.effects import get_effect
 from calib.errors import InsufficientMotionError
 from calib.model import SensorModel, Triad
@@ -140,11 +140,10 @@ def verify(
     turns = _turn_check(calibration, corrected, still)
     if turns is not None:
         checks.append(turns)
-    device = replace(calibration, provenance=Provenance(device=recording.device))
     return Verification(
         tuple(check for check in checks if check is not None),
         _compare_anew(calibration, corrected, moves),
-        identity_mismatch(calibration, device),
+        device_mismatch(calibration.provenance.device, recording.device),
         _remarks(calibration, recording, beyond),
         significance,
     )

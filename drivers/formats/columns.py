@@ -147,8 +147,8 @@ def column_values(table: Any, column: str) -> FloatArray:
 
 
 def stack_columns(table: Any, names: tuple[str, ...]) -> FloatArray:
-    """Return columns of a table or batch side by side, (n, k)."""
-    out = np.empty((table.num_rows, len(names)))
+    """Return columns of a table or batch side by side, (n, k), each contiguous in memory."""
+    out = np.empty((len(names), table.num_rows)).T
     for k, name in enumerate(names):
         values = table.column(name)
         at = 0

@@ -1,0 +1,145 @@
+"""Correct a recording, or a stream, with a calibration."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+if TYPE_CHECKING:
+    from calib.apply import Coverage
+    from calib.calibration import Calibration
+
+DAMAGED = 5
+SAID = 10
+"""So many damaged lines of a stream are named; the others are counted."""
+
+
+def apply(
+    calibration: Annotated[Path, typer.Argument(metavar="CAL.JSON", help="A calibration file.")],
+    log: Annotated[
+        list[Path],
+        typer.Argument(metavar="LOG...", help="Recording, or - for CSV on standard input."),
+    ],
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "-o", "--out", help="Recording to write; its suffix names the format. - is CSV out."
+        ),
+    ] = None,
+    profile: Annotated[
+        str | None, typer.Option(help="Import profile of a foreign log: a name, or a .toml file.")
+    ] = None,
+    imu: Annotated[int | None, typer.Option(help="Which sensor of a board, from 1.")] = None,
+    drop_invalid: Annotated[
+        bool, typer.Option(help="Turn rows that are not finite into gaps.")
+    ] = False,
+    json: Annotated[bool, typer.Option("--json", help="Print what was done as JSON.")] = False,
+) -> None:
+    """Correct a recording, or a stream, with a calibration.
+
+    From file to file in bounded memory. As a filter (LOG is -), every line of CSV in SI units comes
+    out corrected as soon as it has come in; other columns, comments and blank lines stay as they
+    are, damaged lines are named on standard error and left out, and the exit code is then 5.
+    """
+    from drivers.calibration_file import load_calibration
+    from imu_cli import output
+
+    known = load_calibration(calibration)
+    _say_what_is_not_applied(known)
+    if [str(path) for path in log] == ["-"]:
+        if json or profile is not None or imu is not None or str(out or "-") != "-":
+            raise typer.BadParameter(
+                "a stream is CSV in SI units on standard input and output; use `imu-cal convert` "
+                "on files for profiles and other formats",
+                param_hint="LOG",
+            )
+        _filter(known)
+        return
+    if out is None:
+        raise typer.BadParameter("name the recording to write", param_hint="--out")
+    if any(out.resolve() == path.resolve() for path in log):
+        raise typer.BadParameter(f"{out} is the recording itself", param_hint="--out")
+    from drivers.apply_file import apply_file
+
+    coverage = apply_file(
+        known,
+        list(log),
+        out,
+        name=calibration.name,
+        profile=profile,
+        imu=imu,
+        drop_invalid=drop_invalid,
+        check_device=lambda text: output.warn(f"another device? {text}"),
+    )
+    _say_coverage(known, coverage)
+    if json:
+        output.print_json(
+            {
+                "format": "imu-cal/apply",
+                "version": 1,
+                "out": str(out),
+                "samples": coverage.samples,
+                "outside_temperature_range": coverage.outside,
+                "without_temperature": coverage.without_temperature,
+                "not_applied": [event.effect for event in known.events],
+            }
+        )
+    else:
+        output.print_lines(f"{coverage.samples} samples corrected, written to {out}")
+
+
+def _filter(known: Calibration) -> None:
+    import sys
+
+    from drivers.text_filter import CsvFilter
+    from imu_cli import output
+
+    said = 0
+
+    def complain(text: str) -> None:
+        nonlocal said
+        said += 1
+        if said <= SAID:
+            output.warn(text)
+
+    stream = CsvFilter(known, complain)
+    source: Any = sys.stdin.buffer
+    while data := source.read1(1 << 20):
+        output.write_bytes(stream.feed(data))
+    output.write_bytes(stream.finish())
+    if stream.corrector is not None:
+        _say_coverage(known, stream.corrector.coverage)
+    if stream.damaged:
+        output.warn(f"{stream.damaged} damaged lines were left out of {stream.lines} good ones")
+        raise typer.Exit(DAMAGED)
+
+
+def _say_what_is_not_applied(known: Calibration) -> None:
+    from imu_cli import output
+
+    for event in known.events:
+        spans = ", ".join(f"{a:.2f} to {b:.2f} s" for a, b in event.intervals)
+        output.warn(
+            f"{event.effect} at {spans} is an event of the recording that was calibrated: not "
+            "applied here"
+        )
+    if known.undetermined:
+        output.warn(
+            f"{len(known.undetermined)} parameters are undetermined and taken as 0; "
+            "`imu-cal show` names them"
+        )
+
+
+def _say_coverage(known: Calibration, coverage: Coverage) -> None:
+    from imu_cli import output
+
+    span = known.temperature
+    if span is None or not coverage.outside:
+        return
+    output.warn(
+        f"{coverage.outside} of {coverage.samples} samples are outside the calibrated temperature "
+        f"range {span.low:.1f} to {span.high:.1f} °C (they go from {coverage.low:.1f} to "
+        f"{coverage.high:.1f} °C)"
+    )
