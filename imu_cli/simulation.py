@@ -39,6 +39,7 @@ class Plan:
     calibration: Path | None = None
     profile: str | None = None
     imu: int | None = None
+    truth: bool = False
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.rate) and self.rate > 0):
@@ -59,7 +60,7 @@ class Simulated:
     """A simulated recording with all that is true of it."""
 
     recording: Recording
-    truth: Recording
+    truth: Recording | None
     motion: Motion
     model: SensorModel
     noise: NoiseModel
@@ -101,7 +102,9 @@ def run(plan: Plan, terms: tuple[Term, ...], *, rng: np.random.Generator) -> Sim
     noise = _noise(calibration).scaled(plan.noise)
     motion = make_motion(plan.motion, rng=rng, duration=plan.duration, gravity=gravity)
     recording = simulate(motion, model, noise, rng=rng, rate=plan.rate, sampling=plan.sampling)
-    truth = simulate(motion, SensorModel(), NoiseModel(), rng=rng, rate=plan.rate)
+    truth = None
+    if plan.truth:
+        truth = simulate(motion, SensorModel(), NoiseModel(), rng=rng, rate=plan.rate)
     return Simulated(recording, truth, motion, model, noise)
 
 
@@ -117,7 +120,9 @@ def _twin(plan: Plan, terms: tuple[Term, ...], *, rng: np.random.Generator) -> S
     noise = noise_at_rest(recording, poses).scaled(plan.noise)
     motion = motion_of(recording, calibration.model, poses, gravity=gravity)
     twin = digital_twin(recording, motion, model, noise, rng=rng)
-    truth = digital_twin(recording, motion, SensorModel(), NoiseModel(), rng=rng)
+    truth = None
+    if plan.truth:
+        truth = digital_twin(recording, motion, SensorModel(), NoiseModel(), rng=rng)
     return Simulated(twin, truth, motion, model, noise)
 
 

@@ -117,9 +117,8 @@ def _triad_noise(
 ) -> FloatArray:
     n = len(time)
     step = float(np.median(np.diff(time))) if n > 1 else 1.0
-    out = np.zeros((n, 3))
-    if density:
-        out += rng.normal(0.0, density / np.sqrt(2 * step), (n, 3))
+    out = rng.standard_normal((n, 3)) if density else np.zeros((n, 3))
+    out *= density / np.sqrt(2 * step)
     if walk:
         length = np.sqrt(np.diff(time, prepend=time[0]))
         out += np.cumsum(rng.normal(0.0, walk, (n, 3)) * length[:, None], axis=0)
@@ -148,8 +147,9 @@ def flicker(time: FloatArray, instability: float, *, rng: np.random.Generator) -
     grid = np.zeros((size, 3))
     for correlation in 2 * step * ratio ** np.arange(count):
         keep = np.exp(-step / correlation)
-        drive = rng.normal(0.0, sigma * np.sqrt(1 - keep**2), (size, 3))
-        drive[0] = rng.normal(0.0, sigma, 3)
+        drive = rng.standard_normal((size, 3))
+        drive *= sigma * np.sqrt(1 - keep**2)
+        drive[0] /= np.sqrt(1 - keep**2)
         grid += lfilter([1.0], [1.0, -keep], drive, axis=0)
     at = time[0] + step * np.arange(size)
     return np.stack([np.interp(time, at, grid[:, i]) for i in range(3)], axis=1)

@@ -103,6 +103,7 @@ def simulate(
             calibration=calibration,
             profile=profile,
             imu=imu,
+            truth=truth is not None,
         )
         terms = tuple(parse_effect(text, span=plan.span) for text in effect or ())
     except ValueError as error:
@@ -111,8 +112,9 @@ def simulate(
     writers = [open_writer(path, atomic=True) for path in (output, truth) if path is not None]
     result = run(plan, terms, rng=np.random.default_rng(seed))
     for writer, recording in zip(writers, (result.recording, result.truth), strict=False):
-        with writer:
-            writer.append(recording)
+        if recording is not None:
+            with writer:
+                writer.append(recording)
     document = describe(result, output, seed=seed)
     if json:
         out.print_json(document)
