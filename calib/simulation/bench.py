@@ -50,6 +50,8 @@ def bench_protocol(
     warm_up: float = 6.0,
     warm_up_time: float = 180.0,
     power_on: float = 0.0,
+    vibration: float = 0.0,
+    vibrated: float = 0.3,
     gravity: float = 9.80665,
 ) -> Motion:
     """Return static poses with hand turns between them.
@@ -74,6 +76,9 @@ def bench_protocol(
     temperature : float or None, °C
         Of the start; it rises by `warm_up` (K) with time constant `warm_up_time` (s) from
         `power_on` (s, 0 or before).
+    vibration : float, m/s²
+        Standard deviation of the specific force on each axis while the bench is shaken (by a motor,
+        faster than the sensor samples), in a share `vibrated` of the poses.
 
     Raises
     ------
@@ -93,6 +98,8 @@ def bench_protocol(
     shake = [random_sinusoids(rng, rms=np.radians(0.3), low=4, high=11) for _ in range(3)]
     sway = [random_sinusoids(rng, rms=0.2e-3, low=4, high=11) for _ in range(3)]
     envelope = _envelope(script, tremor=tremor, hold=hold_tremor)
+    shaken = np.flatnonzero(rng.random(poses) < vibrated) if vibration else np.zeros(0, np.int64)
+    begin, end = (stop - rest)[shaken], stop[shaken]
     segments = []
     for i in range(poses):
         segments.append(Segment("static", stop[i] - rest[i], stop[i], f"pose {i + 1}"))
@@ -107,9 +114,20 @@ def bench_protocol(
         temperature=None
         if temperature is None
         else lambda time: temperature + warm_up * (1 - np.exp((power_on - time) / warm_up_time)),
+        vibration=_vibration(begin, end, vibration) if vibration else None,
         power_on=power_on,
         gravity=gravity,
     )
+
+
+def _vibration(
+    begin: FloatArray, end: FloatArray, size: float
+) -> Callable[[FloatArray], FloatArray]:
+    def at(time: FloatArray) -> FloatArray:
+        inside = np.searchsorted(begin, time, side="right") > np.searchsorted(end, time)
+        return np.repeat(np.where(inside, size, 0.0)[:, None], 3, axis=1)
+
+    return at
 
 
 def _random_script(

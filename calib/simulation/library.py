@@ -20,6 +20,16 @@ def _bench(rng: np.random.Generator, duration: float, gravity: float) -> Motion:
     return bench_protocol(rng, poses=poses, gravity=gravity).until(duration)
 
 
+def _hand_held(rng: np.random.Generator, duration: float, gravity: float) -> Motion:
+    poses = 2 + int(duration / 3.8)
+    return bench_protocol(rng, poses=poses, hold_tremor=0.1, gravity=gravity).until(duration)
+
+
+def _vibrating(rng: np.random.Generator, duration: float, gravity: float) -> Motion:
+    poses = 2 + int(duration / 3.8)
+    return bench_protocol(rng, poses=poses, vibration=2.0, gravity=gravity).until(duration)
+
+
 def _paper(rng: np.random.Generator, duration: float, gravity: float) -> Motion:
     return paper_sinusoid(duration=duration, gravity=gravity)
 
@@ -51,6 +61,8 @@ def _thermal(rng: np.random.Generator, duration: float, gravity: float) -> Motio
 
 MOTIONS: Mapping[str, tuple[str, Maker]] = {
     "bench": ("static poses, hand turns between them, a warming sensor", _bench),
+    "hand-held": ("the same, held still in the hand instead of laid down", _hand_held),
+    "vibrating": ("the bench, shaken by 2 m/s² rms during a third of the poses", _vibrating),
     "paper": ("the paper's sinusoidal attitudes", _paper),
     "rate-table": ("six faces at +-100 and +-200 dps, off the centre", _rate_table),
     "record-player": ("33 1/3 rpm, off the centre", _record_player),

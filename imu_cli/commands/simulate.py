@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-MOTION_HELP = "bench, paper, rate-table, record-player, pendulum or thermal."
+MOTION_HELP = "bench, hand-held, vibrating, paper, rate-table, record-player, pendulum or thermal."
 EFFECT_HELP = (
     "Add an effect of the catalogue, in SI: slug:name=value,... (repeatable). The slug alone gives "
     "its typical size on every axis."

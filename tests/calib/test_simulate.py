@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calib.effects.base import Signals
+from calib.effects.base import Signals, Term
 from calib.model import SensorModel
 from calib.recording import DeviceInfo
 from calib.rotation import integrate_rate, mat_from_quat, quat_from_rotvec
@@ -276,3 +276,29 @@ def test_motions_check_their_arguments() -> None:
     ):
         with pytest.raises(ValueError, match=f"`{name}`"):
             make()
+
+
+def test_vibration_shakes_some_poses_and_nothing_else() -> None:
+    motion = bench_protocol(np.random.default_rng(9), poses=20, vibration=1.5)
+    recording = simulate(motion, SensorModel(), QUIET, rng=np.random.default_rng(0), rate=200.0)
+    left = recording.accel - motion.state(recording.time).force
+    sizes = []
+    for start, stop in motion.statics:
+        inside = (recording.time > start) & (recording.time < stop)
+        sizes.append(np.std(left[inside]))
+    shaken = np.array(sizes) > 0.5
+    assert 0 < shaken.sum() < 20
+    np.testing.assert_allclose(np.array(sizes)[shaken], 1.5, rtol=0.15)
+    assert not np.array(sizes)[~shaken].any()
+    start, stop = motion.turns[0]
+    assert not left[(recording.time > start) & (recording.time < stop)].any()
+
+
+def test_vibration_rectifies() -> None:
+    motion = bench_protocol(np.random.default_rng(9), poses=20, vibration=2.0)
+    model = SensorModel(terms=(Term("gyro_vibration_rectification", {"kx": 1e-3}),))
+    recording = simulate(motion, model, QUIET, rng=np.random.default_rng(0), rate=100.0)
+    state = motion.state(recording.time)
+    assert state.vibration is not None
+    expected = np.where(state.vibration[:, 0] > 0, 1e-3 * 12.0, 0.0)
+    np.testing.assert_allclose(recording.gyro[:, 0] - state.rate[:, 0], expected, atol=1e-12)

@@ -10,6 +10,7 @@ from typer.testing import CliRunner, Result
 from calib.calibration import Calibration, Gravity, Noise
 from calib.effects.base import Term
 from calib.model import SensorModel, Triad
+from calib.simulation.library import MOTIONS
 from drivers.calibration_file import save_calibration
 from drivers.formats import read_recording
 from imu_cli.app import app
@@ -34,9 +35,7 @@ def sensor(tmp_path: Path) -> Path:
     return path
 
 
-@pytest.mark.parametrize(
-    "motion", ["bench", "paper", "rate-table", "record-player", "pendulum", "thermal"]
-)
+@pytest.mark.parametrize("motion", MOTIONS)
 def test_every_motion(motion: str, tmp_path: Path) -> None:
     path = tmp_path / "sim.arrow"
     result = run("--motion", motion, "--duration", "2min", "--rate", 50, "-o", path)
@@ -45,6 +44,11 @@ def test_every_motion(motion: str, tmp_path: Path) -> None:
     assert recording.duration == pytest.approx(120.0, abs=0.1)
     assert recording.interval == pytest.approx(0.02)
     assert recording.complete
+
+
+def test_help_names_every_motion() -> None:
+    text = " ".join(run("--help").stdout.split())
+    assert all(name in text for name in MOTIONS)
 
 
 def test_the_same_seed_is_the_same_recording(tmp_path: Path) -> None:
