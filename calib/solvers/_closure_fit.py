@@ -9,7 +9,7 @@ from scipy.linalg import solve_triangular
 
 from calib.errors import NotConvergedError
 from calib.solvers._closure_noise import Information, Judgement, judge
-from calib.solvers._closure_system import COLUMN, ClosureSystem, Linearised
+from calib.solvers._closure_system import COLUMN, ClosureSystem, LeftOut, Linearised
 from calib.solvers._gyro_determined import TOLERANCE, determined
 from calib.types import BoolArray, FloatArray
 
@@ -118,9 +118,11 @@ def _gauss_newton(
     values: FloatArray,
     judgement: Judgement,
 ) -> tuple[FloatArray, Linearised]:
+    lin = system.linearise(values)
+    # The weights hardly change with the parameters: those of the start serve until it has settled.
+    factor = np.asarray(np.linalg.cholesky(lin.total_covariance(judgement.scale)), float)
     for _ in range(30):
-        lin = system.linearise(values)
-        residual, jacobian = _whiten(lin, judgement)
+        residual, jacobian = _whiten(lin, factor, judgement.left_out)
         information = jacobian.T @ jacobian + static.precision
         free = determined(information, TOLERANCE).free
         # What is not determined goes to its prior value, 0, with the others following.
@@ -132,17 +134,18 @@ def _gauss_newton(
         values = values + step
         if np.max(step**2 * np.diag(information)) < 1e-6:
             return values, lin
+        lin = system.linearise(values)
     raise NotConvergedError(
         "the gyroscope's equations did not settle in 30 steps; check that the gyroscope's axes and "
         "unit are those of the accelerometer, and that the turns lie between the poses"
     )
 
 
-def _whiten(lin: Linearised, judgement: Judgement) -> tuple[FloatArray, FloatArray]:
-    """Whiten residual and Jacobian, and project the shifts away."""
-    factor = np.linalg.cholesky(lin.total_covariance(judgement.scale))
-    shifts = lin.shifts(judgement.left_out)
-    stacked = np.column_stack([lin.residual, lin.jacobian, shifts])
+def _whiten(
+    lin: Linearised, factor: FloatArray, left_out: LeftOut
+) -> tuple[FloatArray, FloatArray]:
+    """Whiten residual and Jacobian by a Cholesky factor, and project the shifts away."""
+    stacked = np.column_stack([lin.residual, lin.jacobian, lin.shifts(left_out)])
     white = solve_triangular(factor, stacked, lower=True)
     kept, shifted = np.split(white, [1 + lin.jacobian.shape[1]], axis=1)
     if shifted.shape[1]:

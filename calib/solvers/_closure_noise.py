@@ -19,7 +19,7 @@ from scipy.stats import chi2
 
 from calib.solvers._closure_system import ClosureSystem, LeftOut, Linearised
 from calib.solvers._gyro_determined import TOLERANCE
-from calib.types import FloatArray
+from calib.types import FloatArray, IntArray
 
 SIGNIFICANCE = 0.01
 """Chance that anything at all is left out of a recording in which nothing is wrong."""
@@ -57,60 +57,83 @@ def judge(system: ClosureSystem, lin: Linearised, static: Information) -> Judgem
         return Judgement(np.zeros(2))
     inner = np.intersect1d(system.turns.before, system.turns.after)
     candidates = [("turn", i) for i in range(turns)] + [("pose", int(k)) for k in inner]
-    columns = np.stack([lin.shifts([c]) for c in candidates])
+    columns = lin.shifts(candidates)
     threshold = chi2.isf(SIGNIFICANCE / len(candidates), 2)
-    chosen: list[int] = []
     scale = _robust_scale(lin, static)
-    while len(chosen) < turns // 3:
-        gains = _gains(lin, static, scale, columns[chosen], columns)
-        best = int(np.argmax(gains))
-        if gains[best] < threshold:
-            break
-        chosen.append(best)
+    chosen = _forward(lin, static, scale, columns, threshold, turns // 3)
     while True:
-        scale = _restricted_scale(lin, lin.shifts([candidates[c] for c in chosen]), scale)
+        pairs = columns[:, _pairs(chosen)]
+        scale = _restricted_scale(lin, pairs, scale)
         if not chosen:
             break
-        gains = np.array(
-            [
-                _gains(lin, static, scale, columns[[c for c in chosen if c != k]], columns[[k]])[0]
-                for k in chosen
-            ]
-        )
+        # How much each shift lowers the sum of squares beside the others: its Wald statistic.
+        projected = _projected_weight(lin, static, scale)
+        covariance: FloatArray = np.asarray(np.linalg.pinv(pairs.T @ projected @ pairs), float)
+        fitted = (covariance @ (pairs.T @ (projected @ lin.residual))).reshape(-1, 2)
+        blocks = _diagonal_blocks(covariance)
+        gains = np.einsum("ti,ti->t", fitted, np.linalg.solve(blocks, fitted[..., None])[..., 0])
         if gains.min() >= threshold:
             break
         chosen.pop(int(np.argmin(gains)))
     return Judgement(scale, tuple(sorted(candidates[c] for c in chosen)))
 
 
-def _gains(
+def _forward(
     lin: Linearised,
     static: Information,
     scale: FloatArray,
-    shifts: FloatArray,
     columns: FloatArray,
-) -> FloatArray:
-    """Return how much each of (t, 2m, 2) columns lowers the sum of squares, (t,).
+    threshold: float,
+    most: int,
+) -> list[int]:
+    """Choose shifts (pairs of columns) one by one, while the best is beyond the threshold."""
+    projected = _projected_weight(lin, static, scale)
+    product, residual = projected @ columns, projected @ lin.residual
+    alone = _diagonal_blocks(columns.T @ product)
+    chosen: list[int] = []
+    while len(chosen) < most:
+        inner = np.einsum(
+            "ati,atj->tij",
+            columns.reshape(len(columns), -1, 2),
+            product.reshape(len(columns), -1, 2),
+        )
+        score = (columns.T @ residual).reshape(-1, 2)
+        # A column that the others already explain has nothing left to gain.
+        able = np.linalg.eigvalsh(inner)[:, 0] > 1e-6 * np.linalg.eigvalsh(alone)[:, 1]
+        inner[~able] = np.eye(2)
+        solved = np.linalg.solve(inner, score[..., None])[..., 0]
+        gains = np.where(able, np.einsum("ti,ti->t", score, solved), 0.0)
+        best = int(np.argmax(gains))
+        if gains[best] < threshold:
+            break
+        chosen.append(best)
+        # With the chosen shift free, P becomes P - P m (m' P m)^-1 m' P.
+        pair = _pairs([best])
+        moved = product[:, pair]
+        back = np.linalg.solve(inner[best], moved.T)
+        residual = residual - moved @ (back @ lin.residual)
+        product = product - moved @ (back @ columns)
+    return chosen
 
-    The parameters and `shifts` (j, 2m, 2) are free in all of them.
-    """
-    p = lin.jacobian.shape[1]
-    design = np.concatenate([lin.jacobian, *shifts], axis=1)
-    weight = np.linalg.inv(lin.total_covariance(scale))
-    information = design.T @ weight @ design
+
+def _pairs(chosen: list[int]) -> IntArray:
+    return (2 * np.array(chosen, np.int64)[:, None] + np.arange(2)).ravel()
+
+
+def _diagonal_blocks(matrix: FloatArray) -> FloatArray:
+    """Return the 2x2 blocks (t, 2, 2) on the diagonal of a (2t, 2t) matrix."""
+    t = len(matrix) // 2
+    index = np.arange(t)
+    return matrix.reshape(t, 2, t, 2)[index, :, index, :]
+
+
+def _projected_weight(lin: Linearised, static: Information, scale: FloatArray) -> FloatArray:
+    """Return the inverse covariance from which the parameters are projected away."""
+    weight: FloatArray = np.asarray(np.linalg.inv(lin.total_covariance(scale)), float)
+    weighted = weight @ lin.jacobian
     # A trace of the tolerance keeps what is not determined from being singular.
-    information[:p, :p] += static.precision + 1e-6 * np.diag(TOLERANCE**-2.0)
-    weighted = weight @ design
-    projected = weight - weighted @ np.linalg.solve(information, weighted.T)
-    across = columns.transpose(0, 2, 1)
-    score = across @ (projected @ lin.residual)
-    inner = across @ projected @ columns
-    # A column that the others already explain has nothing left to gain.
-    alone = across @ weight @ columns
-    able = np.linalg.eigvalsh(inner)[:, 0] > 1e-6 * np.linalg.eigvalsh(alone)[:, 1]
-    inner[~able] = np.eye(2)
-    solved = np.linalg.solve(inner, score[..., None])[..., 0]
-    return np.where(able, np.einsum("ti,ti->t", score, solved), 0.0)
+    prior = static.precision + 1e-6 * np.diag(TOLERANCE**-2.0)
+    return weight - weighted @ np.linalg.solve(lin.jacobian.T @ weighted + prior, weighted.T)
 
 
 def _restricted_scale(lin: Linearised, shifts: FloatArray, start: FloatArray) -> FloatArray:
@@ -162,8 +185,7 @@ def _robust_scale(lin: Linearised, static: Information) -> FloatArray:
     The second is set to 1/4, a bandwidth of about the rate; the first follows from the median.
     """
     m = len(lin.residual) // 2
-    index = np.arange(m)
-    blocks = lin.covariance.reshape(m, 2, m, 2)[index, :, index, :] + 0.25 * lin.inflation[1]
+    blocks = _diagonal_blocks(lin.covariance) + 0.25 * lin.inflation[1]
     noise = 0.5 * np.trace(blocks, axis1=1, axis2=2)
     weight = np.ones(m)
     prior = static.precision + 1e-6 * np.diag(TOLERANCE**-2.0)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -45,41 +46,79 @@ class Linearised:
 
     Parameters
     ----------
+    system : ClosureSystem
     residual : (2m,) array, rad
         Two horizontal components a turn.
     jacobian : (2m, 12) array
         Zero for parameters that the closures do not estimate.
     bias_jacobian : (2m, 3) array
-    covariance : (2m, 2m) array, rad²
-        From the directions at the poses and the integrated noise of the rate.
-    inflation : (2, m, 2, 2) array
-        Shapes of the excess: 1 rad² for every component, and what the trapezoid may miss (rad²).
     pose_shift : (2m, k, 2) array
         Derivative to two rotations of the direction at each pose.
+    motion : Propagation
+    basis : (m, 2, 3) array
+    inverse : (3, 3) array
+        Takes the measured rate to the true one.
     """
 
+    system: ClosureSystem
     residual: FloatArray
     jacobian: FloatArray
     bias_jacobian: FloatArray
-    covariance: FloatArray
-    inflation: FloatArray
     pose_shift: FloatArray
+    motion: Propagation
+    basis: FloatArray
+    inverse: FloatArray
+
+    @cached_property
+    def rate_noise(self) -> FloatArray:
+        """Covariance (m, 2, 2) of the white noise of the rate, integrated, rad²."""
+        noise = self.motion.noise(self.inverse @ self.system.noise @ self.inverse.T)
+        return self.basis @ noise @ self.basis.transpose(0, 2, 1)
+
+    @cached_property
+    def covariance(self) -> FloatArray:
+        """Covariance (2m, 2m) of the known noise: of the directions, the rate, and the bias."""
+        directions = self.system.directions
+        size, k = len(self.residual), len(directions.up)
+        # A rotation r moves up by cross(r, up).
+        turn = horizontal_basis(directions.up) @ skew(directions.up)
+        rotation = turn @ directions.covariance @ turn.transpose(0, 2, 1)
+        moved = (self.pose_shift[:, :, None, :] @ rotation).reshape(size, 2 * k)
+        covariance = moved @ self.pose_shift.reshape(size, 2 * k).T
+        covariance += self.bias_jacobian @ self.system.bias_covariance @ self.bias_jacobian.T
+        return _add_blocks(covariance, self.rate_noise)
+
+    @cached_property
+    def inflation(self) -> FloatArray:
+        """Shapes (2, m, 2, 2) of the excess: 1 rad² each, and what the trapezoid may miss, rad²."""
+        missed = self.basis @ self.motion.missed(self.inverse) @ self.basis.transpose(0, 2, 1)
+        # White noise alone makes a quarter of its own size look like roughness.
+        level = np.trace(missed, axis1=1, axis2=2)
+        floor = 0.25 * np.trace(self.rate_noise, axis1=1, axis2=2)
+        missed *= np.clip(1 - floor / np.maximum(level, 1e-30), 0, 1)[:, None, None]
+        return np.stack([np.broadcast_to(np.eye(2), missed.shape), missed])
 
     def total_covariance(self, scale: FloatArray) -> FloatArray:
         """Return the covariance with (2,) multiples of the inflation added."""
-        total = self.covariance.copy()
-        rows = np.arange(len(total)).reshape(-1, 2)
-        total[rows[:, :, None], rows[:, None, :]] += np.tensordot(scale, self.inflation, 1)
-        return total
+        return _add_blocks(self.covariance.copy(), np.tensordot(scale, self.inflation, 1))
 
     def shifts(self, left_out: Sequence[tuple[str, int]]) -> FloatArray:
         """Return a free shift of two components for each turn or pose that is left out."""
         size = len(self.residual)
-        columns = [np.zeros((size, 0))]
-        for kind, i in left_out:
-            turn = np.eye(size)[:, 2 * i : 2 * i + 2]
-            columns.append(turn if kind == "turn" else self.pose_shift[:, i])
-        return np.concatenate(columns, axis=1)
+        columns = np.zeros((size, len(left_out), 2))
+        for k, (kind, i) in enumerate(left_out):
+            if kind == "turn":
+                columns[2 * i : 2 * i + 2, k] = np.eye(2)
+            else:
+                columns[:, k] = self.pose_shift[:, i]
+        return columns.reshape(size, -1)
+
+
+def _add_blocks(matrix: FloatArray, blocks: FloatArray) -> FloatArray:
+    """Add (m, 2, 2) blocks on the diagonal of a (2m, 2m) matrix, in place."""
+    rows = np.arange(len(matrix)).reshape(-1, 2)
+    matrix[rows[:, :, None], rows[:, None, :]] += blocks
+    return matrix
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,7 +171,7 @@ class ClosureSystem:
             triad.bias + self.deviation,
             kinematics=self.kinematics,
         )
-        up, cov = self.directions.up, self.directions.covariance
+        up = self.directions.up
         before, after = self.turns.before, self.turns.after
         predicted = np.einsum("mij,mj->mi", motion.mat, up[after])
         basis = horizontal_basis(up[before])
@@ -150,35 +189,14 @@ class ClosureSystem:
         index = np.arange(m)
         blocks[index, :, before] = basis @ at_pose[before].transpose(0, 2, 1)
         blocks[index, :, after] = -basis @ motion.mat @ at_pose[after].transpose(0, 2, 1)
-        shift = blocks.reshape(2 * m, 2 * k)
-        # Covariance of those rotations: a rotation r moves up by cross(r, up).
-        turn = at_pose @ skew(up)
-        rotation = turn @ cov @ turn.transpose(0, 2, 1)
-        moved = (shift.reshape(2 * m, k, 1, 2) @ rotation).reshape(2 * m, 2 * k)
-        covariance = moved @ shift.T
-        covariance += jacobian[:, :3] @ self.bias_covariance @ jacobian[:, :3].T
-
-        noise, missed = self._rate_noise(motion, inverse)
-        across = basis.transpose(0, 2, 1)
-        rows = 2 * index[:, None] + np.arange(2)
-        covariance[rows[:, :, None], rows[:, None, :]] += basis @ noise @ across
         residual = np.einsum("mea,ma->me", basis, closure_residual(up[before], predicted))
         return Linearised(
+            self,
             residual.ravel(),
             jacobian * self.estimated,
             jacobian[:, :3],
-            covariance,
-            np.stack([np.broadcast_to(np.eye(2), (m, 2, 2)), basis @ missed @ across]),
-            shift.reshape(2 * m, k, 2),
+            blocks.reshape(2 * m, k, 2),
+            motion,
+            basis,
+            inverse,
         )
-
-    def _rate_noise(
-        self, motion: Propagation, inverse: FloatArray
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return the covariances (m, 3, 3) of white noise and of what the trapezoid may miss."""
-        noise = motion.noise(inverse @ self.noise @ inverse.T)
-        missed = motion.missed(inverse)
-        # White noise alone makes a quarter of its own size look like roughness.
-        level, floor = np.trace(missed, axis1=1, axis2=2), 0.25 * np.trace(noise, axis1=1, axis2=2)
-        missed *= np.clip(1 - floor / np.maximum(level, 1e-30), 0, 1)[:, None, None]
-        return noise, missed
