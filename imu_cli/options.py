@@ -1,11 +1,15 @@
-"""Option values that several commands read the same way: durations, effects."""
+"""Option values that several commands read the same way: durations, effects, gravity."""
 
 from __future__ import annotations
 
+import math
 import re
 from typing import TYPE_CHECKING
 
+import typer
+
 if TYPE_CHECKING:
+    from calib.calibration import Gravity
     from calib.effects.base import Term
 
 _UNITS = {"": 1.0, "s": 1.0, "min": 60.0, "h": 3600.0, "ms": 1e-3}
@@ -55,3 +59,27 @@ def parse_effect(text: str, *, span: tuple[float, float]) -> Term:
             given = {**effect.typical(span=span), **given}
     effect.check(given)
     return Term(slug, given)
+
+
+def choose_gravity(gravity: float | None, latitude: float | None, height: float | None) -> Gravity:
+    """Return local gravity from ``--gravity``, or from ``--latitude`` (°) and ``--height`` (m)."""
+    from calib.calibration import Gravity
+    from calib.gravity import ANOMALY, STANDARD_GRAVITY, normal_gravity
+
+    if gravity is not None:
+        if latitude is not None or height is not None:
+            raise typer.BadParameter("give --gravity, or --latitude and --height, not both")
+        if not 9.7 < gravity < 9.9:
+            raise typer.BadParameter(
+                f"expected m/s² between 9.7 and 9.9, got {gravity:g}", param_hint="--gravity"
+            )
+        return Gravity(gravity, "given")
+    if latitude is None:
+        if height is not None:
+            raise typer.BadParameter("needs --latitude beside it", param_hint="--height")
+        return Gravity(STANDARD_GRAVITY, "standard gravity")
+    try:
+        value = normal_gravity(math.radians(latitude), height or 0.0)
+    except ValueError as error:
+        raise typer.BadParameter(str(error), param_hint="--latitude, --height") from error
+    return Gravity(value, f"normal gravity at {latitude:g}°, {height or 0:g} m", ANOMALY)
