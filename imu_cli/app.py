@@ -17,7 +17,7 @@ EXIT_CODES = """\
 Exit codes: 0 done · 1 a bug in imu-cal · 2 wrong usage · 3 recording refused · 4 no calibration
 possible · 5 partial calibration · 6 a check said no (verify, --strict, FAIL) · 7 device ·
 8 flash failed, old values restored · 9 flash failed, device state changed · 10 calibration file
-refused · 130 interrupted"""
+refused · 11 a run of the line ended in ERROR · 130 interrupted"""
 
 
 class LazyGroup(TyperGroup):

@@ -23,7 +23,10 @@
     [flash]                               # without this table nothing is written to the device
     persist = false
 
-    [limits]                              # see imu_cli.line.limits
+    [verify]                              # without this table the unit is not measured again
+    duration = "5 s"                      # of the still device
+
+    [limits]                              # see imu_cli.line.limits; also accel.residual_rms, ...
     [findings]
 """
 
@@ -45,6 +48,7 @@ _KEYS = {
     "record": {"duration"},
     "calibrate": {"gravity", "latitude", "height", "accel_method", "gyro_method"},
     "flash": {"persist"},
+    "verify": {"duration"},
 }
 
 
@@ -64,6 +68,7 @@ class Station:
     gyro_method: str | None
     flash: bool
     persist: bool
+    verify_duration: float | None
     limits: Limits
 
 
@@ -114,6 +119,7 @@ def _station(tables: Mapping[str, Any], folder: Path) -> Station:
         gyro_method=calibrate.get("gyro_method"),
         flash=flash is not None,
         persist=bool((flash or {}).get("persist", False)),
+        verify_duration=_verify_duration(tables.get("verify")),
         limits=Limits.from_tables(tables.get("limits", {}), tables.get("findings", {})),
     )
 
@@ -140,6 +146,12 @@ def _gravity(table: Mapping[str, Any]) -> float:
     if "height" in table:
         raise ValueError("[calibrate] height needs latitude beside it")
     return STANDARD_GRAVITY
+
+
+def _verify_duration(table: Mapping[str, Any] | None) -> float | None:
+    if table is None:
+        return None
+    return parse_quantity(_text(table, "verify", "duration", "5 s"), unit="s")
 
 
 def _history(url: str, folder: Path) -> str:

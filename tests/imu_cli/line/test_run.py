@@ -1,0 +1,123 @@
+"""A unit through the station: four outcomes, one record, nothing else on standard output."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from imu_cli.line.station import load_station
+from imu_cli.line.store import History
+
+ROOT = Path(__file__).resolve().parents[3]
+STATION = """
+[station]
+name = "bench-1"
+operator = "night"
+
+[device]
+address = "emulator://witmotion?motion=bench&speed={speed}&seed=3&rate=50"
+
+[record]
+duration = "70 s"
+
+[verify]
+duration = "4 s"
+
+[limits]
+"accel.bias" = {{ max_abs = "{bias}" }}
+"accel.residual_rms" = {{ max = "5 mg" }}
+"""
+
+
+def run_cli(
+    folder: Path, *, bias: str = "150 mg", speed: int = 0, more: tuple[str, ...] = ()
+) -> subprocess.Popen[str]:
+    station = folder / "station.toml"
+    station.write_text(STATION.format(bias=bias, speed=speed), encoding="utf-8")
+    arguments = [sys.executable, "-m", "imu_cli", "run", str(station), "--serial", "A1", "--json"]
+    return subprocess.Popen(
+        [*arguments, *more],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        stdin=subprocess.DEVNULL,
+        text=True,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+    )
+
+
+def outcomes(folder: Path) -> list[str]:
+    history = History(load_station(folder / "station.toml").history)
+    runs = history.runs()
+    history.close()
+    return [run.outcome for run in runs]
+
+
+def test_a_good_unit_passes_and_stands_in_the_history(tmp_path: Path) -> None:
+    process = run_cli(tmp_path)
+    out, err = process.communicate(timeout=180)
+    assert process.returncode == 0, err
+    record = json.loads(out)
+    assert (record["outcome"], record["operator"], record["attempt"]) == ("PASS", "night", 1)
+    names = [step["name"] for step in record["steps"]]
+    assert names == ["record", "audit", "calibrate", "diagnose", "limits", "verify", "report"]
+    for artefact in record["artefacts"].values():
+        assert Path(artefact["path"]).is_file()
+    assert "accel.bias.x" in record["parameters"]
+    assert outcomes(tmp_path) == ["PASS"]
+
+
+def test_a_unit_outside_its_limits_fails(tmp_path: Path) -> None:
+    process = run_cli(tmp_path, bias="1 mg")
+    out, err = process.communicate(timeout=180)
+    assert process.returncode == 6, err
+    record = json.loads(out)
+    assert record["outcome"] == "FAIL"
+    assert "accel.bias" in record["reason"]
+    assert "verify" not in [step["name"] for step in record["steps"]]
+
+
+def test_a_device_that_is_not_there_is_an_error(tmp_path: Path) -> None:
+    process = run_cli(tmp_path, more=("--address", "serial:///dev/no-such-port"))
+    out, err = process.communicate(timeout=60)
+    assert process.returncode == 11, err
+    record = json.loads(out)
+    assert record["outcome"] == "ERROR"
+    assert record["reason"].startswith("record: ")
+    assert outcomes(tmp_path) == ["ERROR"]
+
+
+@pytest.mark.parametrize(
+    ("number", "code", "printed"), [(signal.SIGINT, 130, True), (signal.SIGKILL, -9, False)]
+)
+def test_a_run_that_is_stopped_is_marked_aborted(
+    tmp_path: Path, number: int, code: int, printed: bool
+) -> None:
+    process = run_cli(tmp_path, speed=1)
+    end = time.monotonic() + 30
+    recording = tmp_path / "runs/A1/001/recording.arrow"
+    while time.monotonic() < end and not recording.exists():
+        time.sleep(0.05)
+    time.sleep(0.5)
+    process.send_signal(number)
+    out, _ = process.communicate(timeout=30)
+    assert process.returncode == code
+    if printed:
+        assert json.loads(out)["outcome"] == "ABORTED"
+    else:
+        assert out == ""
+    # The next attempt at the unit starts clean, and says so in the history.
+    process = run_cli(tmp_path, more=("--address", "serial:///dev/no-such-port"))
+    process.communicate(timeout=60)
+    assert outcomes(tmp_path) == ["ABORTED", "ERROR"]
+
+
+@pytest.mark.parametrize("serial", ["", "../A1", "a b"])
+def test_a_serial_number_cannot_leave_its_folder(tmp_path: Path, serial: str) -> None:
+    process = run_cli(tmp_path, more=("--serial", serial))
+    process.communicate(timeout=60)
+    assert process.returncode == 2
