@@ -1,13 +1,13 @@
 """Raw captures: a device's bytes as they came, and beside them when they came.
 
-``bytes.bin`` holds the bytes and nothing else; ``bytes.bin.times`` is text: the source's address,
-and a line ``seconds total_bytes`` for each read.
+``bytes.bin`` holds the bytes and nothing else; ``bytes.bin.times`` is text: where they came from,
+how to read them, and a line ``seconds total_bytes`` for each read.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -23,9 +23,10 @@ PIECE = 1 << 16
 class CaptureWriter:
     """Writes a capture; use it in ``with``."""
 
-    def __init__(self, path: Path, source: str) -> None:
+    def __init__(self, path: Path, source: str, stream: Callable[[], str]) -> None:
         self.path = path
         self._source = source
+        self._stream = stream  # called with the first bytes: by then the dialect is known
         self._total = 0
         self._begin: float | None = None
 
@@ -44,7 +45,9 @@ class CaptureWriter:
             self._bytes.write(data)
             self._total += len(data)
             if arrival is not None:
-                self._begin = arrival if self._begin is None else self._begin
+                if self._begin is None:
+                    self._begin = arrival
+                    self._times.write(f"# stream: {self._stream()}\n")
                 self._times.write(f"{arrival - self._begin:.6f} {self._total}\n")
         except OSError as error:
             raise _cannot_write(self.path, error) from error
@@ -74,10 +77,10 @@ class CaptureWriter:
 
 @dataclass(frozen=True)
 class Capture:
-    """A capture on disk. ``source`` is empty where nobody noted it."""
+    """A capture on disk. ``stream`` is how to read it, as in ``dialect=witmotion``, if known."""
 
     path: Path
-    source: str
+    stream: str
     marks: tuple[tuple[float, int], ...]
 
     def pieces(self) -> Iterator[tuple[bytes, float | None]]:
@@ -106,13 +109,14 @@ def open_capture(path: Path) -> Capture:
     times = times_path(path)
     if not times.is_file():
         return Capture(path, "", ())
-    source, marks, last = "", [], 0
+    stream, marks, last = "", [], 0
     lines = times.read_text(encoding="utf-8", errors="replace").split("\n")
     if lines[0] != HEADER:
         raise RecordingFormatError(f"{times} begins with {lines[0][:40]!r}, expected {HEADER!r}")
     for line in lines[1:-1]:  # a last line without its end was cut
-        if line.startswith("# source: "):
-            source = line.removeprefix("# source: ")
+        if line.startswith("#"):
+            if line.startswith("# stream: "):
+                stream = line.removeprefix("# stream: ")
             continue
         try:
             seconds, total = line.split()
@@ -123,7 +127,7 @@ def open_capture(path: Path) -> Capture:
             raise RecordingFormatError(f"{times}: the byte count goes back at {line!r}")
         marks.append(mark)
         last = mark[1]
-    return Capture(path, source, tuple(marks))
+    return Capture(path, stream, tuple(marks))
 
 
 def times_path(path: Path) -> Path:

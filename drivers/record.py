@@ -107,7 +107,9 @@ def record(
     with ExitStack() as stack:
         capture = None
         if raw is not None and isinstance(driver, StreamDriver):
-            capture = stack.enter_context(CaptureWriter(raw, driver.address))
+            capture = stack.enter_context(
+                CaptureWriter(raw, driver.address, driver.describe_stream)
+            )
             driver.tap = capture.add
         sink = stack.enter_context(_Sink(path, capture))
         stack.callback(driver.close)

@@ -7,6 +7,7 @@ from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from urllib.parse import urlencode
 
 from calib.errors import BadFrameError, DriverTimeoutError
 from calib.recording import DeviceInfo, Recording
@@ -18,6 +19,8 @@ from drivers.driver import Driver
 
 LISTEN = 1.0
 """s of bytes that ``dialect=auto`` is recognised from."""
+PLENTY = 1 << 16
+"""Bytes that are enough to recognise a dialect from, however fast they come."""
 SILENCE = 3.0
 """s to wait for a device's first byte before saying that it is silent."""
 
@@ -74,16 +77,31 @@ class StreamDriver(Driver):
     ) -> None:
         super().__init__(address)
         self.source = source
-        self.dialect = dialect
         self.tap: Callable[[bytes, float | None], None] | None = None
         """Called with all bytes and their arrival, for a raw capture."""
-        self._options = options
         self._rate = rate
         self._parser: Parser | None = None
         self._timeline: Timeline | None = None
         self._clock_counters: Counter[str] = Counter()
+        self.use(dialect, options)
+
+    def use(self, dialect: Dialect | None, options: Mapping[str, str]) -> None:
+        """Read this dialect from now on; a wrong option fails before any I/O.
+
+        Raises
+        ------
+        AddressError
+            If an option has a value that is not understood.
+        """
+        self.dialect = dialect
+        self._options = options
         if dialect is not None:
-            self._parser = dialect.parser(options)  # a wrong option fails before any I/O
+            self._parser = dialect.parser(options)
+
+    def describe_stream(self) -> str:
+        """Return ``dialect=...&option=...``, by which the same bytes can be read again."""
+        assert self.dialect is not None
+        return urlencode({"dialect": self.dialect.name, **self._options})
 
     @property
     def info(self) -> DeviceInfo:
@@ -121,14 +139,18 @@ class StreamDriver(Driver):
     def _recognise(self) -> None:
         """Listen for `LISTEN` s, then take the dialect that explains the bytes."""
         heard: list[tuple[bytes, float | None]] = []
-        begin = clock.monotonic()
-        deadline = begin + SILENCE
+        deadline, size = clock.monotonic() + SILENCE, 0
         while (left := deadline - clock.monotonic()) > 0 and not self.source.ended:
             data, arrival = self.source.read(min(left, 0.1))
-            if data:
-                if not heard:
-                    deadline = clock.monotonic() + LISTEN
-                heard.append((data, arrival))
+            if not data:
+                continue
+            if not heard:
+                deadline = clock.monotonic() + LISTEN
+            heard.append((data, arrival))
+            size += len(data)
+            begin = heard[0][1]
+            if size >= PLENTY or (arrival and begin and arrival - begin >= LISTEN):
+                break  # a replay may be faster than our clock
         if not heard:
             raise DriverTimeoutError(
                 f"{self.address}: open, but not a byte came in {SILENCE:g} s. Check the wiring "

@@ -17,6 +17,8 @@ from drivers.stream import ByteSource, StreamDriver
 
 TURN = 0.005
 """s between two looks at the clock."""
+GATHER = 0.02
+"""s of samples that a reader in this process gets at once."""
 BLOCK = 2048
 """Samples at once at most, so that commands are answered while the device catches up."""
 
@@ -90,7 +92,7 @@ class EmulatedSource(ByteSource):
         while not (due := pace.due()) and not self._answers:
             if time.monotonic() >= deadline:
                 return b"", None
-            time.sleep(TURN)
+            time.sleep(GATHER)
         data = self.device.stream(pace.sent, pace.sent + due) if due else b""
         data += self._answers
         pace.sent += due

@@ -66,6 +66,18 @@ class SerialPort:
             return None
         return self.vid, self.pid, self.serial_number
 
+    @property
+    def url(self) -> str:
+        """The address to record from."""
+        return f"serial://{self.path}"
+
+    @property
+    def problem(self) -> str:
+        """Why it cannot be opened by this user; empty if it can."""
+        if os.name != "posix" or os.access(self.path, os.R_OK | os.W_OK):
+            return ""
+        return f"no permission. {_owner(self.path)}"
+
 
 def list_serial_ports() -> list[SerialPort]:
     """Return the serial ports that exist, by path."""
