@@ -162,6 +162,9 @@ class VectorNavParser(Parser):
         want = (_HEX[data[stars + 1]].astype(np.int64) << 4) | _HEX[data[stars + 2]]
         good = (xor[stars] ^ xor[dollars + 1]) == want
         good &= (data[dollars + 1] == ord("V")) & (data[dollars + 2] == ord("N"))
+        # A XOR does not see a byte that came twice, such as two line ends.
+        strange = np.concatenate([[0], np.cumsum((data < 32) | (data > 126))])
+        good &= strange[stars] == strange[dollars]
         return dollars[good], stars[good] + 3
 
     def _binary(self, data: Bytes, starts: IntArray, ends: IntArray) -> IntArray:
