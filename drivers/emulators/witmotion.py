@@ -15,7 +15,7 @@ from drivers.dialects.witmotion import (
     TEMPERATURE_LSB,
     frame,
 )
-from drivers.emulators.base import STANDARD_GRAVITY, EmulatedSensor
+from drivers.emulators.base import DEGREE, STANDARD_GRAVITY, EmulatedSensor
 from drivers.emulators.serial_device import SerialDevice, serial_emulator
 
 SAVE_REGISTER, READ_REGISTER, KEY_REGISTER = 0x00, 0x27, 0x69
@@ -23,8 +23,8 @@ UNLOCKED = 0xB588
 ACCEL_BIAS = (0x05, 0x06, 0x07)
 ACCEL_BIAS_LSB = STANDARD_GRAVITY / 10000
 GYRO_BIAS = (0x08, 0x09, 0x0A)
-GYRO_BIAS_LSB = GYRO_LSB
-"""Not stated in the sources at hand; this emulated device counts in units of its own output."""
+GYRO_BIAS_LSB = DEGREE / 10000
+"""As the maker's protocol text for AXOFFSET to HZOFFSET states, like the accelerometer's."""
 
 
 class WitMotionDevice(SerialDevice):

@@ -128,6 +128,11 @@ def flash_device(
     """
     if persist and not target.can_persist:
         raise ValueError(f"`persist`: {target.name} of this device are volatile by nature")
+    if target.always_stored and not persist:
+        raise FlashError(
+            f"{target.name} of this device are stored in its memory as soon as they are set: add "
+            "--persist to say that you want that. Nothing was written"
+        )
     old, plan = make_plan(target, calibration)
     report("measuring the still device")
     before = target.measure(duration)
@@ -135,6 +140,7 @@ def flash_device(
     _check_applies(calibration, before)
     save_backup(_backup(target, old), backup)
     report(f"the old values are saved in {backup}")
+    stored = target.always_stored
     try:
         _write(target, plan.new, report)
         report("measuring the still device again")
@@ -144,12 +150,13 @@ def flash_device(
         _judge(checks)
         if persist:
             report("storing in non-volatile memory and restarting")
+            stored = True
             _persist(target, plan.new)
     except DriverError as error:
-        _put_back(target, old, backup, error, persist=persist, report=report)
+        _put_back(target, old, backup, error, persist=stored, report=report)
     except KeyboardInterrupt as interrupt:
         stop = FlashError("interrupted")
-        _put_back(target, old, backup, stop, persist=persist, report=report, cause=interrupt)
+        _put_back(target, old, backup, stop, persist=stored, report=report, cause=interrupt)
     left = left_for_apply(calibration, plan, persisted=persist or not target.volatile)
     snippet = "" if persist else target.snippet(plan.new)
     return Result(plan, backup, checks, left, persist, snippet)

@@ -73,7 +73,9 @@ class Target(ABC):
     name: ClassVar[str]
     volatile: ClassVar[bool] = True
     """Whether the values are lost at power-off, unless they are persisted."""
-    can_persist: ClassVar[bool] = False
+    can_persist: bool = False
+    always_stored: ClassVar[bool] = False
+    """Whether a value is stored as soon as it is set, so that flashing needs ``--persist``."""
     persist_note: ClassVar[str] = ""
     """What the user should know before ``--persist``."""
 

@@ -152,7 +152,7 @@ class I2CDriver(Driver):
         self._pause = 1 / (4 * rate)
         if self._fifo and chip.fifo_size:
             depth = chip.fifo_size / chip.fifo_frame / rate
-            self._pause = min(max(0.01, 2 / rate), depth / 4, 0.1)
+            self._pause = min(max(0.01, 8 / rate), depth / 4, 0.1)
         age = self._pause / 2
         if self._fifo and chip.fifo_size:
             age = 0.5 / rate

@@ -1,0 +1,97 @@
+"""`imu-cal flash` as its user meets it, and the whole loop around it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from drivers.calibration_file import load_calibration
+from drivers.flash.i2c import I2CTarget
+from drivers.formats import read_recording
+from drivers.transports import make_driver
+from imu_cli.app import app
+
+RUN = CliRunner()
+URL = "emulator://mpu6050?rate=100&seed=5&motion=bench&speed=0"
+
+
+@pytest.fixture
+def device(monkeypatch: pytest.MonkeyPatch) -> I2CTarget:
+    """One emulated device that stays powered from command to command."""
+    driver = make_driver(URL)
+    for module in ("drivers.transports.make_driver", "drivers.flash.make_driver"):
+        monkeypatch.setattr(module, lambda url: driver)
+    return I2CTarget(driver)  # type: ignore[arg-type]
+
+
+def run(*words: str) -> tuple[int, str]:
+    result = RUN.invoke(app, list(words))
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    return result.exit_code, result.output
+
+
+def test_the_whole_loop(device: I2CTarget, tmp_path: Path) -> None:
+    """Record, calibrate, flash, record again: the bias is gone to a count and the noise."""
+    log, cal = tmp_path / "log.arrow", tmp_path / "unit.cal.json"
+    assert run("record", URL, "-o", str(log), "--duration", "200s")[0] == 0
+    assert run("calibrate", str(log), "-o", str(cal))[0] == 0
+
+    code, text = run("flash", str(cal), URL)
+    assert code == 0
+    assert "dry run: nothing was written" in text
+    assert "XA_OFFS_H" in text
+    assert not list(tmp_path.glob("backup*"))
+
+    code, text = run("flash", str(cal), URL, "--yes", "--json")
+    assert code == 0, text
+    document = json.loads(text[text.index("{") :])
+    assert document["written"]
+    assert Path(document["backup"]).exists()
+    left = load_calibration(tmp_path / "unit.left.json")
+    assert document["left"] == str(tmp_path / "unit.left.json")
+
+    after = tmp_path / "after.arrow"
+    assert run("record", URL, "-o", str(after), "--duration", "20s")[0] == 0
+    still = read_recording(after)
+    lsb = 9.80665 / 1024, np.deg2rad(1 / 32.8)
+    sigma = still.gyro.std(axis=0) / np.sqrt(len(still))
+    assert np.abs(still.gyro.mean(axis=0)).max() < lsb[1] + 5 * sigma.max()
+    # What is left corrects the accelerometer to gravity; the first calibration would do it twice.
+    right = left.model.accel.correct(still.accel.mean(axis=0)[None])[0]
+    wrong = load_calibration(cal).model.accel.correct(still.accel.mean(axis=0)[None])[0]
+    assert np.linalg.norm(right) == pytest.approx(9.80665, abs=5e-3)
+    assert abs(np.linalg.norm(wrong) - 9.80665) > 5e-3
+    sizes = np.abs(left.model.accel.bias), np.abs(left.model.gyro.bias)
+    assert sizes[0].max() <= lsb[0] / 2 * 1.01
+    assert sizes[1].max() <= lsb[1] / 2 * 1.01
+
+    code, text = run("flash", str(cal), URL, "--yes")
+    assert code == 8
+    assert "flashed already" in text
+    code, text = run("flash", "--restore", document["backup"], URL)
+    assert code == 0
+    assert "restored and read back" in text
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "message"),
+    [
+        (["cal.json"], 2, "expected CAL.json URL"),
+        (["a", "b", "c"], 2, "expected CAL.json URL"),
+        (["--restore", "b.json", "a", "b"], 2, "expected --restore BACKUP URL"),
+        (["cal.json", "emulator://mpu6050", "--persist"], 2, "are not stored"),
+        (["missing.json", "emulator://mpu6050"], 10, "cannot read"),
+        (["missing.json", "replay://x.arrow"], 2, ""),
+        (["missing.json", "emulator://arduino"], 2, "add --template"),
+        (["--restore", "missing.json", "emulator://mpu6050?speed=0"], 10, "cannot read"),
+    ],
+)
+def test_wrong_usage(words: list[str], code: int, message: str) -> None:
+    got, text = run("flash", *words)
+    assert got == code, text
+    assert message in " ".join(text.replace("│", " ").split())
