@@ -123,6 +123,18 @@ def make_grid(recording: Recording, poses: Poses, *, margin: int = 3) -> Grid:
     return _fill(recording, poses, bounds, table)
 
 
+def connected(poses: Poses) -> Poses:
+    """Return the poses without lone ones: cut off from all others by motion that is not closed.
+
+    What happens to a bias while a sensor is shaken for minutes is no part of a calibration. Where
+    most poses are cut off, all are kept.
+    """
+    gap = poses.interval[1:, 0] - poses.interval[:-1, 1]
+    closed = np.concatenate(([False], gap <= LONGEST_TURN, [False]))
+    near = closed[:-1] | closed[1:]
+    return poses.select(near) if near.mean() >= 0.75 and not near.all() else poses
+
+
 def _cell_counts(poses: Poses, limit: int) -> IntArray:
     """Split long rests so that their drift shows, but no more than `limit` cells in all."""
     length = poses.interval[:, 1] - poses.interval[:, 0]
@@ -151,9 +163,8 @@ def _fill(recording: Recording, poses: Poses, bounds: IntArray, table: IntArray)
     interval = np.stack(
         (recording.time[bounds[first, 0]], recording.time[bounds[last - 1, 1] - 1]), axis=1
     )
-    ended = _turn_ends(recording, poses)
-    last_end = np.searchsorted(ended, time, side="right") - 1
-    since = np.where(last_end >= 0, time - ended[np.maximum(last_end, 0)], np.inf)
+    ended = np.append(-np.inf, _turn_ends(recording, poses))
+    since = time - ended[np.searchsorted(ended, time, side="right") - 1]
     return Grid(
         time=time,
         accel=accel,

@@ -175,6 +175,7 @@ def _gain(
         left = whitener.project(residual)
         half = whitener.unwhiten_transposed(np.eye(len(left)))
         hidden = half @ whitener.basis
+        own_scale = 1.0 / np.linalg.norm(half, axis=1)
         pull = whitener.unwhiten_transposed(left[:, None])[:, 0]
         total = 0.0
         for k in range(FOLDS):
@@ -183,8 +184,8 @@ def _gain(
                 continue
             # P_BB^-1 (P y)_B is the prediction error of block B, P_BB^-1 its covariance.
             block = half[own] @ half[own].T - hidden[own] @ hidden[own].T
-            scale = np.sqrt(np.diag(block))
-            scale[scale == 0] = 1.0
+            # Rows that only this block determines have no power left; rounding may go below zero.
+            scale = np.sqrt(np.maximum(np.diag(block), 1e-9 / np.square(own_scale[own])))
             values, vectors = np.linalg.eigh(block / np.outer(scale, scale))
             good = values > 1e-6
             along = vectors.T @ (pull[own] / scale)

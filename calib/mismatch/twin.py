@@ -22,6 +22,13 @@ from calib.types import FloatArray, IntArray
 ACCEL_MISALIGNMENT = ("yx", "zx", "zy")
 GYRO_MISALIGNMENT = ("xy", "xz", "yx", "yz", "zx", "zy")
 
+DRIFT = {"accel": 5e-4, "gyro": 5e-5}
+"""How far a bias wanders in `DRIFT_TIME`, m/s² and rad/s: 50 µg and 10 °/h, as data sheets of
+consumer parts state for bias instability. The prior on drift is centred there, a factor 2.5 wide."""
+
+DRIFT_TIME = 600.0
+"""s."""
+
 # Weak knowledge that keeps the iteration steady where a recording says nothing: standard deviations
 # many times what uncalibrated parts have. It is no part of any evidence.
 _LOOSE = {"bias": 2.0, "scale_factor_error": 0.5, "misalignment": 0.3}
@@ -313,13 +320,12 @@ def _components(
         own = np.flatnonzero((kind == Kind.MEAN) & (np.abs(response).sum(axis=1) > 0))
         typical = float(np.median(np.diag(white)[own])) if len(own) else 1.0
         triad = name.split(".")[0]
-        for label, matrix, share in (
-            ("jitter", response @ response.T, 0.05),
-            ("walk", response @ walk @ response.T, 1.0),
-        ):
-            out.append(
-                Component(f"{name} {label}", matrix, share * typical, 2.0, f"{triad} {label}")
-            )
+        group = f"{triad} jitter", f"{triad} walk"
+        drift = DRIFT[triad] ** 2 * span / DRIFT_TIME
+        out += [
+            Component(f"{name} jitter", response @ response.T, 0.05 * typical, 2.0, group[0]),
+            Component(f"{name} walk", response @ walk @ response.T, drift, 1.8, group[1]),
+        ]
     for label, which, scale in (
         ("attitude", Kind.ATTITUDE, None),
         ("attitude by angle", Kind.ATTITUDE, angle),
