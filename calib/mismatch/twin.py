@@ -24,7 +24,7 @@ GYRO_MISALIGNMENT = ("xy", "xz", "yx", "yz", "zx", "zy")
 
 DRIFT = {"accel": 5e-4, "gyro": 5e-5}
 """How far a bias wanders in `DRIFT_TIME`, m/s² and rad/s: 50 µg and 10 °/h, as data sheets of
-consumer parts state for bias instability. The prior on drift is centred there, a factor 2.5 wide."""
+consumer parts state for bias instability. The prior on drift is centred there, 2.5 wide (factor)."""
 
 DRIFT_TIME = 600.0
 """s."""
