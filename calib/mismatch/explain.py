@@ -67,7 +67,7 @@ def _shape_columns(rows: Rows, a: Accepted, *, reference: bool) -> FloatArray:
     effect = get_effect(a.candidate.name)
     out = []
     for item in effect.shape:
-        if item.spacing != "log":
+        if item.spacing != "log" or item.name not in a.candidate.shape:
             continue
         pair = []
         for factor in (1.02, 1 / 1.02):
@@ -104,6 +104,8 @@ def explain(
             for n, v, s in zip(a.candidate.parameters, values, sigma, strict=True)
         }
         for item in effect.shape:
+            if item.name not in a.candidate.shape:
+                continue
             here, spread = a.candidate.shape[item.name], None
             if item.spacing == "log":
                 spread = float(here * np.sqrt(fit.covariance[at_shape, at_shape]))

@@ -213,16 +213,24 @@ def smooth_temperature(recording: Recording, *, window: float = 10.0) -> FloatAr
     width = round(window / max(recording.interval, 1e-9)) // 2 * 2 + 1
     width = min(width, len(values) // 4 * 2 + 1)
     for _ in range(2):
-        # Extend by point reflection so that the ends keep their slope.
+        # Extend by point reflection about the ends, so that they keep their slope; a straight line
+        # through the first and last window finds the ends in noise.
         half = width // 2
         if half == 0:
             return values
-        left = 2 * values[:half].mean() - values[half:0:-1]
-        right = 2 * values[-half:].mean() - values[-2 : -half - 2 : -1]
+        left = 2 * _end_value(values[: half + 1]) - values[half:0:-1]
+        right = 2 * _end_value(values[: -half - 2 : -1]) - values[-2 : -half - 2 : -1]
         padded = np.concatenate((left, values, right))
         sums = np.concatenate(([0.0], np.cumsum(padded)))
         values = (sums[width:] - sums[:-width]) / width
     return values
+
+
+def _end_value(values: FloatArray) -> float:
+    """Return the first value of a straight line through (n,) values."""
+    at = np.arange(len(values)) - (len(values) - 1) / 2
+    slope = float(at @ values) / max(float(at @ at), 1.0)
+    return float(values.mean() + slope * at[0])
 
 
 def _vibration(

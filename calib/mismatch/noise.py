@@ -20,9 +20,9 @@ from scipy import linalg
 from calib.mismatch.rows import Rows
 from calib.types import FloatArray
 
-WITHIN = 1.0
+WITHIN = 0.5
 """How much the drift of axes of one triad differs: standard deviation of the logarithm of a level
-(a variance), so that one axis has rarely more than three times the drift of another."""
+(a variance), so that one axis has rarely more than twice the drift of another."""
 
 
 @dataclass(frozen=True, eq=False)

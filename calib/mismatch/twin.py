@@ -22,9 +22,11 @@ from calib.types import FloatArray, IntArray
 ACCEL_MISALIGNMENT = ("yx", "zx", "zy")
 GYRO_MISALIGNMENT = ("xy", "xz", "yx", "yz", "zx", "zy")
 
-DRIFT = {"accel": 5e-4, "gyro": 5e-5}
-"""How far a bias wanders in `DRIFT_TIME`, m/s² and rad/s: 50 µg and 10 °/h, as data sheets of
-consumer parts state for bias instability. The prior on drift is centred there, 2.5 wide (factor)."""
+DRIFT = {"accel": 0.15, "gyro": 0.5}
+"""How far a bias wanders in `DRIFT_TIME`, per noise density: the ratio of bias instability to noise
+density in data sheets and Allan plots (MPU-6050: 50 µg to 400 µg/√Hz, 10 °/h to 18 °/h/√Hz). In
+minutes at rest a few slow modes are all that shows of drift, and effects go with them; so the prior
+on drift is part of the physics, a factor of 2 wide."""
 
 DRIFT_TIME = 600.0
 """s."""
@@ -256,7 +258,9 @@ def build_rows(grid: Grid, twin: Twin, noise: FloatArray) -> Rows:
         white += (top.multiply(noise[:, c]) @ top.T).toarray()
         diagonal += np.asarray(f[dense:].power(2) @ noise[:, c]).ravel()
     pieces = tuple((f @ member).tocsr() for f in functional)
-    components = _components(grid, pieces, kind[:dense], segment[:dense], white, angle, effort)
+    components = _components(
+        grid, pieces, kind[:dense], segment[:dense], white, noise, angle, effort
+    )
     return Rows(
         residual=residual,
         baseline=baseline,
@@ -306,25 +310,28 @@ def _components(
     kind: IntArray,
     segment: IntArray,
     white: FloatArray,
+    noise: FloatArray,
     angle: FloatArray,
     effort: FloatArray,
 ) -> tuple[Component, ...]:
     """Return the unknown variances: per channel a jitter and a random walk; the closures' own."""
     dense = len(kind)
+    rest = grid.pose >= 0
+    inside = np.diff(grid.segment) == 0
+    step = float(np.median(np.diff(grid.time)[inside] / grid.count[1:][inside]))
+    # One-sided density squared: variance of a mean, times its length, times two.
+    density = np.median(2 * noise[rest] * grid.count[rest, None] * step, axis=0)
     middle = grid.interval.mean(axis=1)
-    span = max(float(middle[-1] - middle[0]), 1e-9)
-    walk = np.minimum.outer(middle - middle[0], middle - middle[0]) / span
+    walk = np.minimum.outer(middle - middle[0], middle - middle[0]) / DRIFT_TIME
     out = []
     for c, name in enumerate(CHANNELS):
         response = pieces[c][:dense].toarray()
-        own = np.flatnonzero((kind == Kind.MEAN) & (np.abs(response).sum(axis=1) > 0))
-        typical = float(np.median(np.diag(white)[own])) if len(own) else 1.0
         triad = name.split(".")[0]
         group = f"{triad} jitter", f"{triad} walk"
-        drift = DRIFT[triad] ** 2 * span / DRIFT_TIME
+        drift = DRIFT[triad] ** 2 * density[c]
         out += [
-            Component(f"{name} jitter", response @ response.T, 0.05 * typical, 2.0, group[0]),
-            Component(f"{name} walk", response @ walk @ response.T, drift, 1.8, group[1]),
+            Component(f"{name} jitter", response @ response.T, 0.25 * drift, 2.0, group[0]),
+            Component(f"{name} walk", response @ walk @ response.T, drift, 0.8, group[1]),
         ]
     for label, which, scale in (
         ("attitude", Kind.ATTITUDE, None),
