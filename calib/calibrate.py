@@ -52,6 +52,7 @@ def calibrate(
     accel_method: str = ACCEL_METHOD,
     gyro_method: str = GYRO_METHOD,
     options: Mapping[str, object] | None = None,
+    poses: Poses | None = None,
     provenance: Provenance | None = None,
 ) -> Calibration:
     """Calibrate a device from what it recorded at rest in several poses, and turning between them.
@@ -65,6 +66,8 @@ def calibrate(
         Names of solvers.
     options : mapping, optional
         What a gyroscope method needs beyond the recording, such as ``table_rate`` (rad/s).
+    poses : Poses, optional
+        Its static poses, if they were found already.
     provenance : Provenance, optional
         Its device is filled in from the recording.
 
@@ -89,7 +92,7 @@ def calibrate(
         )
     _choose(accel_solvers(), "accel_method", accel_method)
     solve_gyro = _choose(gyro_solvers(), "gyro_method", gyro_method).solve
-    poses = find_poses(recording)
+    poses = find_poses(recording) if poses is None else poses
     check_units(recording, poses)
     _check_poses(recording, poses)
 

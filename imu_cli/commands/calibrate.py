@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -70,28 +72,35 @@ def calibrate(
     from datetime import UTC, datetime
     from importlib.metadata import version
 
-    from calib import calibrate as library
+    from calib.audit import audit
+    from calib.calibrate import calibrate as solve
     from calib.calibration import Provenance
     from calib.document import to_document
     from drivers.calibration_file import describe_input, save_calibration
     from drivers.formats import read_recording
 
     recording = read_recording(log, profile=profile, imu=imu, drop_invalid=drop_invalid)
+    audited = audit(recording)
+    for finding in audited.findings:
+        if finding.kind != "unit":
+            output.warn(finding.message)
     if imu is not None:
         notes.setdefault("imu", str(imu))
-    calibration = library.calibrate(
-        recording,
-        gravity=local_gravity,
-        accel_method=accel_method,
-        gyro_method=gyro_method,
-        options=options,
-        provenance=Provenance(
-            tuple(describe_input(path) for path in log),
-            version("imu-cal"),
-            datetime.now(UTC).isoformat(timespec="seconds"),
-            notes=notes,
-        ),
-    )
+    with _bad_option("--table-rate"):
+        calibration = solve(
+            recording,
+            gravity=local_gravity,
+            accel_method=accel_method,
+            gyro_method=gyro_method,
+            options=options,
+            poses=audited.poses,
+            provenance=Provenance(
+                tuple(describe_input(path) for path in log),
+                version("imu-cal"),
+                datetime.now(UTC).isoformat(timespec="seconds"),
+                notes=notes,
+            ),
+        )
     if housing_faces is not None:
         calibration = _align(calibration, housing_faces)
     save_calibration(calibration, destination)
@@ -192,11 +201,18 @@ def _align(calibration: Calibration, path: Path) -> Calibration:
     from drivers.faces_file import read_faces
 
     faces = read_faces(path)
-    try:
+    with _bad_option("--housing-faces"):
         return align_to_housing(calibration, faces)
-    except ValueError as error:
-        from calib.errors import ImuError
 
-        if isinstance(error, ImuError):
-            raise
-        raise typer.BadParameter(f"{path}: {error}", param_hint="--housing-faces") from error
+
+@contextmanager
+def _bad_option(hint: str) -> Iterator[None]:
+    """Turn what the library says of a bad argument into wrong usage of the option it came from."""
+    from calib.errors import ImuError
+
+    try:
+        yield
+    except ImuError:
+        raise
+    except ValueError as error:
+        raise typer.BadParameter(str(error), param_hint=hint) from error
