@@ -17,9 +17,9 @@ from calib.model import affine
 from calib.recording import Recording
 from calib.types import FloatArray
 
-MARGIN = 16
-"""Samples on either side that a term with neighbours needs at least: differences reach one, and the
-fixed point of `SensorModel.correct` repeats them."""
+MARGIN = 32
+"""Samples on either side that a term with neighbours needs at least: a spline forgets by 0.27 a
+sample, and the fixed point of `SensorModel.correct` repeats it."""
 
 SETTLE = 12.0
 """Time constants after which a low-pass has forgotten: e⁻¹² is 6 parts in 10⁶."""

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import chi2, norm
+from scipy.special import chdtrc, ndtr
 
 from calib.calibration import Calibration, parameter_unit
 from calib.model import Triad
@@ -41,7 +41,7 @@ class Difference:
     @property
     def p_value(self) -> float:
         """Two-sided, for this parameter alone."""
-        return float(2 * norm.sf(abs(self.score)))
+        return float(2 * ndtr(-abs(self.score)))
 
 
 @dataclass(frozen=True)
@@ -66,7 +66,7 @@ class Comparison:
         """Of all parameters together; 1 if there is none in common."""
         if not self.degrees_of_freedom:
             return 1.0
-        return float(chi2.sf(self.chi_square, self.degrees_of_freedom))
+        return float(chdtrc(self.degrees_of_freedom, self.chi_square))
 
     @property
     def changed(self) -> tuple[Difference, ...]:

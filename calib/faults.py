@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy import ndimage, stats
+from scipy.special import pdtrc
 
 from calib.recording import Recording
 from calib.types import BoolArray, FloatArray, IntArray
@@ -82,7 +82,7 @@ def find_repeats(values: FloatArray) -> IntArray:
         chance[~informed] = np.quantile(chance[informed], 0.9, axis=0)
     expected = float((_block_sums(np.ones((len(whole), 1))) * chance.prod(axis=1)[:, None]).sum())
     count = int(whole.sum())
-    if stats.poisson.sf(count - 1, 1.2 * expected) > FALSE_ALARM:
+    if pdtrc(count - 1, 1.2 * expected) > FALSE_ALARM:
         return np.zeros(0, np.int64)
     return np.flatnonzero(whole) + 1
 
@@ -168,7 +168,8 @@ def find_spikes(values: FloatArray, *, lsb: FloatArray) -> list[tuple[int, int]]
     rest[:2] = rest[-2:] = 0.0
     count = n // BLOCK
     level = np.median(rest[: count * BLOCK].reshape(count, BLOCK, -1), axis=1)
-    level = ndimage.maximum_filter1d(level, 3, axis=0, mode="nearest")
+    padded = np.pad(level, ((1, 1), (0, 0)), mode="edge")
+    level = np.maximum(np.maximum(padded[:-2], padded[1:-1]), padded[2:])
     scale = np.repeat(ROBUST * level, BLOCK, axis=0)
     scale = np.concatenate([scale, np.repeat(scale[-1:], n - len(scale), axis=0)])
     scale = np.maximum(scale, lsb)

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
-from scipy.interpolate import CubicSpline
-from scipy.signal import cont2discrete, lfilter, lfilter_zi
 
 from calib.effects.base import (
     PRESENCE,
@@ -81,6 +79,8 @@ def low_pass(time: FloatArray, values: FloatArray, cutoff: float, *, order: int)
     w0 = 2 * np.pi * cutoff
     denominator = [1 / w0, 1.0] if order == 1 else [1 / w0**2, np.sqrt(2) / w0, 1.0]
     step = float(np.median(np.diff(time)))
+    from scipy.signal import cont2discrete, lfilter, lfilter_zi  # half a second to import
+
     num, den, _ = cont2discrete(([1.0], denominator), step, method="foh")
     initial = lfilter_zi(num.ravel(), den)[:, None] * values[0]
     out: FloatArray = lfilter(num.ravel(), den, values, axis=0, zi=initial)[0]
@@ -91,6 +91,8 @@ def _sharpen(time: FloatArray, values: FloatArray, cutoff: float, *, order: int)
     if len(time) < 4:
         return values
     w0 = 2 * np.pi * cutoff
+    from scipy.interpolate import CubicSpline  # a third of a second to import
+
     spline = CubicSpline(time, values)
     if order == 1:
         first: FloatArray = values + spline(time, 1) / w0

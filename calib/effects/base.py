@@ -21,7 +21,6 @@ from functools import cached_property
 from typing import Literal, NamedTuple
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from calib.recording import AXES
 from calib.types import FloatArray
@@ -133,6 +132,8 @@ class State:
         """
         if len(self.time) < 4:
             return np.gradient(values, self.time, axis=0) if len(self.time) > 2 else 0.0 * values
+        from scipy.interpolate import CubicSpline  # a third of a second to import
+
         slope: FloatArray = CubicSpline(self.time, values)(self.time, 1)
         return slope
 

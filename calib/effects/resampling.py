@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from calib.effects.base import Column, Signals, State
 from calib.recording import AXES
@@ -18,6 +17,8 @@ def resample(time: FloatArray, values: FloatArray, at: FloatArray) -> FloatArray
         index = np.clip(np.searchsorted(time, at), 0, len(time) - 1)
         held: FloatArray = values[index]
         return held
+    from scipy.interpolate import CubicSpline  # a third of a second to import
+
     out: FloatArray = CubicSpline(time, values)(np.clip(at, time[0], time[-1]))
     return out
 

@@ -15,7 +15,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from calib.solvers._closure_system import ClosureSystem, LeftOut, Linearised
 from calib.solvers._gyro_determined import TOLERANCE
@@ -58,7 +58,7 @@ def judge(system: ClosureSystem, lin: Linearised, static: Information) -> Judgem
     inner = np.intersect1d(system.turns.before, system.turns.after)
     candidates = [("turn", i) for i in range(turns)] + [("pose", int(k)) for k in inner]
     columns = lin.shifts(candidates)
-    threshold = chi2.isf(SIGNIFICANCE / len(candidates), 2)
+    threshold = chdtri(2, SIGNIFICANCE / len(candidates))
     scale = _robust_scale(lin, static)
     chosen = _forward(lin, static, scale, columns, threshold, turns // 3)
     while True:

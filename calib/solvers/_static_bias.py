@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtri
 
 from calib.errors import InsufficientMotionError
 from calib.fit import Exclusion
@@ -77,7 +77,7 @@ def static_bias(recording: Recording, poses: Poses) -> StaticBias:
     deviation2 = (poses.gyro - _running_median(poses.gyro)) ** 2
     # 0.455 is the median of chi-square with one degree of freedom.
     scale2 = np.maximum(noise, np.median(deviation2, axis=0) / 0.455)
-    good = (deviation2 / scale2).sum(axis=1) <= chi2.isf(0.01 / len(poses), 3)
+    good = (deviation2 / scale2).sum(axis=1) <= chdtri(3, 0.01 / len(poses))
     values, weight = poses.gyro[good], 1 / noise[good]
     mean = (weight * values).sum(axis=0) / weight.sum(axis=0)
     heterogeneity = (weight * (values - mean) ** 2).sum(axis=0)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy import stats
+from scipy.special import ndtri, stdtr
 
 from calib.types import BoolArray, FloatArray
 
@@ -76,7 +76,7 @@ def find_outliers(residual: FloatArray, jacobian: FloatArray, variance: FloatArr
         known = variance[active] / np.maximum(variance[active] + extra, np.finfo(float).tiny)
         t = np.abs(error) / np.sqrt(rest * np.maximum(outside, known))
         worst = int(np.argmax(np.where(leverage < 1 - 1e-6, t, 0.0)))
-        if 2 * stats.t.sf(t[worst], freedom - 1) * len(active) < LEVEL:
+        if 2 * stdtr(freedom - 1, -t[worst]) * len(active) < LEVEL:
             significant = step + 1
         order.append(int(active[worst]))
         active = np.delete(active, worst)
@@ -119,7 +119,7 @@ def _still_outside(
     spread = np.einsum("ni,ij,nj->n", jacobian[out], inverse, jacobian[out]) + 1 / weight[out]
     t = np.abs(residual[out] - jacobian[out] @ x) / np.sqrt(spread)
     freedom = int(keep.sum()) - jacobian.shape[1]
-    rejected: BoolArray = 2 * stats.t.sf(t, freedom) * len(out) < LEVEL
+    rejected: BoolArray = 2 * stdtr(freedom, -t) * len(out) < LEVEL
     return rejected
 
 
@@ -127,6 +127,6 @@ def _bulk(residual: FloatArray, variance: FloatArray) -> BoolArray:
     """Return the rows beyond the largest of n normal deviates, in units of a robust scale."""
     sigma = np.sqrt(np.maximum(variance, np.finfo(float).tiny))
     scaled = np.abs(residual) / sigma
-    scale = max(1.0, float(np.median(scaled)) / stats.norm.ppf(0.75))
-    far: BoolArray = scaled > scale * stats.norm.isf(LEVEL / 2 / len(residual))
+    scale = max(1.0, float(np.median(scaled)) / ndtri(0.75))
+    far: BoolArray = scaled > scale * -ndtri(LEVEL / 2 / len(residual))
     return far
