@@ -152,15 +152,20 @@ def _mean(
         kappa = max(1.0, float((spread.mean(axis=1) * weight).sum()) / expected)
     # With noise below a step the mean does not get better by averaging: rounding stays in it.
     variance = np.einsum("kii->ki", sample)
-    step = _step(values)
+    step = _steps(values)
     floor = np.where(variance < 0.25 * step**2, step**2 / 12, 0.0)
     covariance = sample * (kappa / count)[:, None, None]
     covariance[:, range(3), range(3)] += floor
     return mean, covariance
 
 
-def _step(values: FloatArray) -> FloatArray:
-    """Return the smallest change from sample to sample of each column, (3,): LSB or near it."""
+def resolution(recording: Recording) -> tuple[float, float]:
+    """Return the steps of accelerometer and gyroscope, m/s² and rad/s: the LSB, or near it."""
+    return float(_steps(recording.accel).max()), float(_steps(recording.gyro).max())
+
+
+def _steps(values: FloatArray) -> FloatArray:
+    """Return the smallest change from sample to sample of each column, (3,)."""
     change = np.abs(np.diff(values[:100_000], axis=0))
     change[change == 0] = np.inf
     step = change.min(axis=0, initial=np.inf)

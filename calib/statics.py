@@ -1,38 +1,69 @@
-"""Find the static poses of a recording, without a threshold from the user.
+"""Find the static poses of a recording, or of a live stream, without a threshold from the user.
 
-The recording is cut into blocks of about 0.1 s. A window of a few blocks is at rest when
-
-- its samples scatter no more than the recording's own noise at rest, in both sensors,
-- its mean rate is the gyroscope's rate at rest.
-
-Both levels come from the recording itself.
+1. What a rest looks like is learnt from the recording: the levels of its stillest windows. A window
+   is a candidate if rate and change of specific force are below a multiple of those, or of what a
+   hand that holds still does, and below what no rest has.
+2. Each run of candidates is judged by its own noise, which is the scatter from block to block: blocks
+   and longer stretches that are off the gyroscope's rate at rest, or where the specific force moves,
+   are taken out. That finds slow turns and bumps, and lets a hand tremble.
+3. The ends move inwards to where the turn began: from the times at which its rate passes two levels
+   with a ratio of four, taken as growing with the square of time, as smooth turns do at first.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.ndimage import median_filter
 
-from calib.poses import Poses, average_poses
+from calib.poses import Poses, average_poses, resolution
 from calib.recording import Recording
+from calib.stillness import (
+    FACTOR,
+    MOST_FORCE,
+    MOST_RATE,
+    TREMOR_FORCE,
+    TREMOR_RATE,
+    WIDTH,
+    Blocks,
+    Units,
+    Windows,
+    block_size,
+    cut_blocks,
+    find_units,
+    moving_mean,
+    runs,
+    slide,
+    spill,
+)
 from calib.types import BoolArray, FloatArray, IntArray
 
-BLOCK = 0.1
-WINDOW = 0.5
-
-
-@dataclass(frozen=True, eq=False)
-class _Blocks:
-    edges: IntArray
-    accel: FloatArray
-    gyro: FloatArray
-    accel_power: FloatArray
-    gyro_power: FloatArray
+SCALES = (1, 5, 10, 20)
+"""Lengths over which a run is compared with rest, in blocks."""
+NORM = 7.0
+"""FACTOR for the length of a vector of three, in standard deviations of one of them."""
+LASTING = 3.0
+"""Mean over any stretch, in standard deviations of a block, that noise which is not white may have."""
+BUMP = 6.0
+"""Power inside a block, as a multiple of the run's median, that is a bump."""
+SAME = 0.02
+"""Angle by which a hand that holds still wanders, rad."""
+MOST_DRIFT = 0.03
+"""How far a gyroscope's bias drifts in a recording, rad/s."""
+ONSET = 4.0
+"""Rate at which a turn is seen to begin, in standard deviations of a block on one axis."""
+RISE = 4.0
+"""Ratio of the two levels by which the beginning of a turn is found."""
+LONGEST_RISE = 40
+"""Blocks by which an end may move inwards."""
 
 
 def find_poses(recording: Recording, *, minimum_duration: float = 1.0) -> Poses:
     """Return the static poses of a recording; none if it only moves.
+
+    Any unit, range, rate and noise level; linear in the number of samples.
 
     Parameters
     ----------
@@ -40,70 +71,257 @@ def find_poses(recording: Recording, *, minimum_duration: float = 1.0) -> Poses:
     minimum_duration : float, s
         The shortest rest that counts as a pose.
     """
-    step = recording.interval
-    if len(recording) < 8 or step <= 0:
-        return average_poses(recording, np.zeros(0, np.int64), np.zeros(0, np.int64))
-    size = max(1, round(BLOCK / step))
-    blocks = _cut(recording, size)
-    width = max(3, round(WINDOW / (size * step)))
-    static = _static_blocks(blocks, width)
-    start, stop = _runs(static)
-    start, stop = blocks.edges[start + 1], blocks.edges[stop - 1]
-    keep = (stop - start) * step >= minimum_duration - 2 * size * step
-    return average_poses(recording, start[keep], stop[keep])
+    none = np.zeros(0, np.int64)
+    interval = recording.interval
+    if interval <= 0:
+        return average_poses(recording, none, none)
+    blocks = cut_blocks(
+        recording.time,
+        recording.accel,
+        recording.gyro,
+        size=block_size(interval),
+        interval=interval,
+    )
+    if len(blocks) < WIDTH:
+        return average_poses(recording, none, none)
+    bias = stillest_rate(blocks)
+    units = find_units(blocks, bias)
+    windows = slide(blocks, bias)
+    candidates = covered(windows, find_limits(windows, units), len(blocks)) & ~blocks.broken
+    least = max(1, round(minimum_duration / blocks.duration) - 4)
+    segments = _refine(blocks, candidates, least, resolution(recording), units)
+    size = blocks.size
+    start = np.array([a * size for a, _ in segments], np.int64)
+    stop = np.array([b * size for _, b in segments], np.int64)
+    return average_poses(recording, start, stop)
 
 
-def _cut(recording: Recording, size: int) -> _Blocks:
-    n = len(recording) // size
-    edges = np.arange(n + 1) * size
-
-    def stats(values: FloatArray) -> tuple[FloatArray, FloatArray]:
-        shaped = values[: n * size].reshape(n, size, 3)
-        mean = shaped.mean(axis=1)
-        power = np.square(shaped - mean[:, None]).sum(axis=(1, 2)) / size
-        return mean, power
-
-    accel, accel_power = stats(recording.accel)
-    gyro, gyro_power = stats(recording.gyro)
-    return _Blocks(edges, accel, gyro, accel_power, gyro_power)
+def stillest_rate(blocks: Blocks) -> FloatArray:
+    """Return the median rate of the tenth of the windows in which the sensor was stillest, (3,)."""
+    levels = slide(blocks, np.zeros(3))
+    mean = moving_mean(blocks.gyro, WIDTH)
+    scatter = np.sqrt(np.maximum(levels.rate**2 - np.square(mean).sum(axis=1), 0.0))
+    rank = np.maximum(
+        scatter / max(float(np.median(scatter)), 1e-300),
+        levels.force / max(float(np.median(levels.force)), 1e-300),
+    )
+    still = rank <= np.quantile(rank, 0.1)
+    return np.asarray(np.median(mean[still], axis=0), np.float64)
 
 
-def _static_blocks(blocks: _Blocks, width: int) -> BoolArray:
-    n = len(blocks.accel)
-    if n < width:
-        return np.zeros(n, bool)
-    activity = [
-        _window_rms(blocks.accel, blocks.accel_power, width),
-        _window_rms(blocks.gyro, blocks.gyro_power, width),
-    ]
-    quiet = np.ones(n - width + 1, bool)
-    for level in activity:
-        floor = np.quantile(level, 0.05)
-        quiet &= level <= 4.0 * floor
-    mean = _moving_mean(blocks.gyro, width)
-    bias = np.median(mean[quiet], axis=0)
-    off = np.linalg.norm(mean - bias, axis=1)
-    quiet &= off <= 8.0 * np.median(off[quiet])
-    static = np.zeros(n, bool)
-    for k in range(width):
-        static[k : n - width + 1 + k] |= quiet
-    return static
+@dataclass(frozen=True)
+class Limits:
+    """Levels of a window up to which it may be a rest, in the recording's units."""
+
+    rate: float
+    force: float
 
 
-def _moving_mean(values: FloatArray, width: int) -> FloatArray:
-    sums = np.concatenate((np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)))
-    return np.asarray((sums[width:] - sums[:-width]) / width, np.float64)
+def find_limits(windows: Windows, units: Units) -> Limits:
+    """Return the limits from the levels of the stillest windows and from physical sizes."""
+    use = windows.whole
+    rate, force = windows.rate[use], windows.force[use]
+    if not use.any():
+        return Limits(0.0, 0.0)
+    level_rate, level_force = np.quantile(rate, 0.01), np.quantile(force, 0.01)
+    for multiple in (3.5, 2.5, 2.5):
+        still = (rate <= multiple * level_rate) & (force <= multiple * level_force)
+        if not still.any():
+            break
+        level_rate, level_force = np.median(rate[still]), np.median(force[still])
+    limit_rate, limit_force = FACTOR * float(level_rate), FACTOR * float(level_force)
+    if units.rate is not None:
+        limit_rate = min(max(limit_rate, TREMOR_RATE / units.rate), MOST_RATE / units.rate)
+    limit_force = min(max(limit_force, TREMOR_FORCE * units.gravity), MOST_FORCE * units.gravity)
+    return Limits(limit_rate, limit_force)
 
 
-def _window_rms(mean: FloatArray, power: FloatArray, width: int) -> FloatArray:
-    centred = mean - np.median(mean, axis=0)
-    average = _moving_mean(centred, width)
-    total = np.square(centred).sum(axis=1) + power
-    second = _moving_mean(total[:, None], width)[:, 0] - np.square(average).sum(axis=1)
-    return np.asarray(np.sqrt(np.maximum(second, 0.0)), np.float64)
+def covered(windows: Windows, limits: Limits, n: int) -> BoolArray:
+    """Return a mask of the blocks that lie in any window within the limits."""
+    still = windows.whole & (windows.rate <= limits.rate) & (windows.force <= limits.force)
+    mask = np.zeros(n, bool)
+    spill(mask, still, WIDTH)
+    return mask
 
 
-def _runs(mask: BoolArray) -> tuple[IntArray, IntArray]:
-    """Return the index ranges ``[start, stop)`` of the runs of True."""
-    edge = np.diff(np.concatenate(([0], mask.astype(np.int8), [0])))
-    return np.flatnonzero(edge == 1), np.flatnonzero(edge == -1)
+def _refine(
+    blocks: Blocks,
+    candidates: BoolArray,
+    least: int,
+    steps: tuple[float, float],
+    units: Units,
+) -> list[tuple[int, int]]:
+    """Return the block ranges of the poses among the runs of candidates."""
+    start, stop = runs(candidates)
+    long = stop - start >= max(least, 3)
+    whole = list(zip(start[long].tolist(), stop[long].tolist(), strict=True))
+    if not whole:
+        return []
+    noise = [_scatter(blocks.gyro[a:b], steps[1]) for a, b in whole]
+    force = [_scatter(blocks.accel[a:b], steps[0]) for a, b in whole]
+    # First what the accelerometer sees, which needs no bias to be known.
+    pieces = []
+    for run, n_force in zip(whole, force, strict=True):
+        segments = [run]
+        for scale in SCALES:
+            segments = _split(
+                segments, lambda a, b, k=scale, n=n_force: _force_moved(blocks, a, b, k, n, units)
+            )
+        pieces.append(segments)
+    flat = [segment for segments in pieces for segment in segments]
+    if not flat:
+        return []
+    off = blocks.gyro - _rate_at_rest(blocks, flat, min(noise), units)
+    # Poses differ in rate by g-sensitivity and drift.
+    centre = [np.linalg.norm(np.median(off[a:b], axis=0)) for a, b in flat]
+    spread = 3.0 * float(np.median(centre))
+    found: list[tuple[int, int, float]] = []
+    for segments, n_rate, n_force in zip(pieces, noise, force, strict=True):
+        for scale in SCALES:
+            level = n_rate * max(NORM / np.sqrt(scale), LASTING) + spread
+            segments = _split(
+                segments, lambda a, b, k=scale, v=level: _rate_moved(off[a:b], k, v)
+            )
+        segments = _join(blocks, off, segments, (n_force, n_rate), units)
+        found += [(*segment, ONSET * n_rate + spread) for segment in segments]
+    return _trim(off, found, least)
+
+
+def _rate_at_rest(
+    blocks: Blocks, segments: list[tuple[int, int]], noise: float, units: Units
+) -> FloatArray:
+    """Return the gyroscope's bias at each block, (n, 3): where most rates are, following drift.
+
+    Stretches of about 1 s of the segments give a median each. The bias is where they lie densest:
+    rests share one rate, slow turns do not. Those near it are followed by a running median.
+    """
+    width = max(WIDTH, round(1.0 / blocks.duration))
+    middle, rates = [], []
+    for a, b in segments:
+        parts = max(1, (b - a) // width)
+        for first, last in zip(
+            *(np.linspace(a, b, parts + 1).astype(int)[k : parts + k] for k in (0, 1)), strict=True
+        ):
+            middle.append(0.5 * (first + last - 1))
+            rates.append(np.median(blocks.gyro[first:last], axis=0))
+    rate, at = np.array(rates), np.array(middle)
+    few = rate[:: max(1, len(rate) // 500)]
+    distance = np.linalg.norm(few[:, None] - few[None], axis=2)
+    density = (distance < NORM * noise).sum(axis=1)
+    bias = np.median(few[distance[np.argmax(density)] < NORM * noise], axis=0)
+    reach = NORM * noise
+    if units.rate is not None:
+        reach = max(reach, MOST_DRIFT / units.rate)
+    near = np.linalg.norm(rate - bias, axis=1) < reach
+    smooth = median_filter(rate[near], size=(min(31, int(near.sum())), 1), mode="nearest")
+    index = np.arange(len(blocks))
+    return np.column_stack([np.interp(index, at[near], smooth[:, k]) for k in range(3)])
+
+
+def _scatter(values: FloatArray, step: float) -> float:
+    """Return the standard deviation of one axis of the block means, from block to block."""
+    square = np.square(np.diff(values, axis=0)).sum(axis=1)
+    # 2.366 is the median of chi-square with three degrees of freedom.
+    return max(float(np.sqrt(np.median(square) / (2 * 2.366))), step / np.sqrt(12))
+
+
+def _split(
+    segments: list[tuple[int, int]], moved: Callable[[int, int], BoolArray]
+) -> list[tuple[int, int]]:
+    """Return what is left of the segments when the blocks that moved are taken out."""
+    left = []
+    for a, b in segments:
+        start, stop = runs(~moved(a, b))
+        left += [(a + int(s), a + int(e)) for s, e in zip(start, stop, strict=True)]
+    return left
+
+
+def _force_moved(
+    blocks: Blocks, a: int, b: int, scale: int, noise: float, units: Units
+) -> BoolArray:
+    """Return which blocks are bumps (scale 1), or where means over `scale` blocks change."""
+    n = b - a
+    moved = np.zeros(n, bool)
+    accel = blocks.accel[a:b]
+    if scale == 1:
+        local = median_filter(accel, size=(min(11, n), 1), mode="nearest")
+        moved |= np.linalg.norm(accel - local, axis=1) > (NORM + 1) * noise
+        if blocks.size > 1:
+            freedom = 3 * (blocks.size - 1)
+            limit = max(BUMP, 1 + 8 * np.sqrt(2 / freedom))
+            for power in (blocks.accel_power[a:b], blocks.gyro_power[a:b]):
+                moved |= power > limit * np.median(power)
+    elif n >= 2 * scale:
+        mean = moving_mean(accel, scale)
+        change = np.linalg.norm(mean[scale:] - mean[:-scale], axis=1)
+        usual = np.sqrt(2) * noise * max(NORM / np.sqrt(scale), LASTING)
+        spill(moved, change > usual + SAME * units.gravity, 2 * scale)
+    return moved
+
+
+def _rate_moved(off: FloatArray, scale: int, level: float) -> BoolArray:
+    """Return which blocks are in a stretch of `scale` whose mean rate is not that of rest."""
+    moved = np.zeros(len(off), bool)
+    if len(off) >= scale:
+        spill(moved, np.linalg.norm(moving_mean(off, scale), axis=1) > level, scale)
+    return moved
+
+
+def _join(
+    blocks: Blocks,
+    off: FloatArray,
+    segments: list[tuple[int, int]],
+    noise: tuple[float, float],
+    units: Units,
+) -> list[tuple[int, int]]:
+    """Return the segments of one run, those joined between which nothing turned.
+
+    What stands between them is a tremble or a tap, as it is within the limits of a rest: it stays in
+    the pose if the rate over it has no integral and the specific force is the same on both sides.
+    """
+    joined: list[tuple[int, int]] = []
+    for segment in segments:
+        if joined:
+            (a, b), (c, d) = joined[-1], segment
+            turned = np.linalg.norm(off[b:c].sum(axis=0)) * blocks.duration * (units.rate or 1.0)
+            tilt = blocks.accel[max(a, b - 10) : b].mean(axis=0)
+            tilt = tilt - blocks.accel[c : min(d, c + 10)].mean(axis=0)
+            few = np.sqrt(1 / min(10, b - a) + 1 / min(10, d - c))
+            if turned <= SAME and np.linalg.norm(tilt) <= (
+                SAME * units.gravity + NORM * noise[0] * few
+            ):
+                joined[-1] = (a, d)
+                continue
+        joined.append(segment)
+    return joined
+
+
+def _trim(
+    off: FloatArray, segments: list[tuple[int, int, float]], least: int
+) -> list[tuple[int, int]]:
+    """Return the segments with their ends moved to where the turns beside them began."""
+    found = []
+    edges = [0, *(e for segment in segments for e in segment[:2]), len(off)]
+    for k, (a, b, level) in enumerate(segments):
+        before, after = edges[2 * k], edges[2 * k + 3]
+        first = a + _rise(off[before:a][::-1], level)
+        last = b - _rise(off[b:after], level)
+        if last - first >= least:
+            found.append((first, last))
+    return found
+
+
+def _rise(off: FloatArray, level: float) -> int:
+    """Return by how many blocks an end must move inwards, from the rates outside it.
+
+    A rate that grows as (t - t0)² passes `level` at t1 and four times it at t2 = 2 t1 - t0.
+    """
+    rate = np.linalg.norm(off[: 2 * LONGEST_RISE], axis=1)
+    above = np.flatnonzero(rate > level)
+    if not above.size:
+        return min(1, rate.size)
+    first = int(above[0])
+    high = np.flatnonzero(rate[first:] > RISE * level)
+    rise = int(high[0]) if high.size else int(np.argmax(rate[first:]))
+    # Half as much again, and the two blocks in which the levels were passed.
+    return min(max(0, rise + (rise + 1) // 2 + 2 - first), LONGEST_RISE)
