@@ -11,6 +11,8 @@ from calib.types import FloatArray, IntArray
 
 BATCHES = 8
 """Batches a pose is cut into to measure how the noise of its mean is correlated in time."""
+EXACT = 1e-24
+"""Variance over mean square that is rounding in the arithmetic."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,15 +106,12 @@ def average_poses(recording: Recording, start: IntArray, stop: IntArray) -> Pose
         return Poses(
             start, stop, np.zeros((0, 2)), empty[..., 0], empty[..., 0], empty, empty, None
         )
-    # Rows of all poses one after another; `offset` is where each pose begins among them.
-    offset = np.concatenate(([0], np.cumsum(count)[:-1]))
-    owner = np.repeat(np.arange(len(start)), count)
-    rows = np.arange(len(owner)) - offset[owner] + start[owner]
-    accel, accel_covariance = _mean(recording.accel[rows], offset, count, owner)
-    gyro, gyro_covariance = _mean(recording.gyro[rows], offset, count, owner)
+    accel, accel_covariance = _mean(recording.accel, start, stop)
+    gyro, gyro_covariance = _mean(recording.gyro, start, stop)
     temperature = None
     if recording.temperature is not None:
-        temperature = np.add.reduceat(recording.temperature[rows], offset) / count
+        spans = zip(start.tolist(), stop.tolist(), strict=True)
+        temperature = np.array([recording.temperature[a:b].mean() for a, b in spans])
     return Poses(
         start,
         stop,
@@ -125,36 +124,27 @@ def average_poses(recording: Recording, start: IntArray, stop: IntArray) -> Pose
     )
 
 
-def _mean(
-    values: FloatArray, offset: IntArray, count: IntArray, owner: IntArray
-) -> tuple[FloatArray, FloatArray]:
+def _mean(values: FloatArray, start: IntArray, stop: IntArray) -> tuple[FloatArray, FloatArray]:
     """Return means (k, 3) and covariances of the means (k, 3, 3)."""
-    mean = np.add.reduceat(values, offset, axis=0) / count[:, None]
-    rest = values - mean[owner]
-    pair = [(i, j) for i in range(3) for j in range(i, 3)]
-    products = np.column_stack([rest[:, i] * rest[:, j] for i, j in pair])
-    sums = np.add.reduceat(products, offset, axis=0) / np.maximum(count - 1, 1)[:, None]
-    sample = np.empty((len(count), 3, 3))
-    for column, (i, j) in enumerate(pair):
-        sample[:, i, j] = sample[:, j, i] = sums[:, column]
-    long = count >= 2 * BATCHES
-    kappa = 1.0
-    if long.any():
-        width = count[long] // BATCHES
-        edges = offset[long, None] + width[:, None] * np.arange(BATCHES + 1)
-        sums = np.concatenate((np.zeros((1, 3)), np.cumsum(rest, axis=0)))
-        batch = np.diff(sums[edges], axis=1) / width[:, None, None]
-        spread = batch.var(axis=1, ddof=1) * width[:, None]
-        white = np.einsum("kii->ki", sample[long])
-        # The ratio of sums, not the mean of ratios: poses with little noise must not dominate.
-        weight = 1.0 / np.maximum(white.mean(axis=1), np.finfo(float).tiny)
-        expected = float((white.mean(axis=1) * weight).sum())
-        kappa = max(1.0, float((spread.mean(axis=1) * weight).sum()) / expected)
+    k = len(start)
+    mean, sample = np.empty((k, 3)), np.zeros((k, 3, 3))
+    ratios = []
+    for p, (a, b) in enumerate(zip(start.tolist(), stop.tolist(), strict=True)):
+        mean[p] = values[a:b].mean(axis=0)
+        rest = values[a:b] - mean[p]
+        if b - a > 1:
+            sample[p] = rest.T @ rest / (b - a - 1)
+        white = float(np.trace(sample[p]))
+        width = (b - a) // BATCHES
+        if width > 1 and white > EXACT * float(mean[p] @ mean[p]):
+            batch = rest[: width * BATCHES].reshape(BATCHES, width, 3).mean(axis=1)
+            ratios.append(width * float(batch.var(axis=0, ddof=1).sum()) / white)
+    kappa = max(1.0, float(np.mean(ratios))) if ratios else 1.0
     # With noise below a step the mean does not get better by averaging: rounding stays in it.
     variance = np.einsum("kii->ki", sample)
     step = _steps(values)
     floor = np.where(variance < 0.25 * step**2, step**2 / 12, 0.0)
-    covariance = sample * (kappa / count)[:, None, None]
+    covariance = sample * (kappa / (stop - start))[:, None, None]
     covariance[:, range(3), range(3)] += floor
     return mean, covariance
 

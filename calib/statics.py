@@ -3,17 +3,19 @@
 1. What a rest looks like is learnt from the recording: the levels of its stillest windows. A window
    is a candidate if rate and change of specific force are below a multiple of those, or of what a
    hand that holds still does, and below what no rest has.
-2. Each run of candidates is judged by its own noise, which is the scatter from block to block: blocks
-   and longer stretches that are off the gyroscope's rate at rest, or where the specific force moves,
+2. Each run of candidates is judged by its own noise, the scatter from block to block: blocks and
+   longer stretches that are off the gyroscope's rate at rest, or where the specific force moves,
    are taken out. That finds slow turns and bumps, and lets a hand tremble.
-3. The ends move inwards to where the turn began: from the times at which its rate passes two levels
-   with a ratio of four, taken as growing with the square of time, as smooth turns do at first.
+3. The ends move inwards to where the turn began: from the times at which its rate passes two
+   levels with a ratio of four, as it grows with the square of time in a smooth turn.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
+from itertools import pairwise
 
 import numpy as np
 from scipy.ndimage import median_filter
@@ -38,24 +40,28 @@ from calib.stillness import (
     slide,
     spill,
 )
-from calib.types import BoolArray, FloatArray, IntArray
+from calib.types import BoolArray, FloatArray
 
-SCALES = (1, 5, 10, 20)
+SCALES: tuple[int, ...] = (1, 5, 10, 20)
 """Lengths over which a run is compared with rest, in blocks."""
 NORM = 7.0
 """FACTOR for the length of a vector of three, in standard deviations of one of them."""
 LASTING = 3.0
-"""Mean over any stretch, in standard deviations of a block, that noise which is not white may have."""
+"""Mean over a long stretch, in standard deviations of a block: noise need not be white."""
 BUMP = 6.0
 """Power inside a block, as a multiple of the run's median, that is a bump."""
 SAME = 0.02
 """Angle by which a hand that holds still wanders, rad."""
-MOST_DRIFT = 0.03
-"""How far a gyroscope's bias drifts in a recording, rad/s."""
+DRIFT = 0.003
+"""How far a gyroscope's rate at rest moves from pose to pose and within a minute, rad/s."""
+GROUP = 20
+"""Stretches of 1 s that share one estimate of the gyroscope's bias."""
 ONSET = 4.0
 """Rate at which a turn is seen to begin, in standard deviations of a block on one axis."""
 RISE = 4.0
 """Ratio of the two levels by which the beginning of a turn is found."""
+SHORTEST = 4
+"""Blocks that a pose has at least, once its ends have moved inwards."""
 LONGEST_RISE = 40
 """Blocks by which an end may move inwards."""
 
@@ -72,11 +78,16 @@ def find_poses(recording: Recording, *, minimum_duration: float = 1.0) -> Poses:
         The shortest rest that counts as a pose.
     """
     none = np.zeros(0, np.int64)
-    interval = recording.interval
+    time: FloatArray = recording.time
+    interval, scales = recording.interval, SCALES
+    if recording.clock == "invalid":
+        # Durations mean nothing: blocks of ten samples, and nothing that takes long.
+        time = np.arange(len(time), dtype=np.float64) * 0.01
+        interval, scales = 0.01, SCALES[:1]
     if interval <= 0:
         return average_poses(recording, none, none)
     blocks = cut_blocks(
-        recording.time,
+        time,
         recording.accel,
         recording.gyro,
         size=block_size(interval),
@@ -88,8 +99,8 @@ def find_poses(recording: Recording, *, minimum_duration: float = 1.0) -> Poses:
     units = find_units(blocks, bias)
     windows = slide(blocks, bias)
     candidates = covered(windows, find_limits(windows, units), len(blocks)) & ~blocks.broken
-    least = max(1, round(minimum_duration / blocks.duration) - 4)
-    segments = _refine(blocks, candidates, least, resolution(recording), units)
+    least = max(3, round(minimum_duration / blocks.duration) - 2)
+    segments = _refine(blocks, candidates, least, resolution(recording), units, scales)
     size = blocks.size
     start = np.array([a * size for a, _ in segments], np.int64)
     stop = np.array([b * size for _, b in segments], np.int64)
@@ -150,6 +161,7 @@ def _refine(
     least: int,
     steps: tuple[float, float],
     units: Units,
+    scales: tuple[int, ...],
 ) -> list[tuple[int, int]]:
     """Return the block ranges of the poses among the runs of candidates."""
     start, stop = runs(candidates)
@@ -163,25 +175,22 @@ def _refine(
     pieces = []
     for run, n_force in zip(whole, force, strict=True):
         segments = [run]
-        for scale in SCALES:
-            segments = _split(
-                segments, lambda a, b, k=scale, n=n_force: _force_moved(blocks, a, b, k, n, units)
-            )
+        for scale in scales:
+            moved = partial(_force_moved, blocks, units=units, scale=scale, noise=n_force)
+            segments = _split(segments, moved)
         pieces.append(segments)
     flat = [segment for segments in pieces for segment in segments]
     if not flat:
         return []
-    off = blocks.gyro - _rate_at_rest(blocks, flat, min(noise), units)
+    off = blocks.gyro - _rate_at_rest(blocks, flat, float(np.median(noise)), units)
     # Poses differ in rate by g-sensitivity and drift.
     centre = [np.linalg.norm(np.median(off[a:b], axis=0)) for a, b in flat]
     spread = 3.0 * float(np.median(centre))
     found: list[tuple[int, int, float]] = []
     for segments, n_rate, n_force in zip(pieces, noise, force, strict=True):
-        for scale in SCALES:
+        for scale in scales:
             level = n_rate * max(NORM / np.sqrt(scale), LASTING) + spread
-            segments = _split(
-                segments, lambda a, b, k=scale, v=level: _rate_moved(off[a:b], k, v)
-            )
+            segments = _split(segments, partial(_rate_moved, off, scale=scale, level=level))
         segments = _join(blocks, off, segments, (n_force, n_rate), units)
         found += [(*segment, ONSET * n_rate + spread) for segment in segments]
     return _trim(off, found, least)
@@ -193,36 +202,44 @@ def _rate_at_rest(
     """Return the gyroscope's bias at each block, (n, 3): where most rates are, following drift.
 
     Stretches of about 1 s of the segments give a median each. The bias is where they lie densest:
-    rests share one rate, slow turns do not. Those near it are followed by a running median.
+    rests share one rate, slow turns do not. From there it is followed through its drift.
     """
     width = max(WIDTH, round(1.0 / blocks.duration))
     middle, rates = [], []
     for a, b in segments:
-        parts = max(1, (b - a) // width)
-        for first, last in zip(
-            *(np.linspace(a, b, parts + 1).astype(int)[k : parts + k] for k in (0, 1)), strict=True
-        ):
+        edges = np.linspace(a, b, max(1, (b - a) // width) + 1).astype(int).tolist()
+        for first, last in pairwise(edges):
             middle.append(0.5 * (first + last - 1))
             rates.append(np.median(blocks.gyro[first:last], axis=0))
     rate, at = np.array(rates), np.array(middle)
     few = rate[:: max(1, len(rate) // 500)]
-    distance = np.linalg.norm(few[:, None] - few[None], axis=2)
-    density = (distance < NORM * noise).sum(axis=1)
-    bias = np.median(few[distance[np.argmax(density)] < NORM * noise], axis=0)
+    density = (np.linalg.norm(few[:, None] - few[None], axis=2) < NORM * noise).sum(axis=1)
+    densest = int(np.argmin(np.linalg.norm(rate - few[np.argmax(density)], axis=1)))
     reach = NORM * noise
     if units.rate is not None:
-        reach = max(reach, MOST_DRIFT / units.rate)
-    near = np.linalg.norm(rate - bias, axis=1) < reach
-    smooth = median_filter(rate[near], size=(min(31, int(near.sum())), 1), mode="nearest")
+        reach = max(reach, DRIFT / units.rate)
+    # From the densest place outwards, in groups, each within reach of the one before it.
+    groups = [slice(k, k + GROUP) for k in range(0, len(rate), GROUP)]
+    centre = densest // GROUP
+    known: dict[int, FloatArray] = {}
+    for path in (range(centre, len(groups)), range(centre, -1, -1)):
+        bias = rate[densest]
+        for g in path:
+            near = np.linalg.norm(rate[groups[g]] - bias, axis=1) < reach
+            if near.any():
+                bias = np.median(rate[groups[g]][near], axis=0)
+                known[g] = bias
+    when = [float(np.mean(at[groups[g]])) for g in sorted(known)]
+    smooth = np.array([known[g] for g in sorted(known)])
     index = np.arange(len(blocks))
-    return np.column_stack([np.interp(index, at[near], smooth[:, k]) for k in range(3)])
+    return np.column_stack([np.interp(index, when, smooth[:, k]) for k in range(3)])
 
 
 def _scatter(values: FloatArray, step: float) -> float:
     """Return the standard deviation of one axis of the block means, from block to block."""
     square = np.square(np.diff(values, axis=0)).sum(axis=1)
     # 2.366 is the median of chi-square with three degrees of freedom.
-    return max(float(np.sqrt(np.median(square) / (2 * 2.366))), step / np.sqrt(12))
+    return max(float(np.sqrt(np.median(square) / (2 * 2.366))), float(step / np.sqrt(12)))
 
 
 def _split(
@@ -237,7 +254,7 @@ def _split(
 
 
 def _force_moved(
-    blocks: Blocks, a: int, b: int, scale: int, noise: float, units: Units
+    blocks: Blocks, a: int, b: int, *, units: Units, scale: int, noise: float
 ) -> BoolArray:
     """Return which blocks are bumps (scale 1), or where means over `scale` blocks change."""
     n = b - a
@@ -259,11 +276,11 @@ def _force_moved(
     return moved
 
 
-def _rate_moved(off: FloatArray, scale: int, level: float) -> BoolArray:
+def _rate_moved(off: FloatArray, a: int, b: int, *, scale: int, level: float) -> BoolArray:
     """Return which blocks are in a stretch of `scale` whose mean rate is not that of rest."""
-    moved = np.zeros(len(off), bool)
-    if len(off) >= scale:
-        spill(moved, np.linalg.norm(moving_mean(off, scale), axis=1) > level, scale)
+    moved = np.zeros(b - a, bool)
+    if b - a >= scale:
+        spill(moved, np.linalg.norm(moving_mean(off[a:b], scale), axis=1) > level, scale)
     return moved
 
 
@@ -276,8 +293,8 @@ def _join(
 ) -> list[tuple[int, int]]:
     """Return the segments of one run, those joined between which nothing turned.
 
-    What stands between them is a tremble or a tap, as it is within the limits of a rest: it stays in
-    the pose if the rate over it has no integral and the specific force is the same on both sides.
+    What stands between them is a tremble or a tap, as it is within the limits of a rest: it stays
+    in the pose if the rate over it has no integral and the force is the same on both sides.
     """
     joined: list[tuple[int, int]] = []
     for segment in segments:
@@ -306,7 +323,7 @@ def _trim(
         before, after = edges[2 * k], edges[2 * k + 3]
         first = a + _rise(off[before:a][::-1], level)
         last = b - _rise(off[b:after], level)
-        if last - first >= least:
+        if b - a >= least and last - first >= SHORTEST:
             found.append((first, last))
     return found
 
@@ -319,9 +336,9 @@ def _rise(off: FloatArray, level: float) -> int:
     rate = np.linalg.norm(off[: 2 * LONGEST_RISE], axis=1)
     above = np.flatnonzero(rate > level)
     if not above.size:
-        return min(1, rate.size)
+        return min(1, len(rate))
     first = int(above[0])
     high = np.flatnonzero(rate[first:] > RISE * level)
     rise = int(high[0]) if high.size else int(np.argmax(rate[first:]))
-    # Half as much again, and the two blocks in which the levels were passed.
-    return min(max(0, rise + (rise + 1) // 2 + 2 - first), LONGEST_RISE)
+    # A quarter more, and the two blocks in which the levels were passed.
+    return int(min(max(0, rise + (rise + 3) // 4 + 2 - first), LONGEST_RISE))

@@ -1,8 +1,8 @@
-"""How still a sensor is: statistics of short blocks and windows, in units that the data sets itself.
+"""How still a sensor is: statistics of short blocks and windows, in units that the data sets.
 
-Samples are cut into blocks of about 0.1 s, and windows are `WIDTH` blocks that slide by one. All levels
-are relative: the accelerometer's unit is its own reading of gravity, the gyroscope's unit is found
-from how fast its readings say that gravity turns in the sensor's frame, ``d(u)/dt = u x rate``.
+Samples are cut into blocks of about 0.1 s, and windows are `WIDTH` blocks that slide by one. All
+levels are relative: the accelerometer's unit is its own reading of gravity, the gyroscope's is
+found from how gravity turns in the sensor's frame, ``d(u)/dt = u x rate``.
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ LONGEST_GAP = 0.25
 class Blocks:
     """Means (n, 3) and powers (n,) of n blocks, in the recording's units.
 
-    ``power`` is the variance inside a block, summed over the axes. ``broken`` marks blocks with a gap
-    in time in them or just before them.
+    ``power`` is the variance inside a block, summed over the axes. ``broken`` marks blocks with a
+    gap in time in them or just before them.
     """
 
     size: int
@@ -61,22 +61,24 @@ def cut_blocks(
 ) -> Blocks:
     """Return the blocks of `size` samples; what is left over at the end is not used."""
     n = len(time) // size
-    means, powers = [], []
-    for values in (accel, gyro):
-        mean, power = np.empty((n, 3)), np.empty(n)
-        rows = max(1, CHUNK // size)
-        for first in range(0, n, rows):
-            part = slice(first, min(first + rows, n))
-            block = values[part.start * size : part.stop * size].reshape(-1, size, 3)
-            mean[part] = np.einsum("nsc->nc", block) / size
-            rest = block - mean[part, None]
-            power[part] = np.einsum("nsc,nsc->n", rest, rest) / size
-        means.append(mean)
-        powers.append(power)
+    accel_mean, accel_power = _moments(accel, n, size)
+    gyro_mean, gyro_power = _moments(gyro, n, size)
     gap = np.zeros(n * size, bool)
     gap[1:] = np.diff(time[: n * size]) > max(LONGEST_GAP, 2.5 * interval)
-    broken = gap.reshape(n, size).any(axis=1)
-    return Blocks(size, size * interval, *means, *powers, broken)
+    broken: BoolArray = np.asarray(gap.reshape(n, size).any(axis=1))
+    return Blocks(size, size * interval, accel_mean, gyro_mean, accel_power, gyro_power, broken)
+
+
+def _moments(values: FloatArray, n: int, size: int) -> tuple[FloatArray, FloatArray]:
+    mean, power = np.empty((n, 3)), np.empty(n)
+    rows = max(1, CHUNK // size)
+    for first in range(0, n, rows):
+        part = slice(first, min(first + rows, n))
+        block = values[part.start * size : part.stop * size].reshape(-1, size, 3)
+        mean[part] = np.einsum("nsc->nc", block) / size
+        rest = block - mean[part, None]
+        power[part] = np.einsum("nsc,nsc->n", rest, rest) / size
+    return mean, power
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,188 @@
+"""Static poses: found without a threshold, in any unit; batch and live."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from calib import Recording
+from calib.live_statics import LiveStatics
+from calib.poses import average_poses
+from calib.statics import find_poses
+from calib.types import FloatArray
+
+GRAVITY = 9.80665
+BIAS = np.array([0.02, -0.01, 0.015])
+
+
+def recording(
+    *turns: tuple[float, float, float],
+    rate: float = 100.0,
+    last: float = 4.0,
+    noise: float = 1.0,
+    seed: int = 0,
+    accel_unit: float = 1.0,
+    gyro_unit: float = 1.0,
+) -> tuple[Recording, FloatArray]:
+    """Return rests of 4 s with turns (rad, duration s, rest after it s) about x and y by turns."""
+    rng = np.random.default_rng(seed)
+    spans, begin = [], 4.0
+    for angle, duration, rest in turns:
+        spans.append((begin, begin + duration, angle))
+        begin += duration + rest
+    time = np.arange(int((begin - (turns[-1][2] if turns else 4.0) + last) * rate)) / rate
+    gyro = np.zeros((len(time), 3))
+    up = np.tile([0.0, 0.0, 1.0], (len(time), 1))
+    mat = np.eye(3)
+    turning = np.zeros(len(time), bool)
+    for k, (t0, t1, angle) in enumerate(spans):
+        s = np.clip((time - t0) / (t1 - t0), 0, 1)
+        turned = angle * (s - np.sin(2 * np.pi * s) / (2 * np.pi))
+        axis = np.eye(3)[k % 2]
+        inside = (time >= t0) & (time < t1)
+        gyro[inside] = np.outer(1 - np.cos(2 * np.pi * s[inside]), axis) * angle / (t1 - t0)
+        turning |= inside
+        c, sn = np.cos(turned), np.sin(turned)
+        v = mat.T @ [0.0, 0.0, 1.0]  # up before the turn, and after it turned the other way
+        rotated = (
+            np.outer(c, v) - sn[:, None] * np.cross(axis, v) + np.outer(1 - c, axis * (axis @ v))
+        )
+        up[time >= t0] = rotated[time >= t0]
+        mat = np.linalg.qr(np.column_stack((rotated[-1], np.eye(3)[:, :2])))[0]
+        mat = np.vstack((mat[:, 1], mat[:, 2], rotated[-1])).T
+        mat = mat.T
+    accel = GRAVITY * up + 0.02 * noise * rng.standard_normal(up.shape)
+    gyro += BIAS + 0.002 * noise * rng.standard_normal(up.shape)
+    made = Recording(time, accel * accel_unit, gyro * gyro_unit, "nominal")
+    return made, turning
+
+
+TURNS = ((1.5, 1.0, 4.0), (-1.0, 2.0, 3.0), (2.0, 0.4, 4.0), (0.8, 3.0, 4.0))
+
+
+@pytest.mark.parametrize("rate", [8.0, 100.0, 1000.0])
+@pytest.mark.parametrize("noise", [0.3, 1.0, 10.0])
+def test_every_pose_is_found_and_no_turn_is_in_one(rate: float, noise: float) -> None:
+    made, turning = recording(*TURNS, rate=rate, noise=noise)
+    poses = find_poses(made)
+    assert len(poses) == 5
+    assert not any(turning[a:b].any() for a, b in zip(poses.start, poses.stop, strict=True))
+    assert (poses.stop - poses.start > 1.5 * rate).all()
+
+
+def test_units_do_not_matter() -> None:
+    poses = find_poses(recording(*TURNS)[0])
+    for units in ((16384 / GRAVITY, 16.4 * 180 / np.pi), (1 / GRAVITY, 180 / np.pi)):
+        other = find_poses(recording(*TURNS, accel_unit=units[0], gyro_unit=units[1])[0])
+        assert_allclose(other.start, poses.start)
+        assert_allclose(other.stop, poses.stop)
+
+
+def test_a_log_at_rest_is_one_pose() -> None:
+    poses = find_poses(recording(last=60.0)[0])
+    assert len(poses) == 1
+    assert poses.stop[0] - poses.start[0] > 5900
+
+
+def test_a_log_that_only_moves_has_none() -> None:
+    time = np.arange(0, 60, 0.01)
+    angle = 1.2 * np.sin(2 * np.pi * 0.2 * time)
+    rate = 1.2 * 2 * np.pi * 0.2 * np.cos(2 * np.pi * 0.2 * time)
+    accel = GRAVITY * np.column_stack((0 * time, np.sin(angle), np.cos(angle)))
+    gyro = np.column_stack((rate, 0 * time, 0 * time))
+    assert len(find_poses(Recording(time, accel, gyro, "nominal"))) == 0
+
+
+def test_poses_on_both_sides_of_a_quick_turn_are_two() -> None:
+    made, turning = recording((0.5, 0.2, 4.0))
+    poses = find_poses(made)
+    assert len(poses) == 2
+    assert not any(turning[a:b].any() for a, b in zip(poses.start, poses.stop, strict=True))
+
+
+def test_a_slow_turn_is_no_pose() -> None:
+    made, turning = recording((1.0, 15.0, 5.0), last=5.0)
+    poses = find_poses(made)
+    assert len(poses) == 2
+    inside = np.concatenate([np.arange(a, b) for a, b in zip(poses.start, poses.stop, strict=True)])
+    assert turning[inside].sum() == 0
+
+
+def test_a_bump_is_cut_out() -> None:
+    made, _ = recording(last=20.0)
+    accel = made.accel.copy()
+    accel[1000:1020] += 3.0
+    poses = find_poses(Recording(made.time, accel, made.gyro, "nominal"))
+    assert len(poses) == 2
+    assert not any((a < 1020) and (b > 1000) for a, b in zip(poses.start, poses.stop, strict=True))
+
+
+def test_a_gap_parts_two_poses() -> None:
+    made, _ = recording(last=20.0)
+    time = made.time.copy()
+    time[1000:] += 3.0
+    poses = find_poses(Recording(time, made.accel, made.gyro, "nominal"))
+    assert len(poses) == 2
+    assert poses.stop[0] <= 1000 <= poses.start[1]
+
+
+def test_short_and_constant_logs_are_no_trouble() -> None:
+    for n in (1, 2, 5, 30):
+        one = np.tile([0.0, 0.0, GRAVITY], (n, 1))
+        assert len(find_poses(Recording(0.01 * np.arange(n), one, 0 * one, "nominal"))) == 0
+    n = 400
+    one = np.tile([0.0, 0.0, GRAVITY], (n, 1))
+    assert len(find_poses(Recording(0.01 * np.arange(n), one, 0 * one, "nominal"))) == 1
+
+
+@pytest.mark.parametrize("correlation", [0.0, 0.8])
+def test_covariance_of_the_mean_holds_for_correlated_noise(correlation: float) -> None:
+    rng = np.random.default_rng(5)
+    k, n = 60, 600
+    noise = rng.standard_normal((k * n, 3))
+    if correlation:
+        from scipy.signal import lfilter
+
+        noise = lfilter([1.0], [1.0, -correlation], noise, axis=0)
+    made = Recording(0.01 * np.arange(k * n), noise + 1.0, noise, "nominal")
+    start = np.arange(k) * n
+    poses = average_poses(made, start, start + n)
+    error = poses.accel - 1.0
+    squares = np.einsum("ki,kij,kj->k", error, np.linalg.inv(poses.accel_covariance), error)
+    assert 0.7 < squares.mean() / 3 < 1.5
+
+
+def test_rounding_is_not_averaged_away_without_noise() -> None:
+    made = Recording(
+        0.01 * np.arange(100), np.tile([0.0, 0.0, 9.8], (100, 1)), np.zeros((100, 3)), "nominal"
+    )
+    accel = made.accel.copy()
+    accel[50:, 2] += 0.01  # one step, once
+    made = Recording(made.time, accel, made.gyro, "nominal")
+    poses = average_poses(made, np.array([0, 50]), np.array([50, 100]))
+    assert_allclose(poses.accel_covariance[:, 2, 2], 0.01**2 / 12)
+
+
+@pytest.mark.parametrize("rate", [8.0, 100.0, 1000.0])
+def test_live_knows_within_a_second(rate: float) -> None:
+    made, turning = recording(*TURNS, rate=rate)
+    live = LiveStatics()
+    step = max(1, int(0.07 * rate))
+    resting = np.zeros(len(made), bool)
+    for first in range(0, len(made), step):
+        events = live.update(made.slice(first, min(first + step, len(made))))
+        for event in events:
+            resting[np.searchsorted(made.time, event.known) :] = event.resting
+            assert event.known - event.time < 1.0
+    edge = np.flatnonzero(np.diff(turning.astype(int)))
+    for k in edge:  # one second after every change it must know
+        after = min(k + int(rate), len(made) - 1)
+        if turning[after] == turning[k + 1]:
+            assert resting[after] != turning[k + 1]
+
+
+def test_live_does_not_depend_on_how_samples_are_cut() -> None:
+    made, _ = recording(*TURNS)
+    one, many = LiveStatics(), LiveStatics()
+    whole = [e.resting for e in one.update(made)]
+    parts = [e.resting for k in range(0, len(made), 37) for e in many.update(made.slice(k, k + 37))]
+    assert whole == parts
