@@ -62,6 +62,10 @@ RISE = 4.0
 """Ratio of the two levels by which the beginning of a turn is found."""
 SHORTEST = 4
 """Blocks that a pose has at least, once its ends have moved inwards."""
+REVERSAL = TREMOR_RATE / 4
+"""Change of the mean rate from the first half of a short rest to the second, rad/s."""
+LONG_REST = 30
+"""Blocks from which on a rest cannot be the end of a swing."""
 LONGEST_RISE = 40
 """Blocks by which an end may move inwards."""
 
@@ -185,15 +189,15 @@ def _refine(
     off = blocks.gyro - _rate_at_rest(blocks, flat, float(np.median(noise)), units)
     # Poses differ in rate by g-sensitivity and drift.
     centre = [np.linalg.norm(np.median(off[a:b], axis=0)) for a, b in flat]
-    spread = 3.0 * float(np.median(centre))
+    spread = max(3.0 * float(np.median(centre)), DRIFT / units.rate if units.rate else 0.0)
     found: list[tuple[int, int, float]] = []
     for segments, n_rate, n_force in zip(pieces, noise, force, strict=True):
         for scale in scales:
             level = n_rate * max(NORM / np.sqrt(scale), LASTING) + spread
             segments = _split(segments, partial(_rate_moved, off, scale=scale, level=level))
         segments = _join(blocks, off, segments, (n_force, n_rate), units)
-        found += [(*segment, ONSET * n_rate + spread) for segment in segments]
-    return _trim(off, found, least)
+        found += [(*segment, ONSET * n_rate) for segment in segments]
+    return _trim(blocks.gyro, found, least, units)
 
 
 def _rate_at_rest(
@@ -314,31 +318,53 @@ def _join(
 
 
 def _trim(
-    off: FloatArray, segments: list[tuple[int, int, float]], least: int
+    gyro: FloatArray, segments: list[tuple[int, int, float]], least: int, units: Units
 ) -> list[tuple[int, int]]:
     """Return the segments with their ends moved to where the turns beside them began."""
     found = []
-    edges = [0, *(e for segment in segments for e in segment[:2]), len(off)]
+    edges = [0, *(e for segment in segments for e in segment[:2]), len(gyro)]
     for k, (a, b, level) in enumerate(segments):
-        before, after = edges[2 * k], edges[2 * k + 3]
-        first = a + _rise(off[before:a][::-1], level)
-        last = b - _rise(off[b:after], level)
-        if b - a >= least and last - first >= SHORTEST:
+        if b - a < least or _swings(gyro[a:b], units):
+            continue
+        rate = gyro[edges[2 * k] : edges[2 * k + 3]] - np.median(gyro[a:b], axis=0)
+        size = np.linalg.norm(rate, axis=1)
+        into, out = a - edges[2 * k], edges[2 * k + 3] - b
+        first = a + _rise(size[::-1], out + b - a, level, (b - a) // 2)
+        last = b - _rise(size, into + b - a, level, (b - a) // 2)
+        if last - first >= SHORTEST:
             found.append((first, last))
     return found
 
 
-def _rise(off: FloatArray, level: float) -> int:
-    """Return by how many blocks an end must move inwards, from the rates outside it.
+def _swings(gyro: FloatArray, units: Units) -> bool:
+    """Return whether the rate only passes through that of rest, as at the end of a swing."""
+    if units.rate is None or len(gyro) > LONG_REST:
+        return False
+    half = len(gyro) // 2
+    change = gyro[-half:].mean(axis=0) - gyro[:half].mean(axis=0)
+    second = np.square(np.diff(gyro, 2, axis=0)).sum(axis=1)
+    noise = np.sqrt(np.median(second) / (6 * 2.366)) if len(second) else 0.0
+    usual = REVERSAL / units.rate + NORM * np.sqrt(2 / half) * noise
+    return bool(np.linalg.norm(change) > usual)
 
-    A rate that grows as (t - t0)² passes `level` at t1 and four times it at t2 = 2 t1 - t0.
+
+def _rise(rate: FloatArray, end: int, level: float, inside: int) -> int:
+    """Return by how many blocks the end of a segment must move inwards.
+
+    A rate that grows as (t - t0)² passes `level` at t1 and four times it at t2 = 2 t1 - t0. The
+    level may have been passed for good up to `inside` blocks before the end.
     """
-    rate = np.linalg.norm(off[: 2 * LONGEST_RISE], axis=1)
-    above = np.flatnonzero(rate > level)
-    if not above.size:
-        return min(1, len(rate))
-    first = int(above[0])
+    begin = end - min(inside, LONGEST_RISE)
+    rate = rate[begin : end + 2 * LONGEST_RISE]
+    if end - begin >= len(rate):
+        return 0
+    above = rate > level
+    outside = np.flatnonzero(above[end - begin :])
+    if not outside.size:
+        return 1
+    below = np.flatnonzero(~above[: end - begin + int(outside[0])])
+    first = int(below[-1]) + 1 if below.size else 0
     high = np.flatnonzero(rate[first:] > RISE * level)
     rise = int(high[0]) if high.size else int(np.argmax(rate[first:]))
     # A quarter more, and the two blocks in which the levels were passed.
-    return int(min(max(0, rise + (rise + 3) // 4 + 2 - first), LONGEST_RISE))
+    return min(max(0, rise + (rise + 3) // 4 + 2 - (first - (end - begin))), LONGEST_RISE)
