@@ -162,13 +162,13 @@ class I2CDriver(Driver):
         self._lost = 0
 
     def restart_stream(self, settle: float) -> None:
-        """Drop what waits, and begin anew after `settle` seconds; time goes on from 0."""
+        """Drop what waits, and begin anew at time 0 after `settle` seconds."""
         self._clock.sleep(settle)
         self._begin_stream(self.device, self.chip)
 
     def _identify(self, bus: Bus) -> tuple[str, Chip]:
-        answers = identify(bus, self._place)
         if self._wanted == "auto":
+            answers = identify(bus, self._place)
             if answers:
                 return answers[0]
             raise WrongDeviceError(
@@ -176,13 +176,12 @@ class I2CDriver(Driver):
                 f"imu-cal knows ({', '.join(chips())})"
             )
         chip = get_chip(self._wanted)
-        for part, found in answers:
-            first = next(iter(chip.models.values()))
-            names = (part, chip.name, *(chip.aliases if part == first else ()))
-            exact = normal_name(self._wanted) in map(normal_name, names)
-            if found is chip and exact:
-                return part, chip
-        value = Device(bus, self._place, bank_select=chip.bank_select).read(chip.identity)[0]
+        value, part = _ask_identity(bus, self._place, chip)
+        first = next(iter(chip.models.values()))
+        names = (part, *(chip.aliases if part == first else ()))
+        if normal_name(self._wanted) in map(normal_name, names):
+            return part, chip
+        answers = identify(bus, self._place)
         expected = " or ".join(f"0x{v:02X} ({p})" for v, p in chip.models.items())
         advice = "nothing that imu-cal knows; a clock or another chip may sit at this address"
         if answers:
@@ -337,17 +336,22 @@ def identify(bus: Bus, place: int) -> list[tuple[str, Chip]]:
         If nothing answers there.
     """
     found = []
-    values: dict[int, int] = {}
     for chip in chips().values():
-        if place not in chip.addresses:
-            continue
-        register = chip.identity.address
-        if register not in values:
-            values[register] = bus.read(place, register, 1)[0]
-        part = chip.models.get(values[register])
-        if part is not None and not (register == 0 and _is_clock(bus, place)):
-            found.append((part, chip))
+        if place in chip.addresses:
+            _, part = _ask_identity(bus, place, chip)
+            if part:
+                found.append((part, chip))
     return found
+
+
+def _ask_identity(bus: Bus, place: int, chip: Chip) -> tuple[int, str]:
+    """Return what a chip's identity register reads, and the part that it stands for ('')."""
+    register = chip.identity.address
+    value = bus.read(place, register, 1)[0]
+    part = chip.models.get(value, "")
+    if part and register == 0 and _is_clock(bus, place):
+        part = ""
+    return value, part
 
 
 def _is_clock(bus: Bus, place: int) -> bool:
