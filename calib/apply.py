@@ -12,17 +12,10 @@ import numpy as np
 
 from calib.calibration import Calibration
 from calib.effects import get_effect
-from calib.effects.base import State, Term, TransformEffect
+from calib.effects.base import State
 from calib.model import affine
 from calib.recording import Recording
-from calib.types import FloatArray
-
-MARGIN = 32
-"""Samples on either side that a term with neighbours needs at least: a spline forgets by 0.27 a
-sample, and the fixed point of `SensorModel.correct` repeats it."""
-
-SETTLE = 12.0
-"""Time constants after which a low-pass has forgotten: e⁻¹² is 6 parts in 10⁶."""
+from calib.types import BoolArray, FloatArray
 
 
 @dataclass
@@ -58,6 +51,8 @@ class Corrector:
     calibration : Calibration
     interval : float, s
         Time between samples, by which time constants become numbers of samples.
+
+    Warm-up is counted from the stream's first sample.
     """
 
     calibration: Calibration
@@ -65,9 +60,12 @@ class Corrector:
     coverage: Coverage = field(default_factory=Coverage)
     _held: Block | None = None
     _context: int = 0
+    _start: float | None = None
 
     def __post_init__(self) -> None:
-        self.margin = max((self._reach(t) for t in self.calibration.model.terms), default=0)
+        terms = self.calibration.model.terms
+        reach = [get_effect(t.effect).reach(t.parameters, interval=self.interval) for t in terms]
+        self.margin = sum(reach)
         """How many samples the output lags behind the input; 0 for baseline."""
         model, housing = self.calibration.model, self.calibration.housing
         rotation = np.eye(3) if housing is None else housing.mat_hs
@@ -102,15 +100,22 @@ class Corrector:
     def _correct(self, block: Block) -> tuple[FloatArray, FloatArray]:
         if not len(block):
             return block.accel, block.gyro
+        if self._start is None:
+            self._start = float(block.time[0])
+        whole, bad = _fill(block)
         signals = self.calibration.correct(
             State(
-                block.time,
-                block.accel,
-                block.gyro,
-                block.temperature,
+                whole.time,
+                whole.accel,
+                whole.gyro,
+                whole.temperature,
+                power_on=self._start,
                 gravity=self.calibration.gravity.value,
             )
         )
+        if bad.any():
+            for values in signals:
+                values[bad] = np.nan
         return signals.accel, signals.gyro
 
     def _advance(self, block: Block | None, *, last: bool) -> tuple[FloatArray, FloatArray]:
@@ -126,25 +131,6 @@ class Corrector:
         self._held = None if last else _rows(whole, keep)
         self._context = stop - keep
         return out
-
-    def _reach(self, term: Term) -> int:
-        """Return how many samples on either side a term looks at."""
-        effect = get_effect(term.effect)
-        if not isinstance(effect, TransformEffect):
-            probe = _Probe(
-                np.arange(3.0), np.ones((3, 3)), np.ones((3, 3)), temperature=np.zeros(3)
-            )
-            effect.contribution(probe, term.parameters)
-            return MARGIN if probe.__dict__.get("asked") else 0
-        units = {p.name: p.unit for p in effect.parameters}
-        units |= {p.name: p.unit for p in effect.shape}
-        seconds = 0.0
-        for name, value in term.parameters.items():
-            if units[name] == "s":
-                seconds = max(seconds, abs(value))
-            elif units[name] == "Hz" and value > 0:
-                seconds = max(seconds, SETTLE / (2 * np.pi * value))
-        return MARGIN + int(np.ceil(seconds / self.interval)) if self.interval > 0 else MARGIN
 
     def _cover(self, block: Block) -> None:
         cover, span = self.coverage, self.calibration.temperature
@@ -169,12 +155,30 @@ def correct_recording(calibration: Calibration, recording: Recording) -> Recordi
     return replace(recording, accel=accel, gyro=gyro)
 
 
-class _Probe(State):
-    """A state that remembers whether it was asked for a derivative."""
+def _fill(block: Block) -> tuple[Block, BoolArray]:
+    """Return the block with straight lines across what is not finite, and which rows those are.
 
-    def derivative(self, values: FloatArray) -> FloatArray:
-        self.__dict__["asked"] = True
-        return super().derivative(values)
+    Terms that look at neighbours would otherwise spread one bad sample over all of them.
+    """
+    temperature = block.temperature
+    if temperature is not None and not np.isfinite(temperature).all():
+        good = np.isfinite(temperature)
+        temperature = (
+            np.interp(block.time, block.time[good], temperature[good]) if good.any() else None
+        )
+    both = np.hstack([block.accel, block.gyro])
+    bad: BoolArray = np.logical_not(np.isfinite(both).all(axis=1))
+    if not bad.any():
+        return replace(block, temperature=temperature), bad
+    if bad.all():
+        zero = np.zeros_like(block.accel)
+        return Block(block.time, zero, zero, temperature), bad
+    at = block.time[~bad]
+    accel, gyro = (
+        np.stack([np.interp(block.time, at, column[~bad]) for column in values.T], axis=1)
+        for values in (block.accel, block.gyro)
+    )
+    return Block(block.time, accel, gyro, temperature), bad
 
 
 def _concatenate(parts: list[Block]) -> Block:

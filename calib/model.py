@@ -12,6 +12,7 @@ import numpy as np
 
 from calib.effects import get_effect
 from calib.effects.base import Effect, Signals, State, Term, TransformEffect
+from calib.effects.observed import observed
 from calib.recording import AXES
 from calib.types import FloatArray
 
@@ -140,7 +141,8 @@ class SensorModel:
         Parameters
         ----------
         measured : State
-            With the measured signals as ``force`` and ``rate``.
+            With the measured signals as ``force`` and ``rate``. Vibration and the time since the
+            last turn are found from them where they are not given.
         iterations : int
             At most so many of the fixed point ``true = K (measured - bias - terms(true))``. Each
             gains a factor of the terms' size relative to the signal; it ends when nothing moves by
@@ -153,7 +155,11 @@ class SensorModel:
         accel, gyro = self.accel.correct(signals.accel), self.gyro.correct(signals.gyro)
         if not any(self._additive()):
             return Signals(accel, gyro)
-        measured = replace(measured, reference_temperature=self.reference_temperature)
+        reads = {name for effect, _ in self._additive() for name in effect.reads}
+        measured = replace(
+            measured, force=accel, rate=gyro, reference_temperature=self.reference_temperature
+        )
+        measured = observed(measured, reads)
         for _ in range(iterations):
             left = self._add(signals, replace(measured, force=accel, rate=gyro), sign=-1.0)
             before = accel, gyro

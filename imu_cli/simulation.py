@@ -22,6 +22,8 @@ from drivers.calibration_file import load_calibration
 from drivers.formats import read_recording
 
 G = 9.80665
+MOST_SAMPLES = 5e7
+"""About 24 h at 500 Hz, and 20 GB of memory."""
 
 
 @dataclass(frozen=True)
@@ -44,6 +46,16 @@ class Plan:
     def __post_init__(self) -> None:
         if not (np.isfinite(self.rate) and self.rate > 0):
             raise ValueError(f"--rate must be positive, got {self.rate}")
+        samples = self.rate * self.duration
+        if samples < 2:
+            raise ValueError(
+                f"--rate and --duration give {samples:.2g} samples, expected 2 or more"
+            )
+        if samples > MOST_SAMPLES:
+            raise ValueError(
+                f"--rate and --duration give {samples:.3g} samples, more than the "
+                f"{MOST_SAMPLES:.0e} that fit in memory: simulate shorter pieces with other seeds"
+            )
         if not (np.isfinite(self.noise) and self.noise >= 0):
             raise ValueError(f"--noise must not be negative, got {self.noise}")
         if self.gravity is not None and not 9.7 < self.gravity < 9.9:

@@ -31,6 +31,7 @@ class AccelBiasTemperature(Effect):
         "accel_temperature_rate",
         "accel_bias_step",
     )
+    reads = ("temperature",)
 
     def columns(self, state: State, shape: Mapping[str, float]) -> dict[str, Column]:
         """Return temperature and its square, on each axis; nothing where it was not measured."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from calib.effects.base import Column, Effect, Parameter, State
+from calib.effects.base import SPLINE_REACH, Column, Effect, Parameter, State
 from calib.recording import AXES
 from calib.rotation import skew
 
@@ -29,6 +29,9 @@ class AccelLeverArm(Effect):
     )
     absorbed_by = ("accel.bias", "accel.scale_factor_error")
     rivals = ("accel_size_effect", "time_offset")
+
+    def reach(self, parameters: Mapping[str, float], *, interval: float) -> int:
+        return SPLINE_REACH
 
     def columns(self, state: State, shape: Mapping[str, float]) -> dict[str, Column]:
         """Return the columns of ``skew(w)² + skew(dw/dt)``."""

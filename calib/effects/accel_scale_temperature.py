@@ -20,6 +20,7 @@ class AccelScaleTemperature(Effect):
     sentence = "Gravity reads too large or too small by a share that follows temperature."
     absorbed_by = ("accel.scale_factor_error", "accel.bias")
     rivals = ("accel_bias_temperature", "accel_warm_up")
+    reads = ("temperature",)
 
     def columns(self, state: State, shape: Mapping[str, float]) -> dict[str, Column]:
         """Return temperature times specific force; nothing where it was not measured."""

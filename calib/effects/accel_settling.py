@@ -6,7 +6,17 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from calib.effects.base import Column, Effect, G, ShapeParameter, State, axis_columns, per_axis
+from calib.effects.base import (
+    Column,
+    Effect,
+    G,
+    ShapeParameter,
+    State,
+    axis_columns,
+    per_axis,
+    seconds_of_samples,
+)
+from calib.effects.observed import PAUSE
 
 
 class AccelSettling(Effect):
@@ -29,6 +39,11 @@ class AccelSettling(Effect):
     )
     absorbed_by = ("accel.bias",)
     rivals = ("bandwidth",)
+    reads = ("since_turn",)
+
+    def reach(self, parameters: Mapping[str, float], *, interval: float) -> int:
+        # The last turn must be in sight as long as its settling is.
+        return seconds_of_samples(12 * parameters["tau"] + PAUSE, interval)
 
     def columns(self, state: State, shape: Mapping[str, float]) -> dict[str, Column]:
         """Return the exponential of the time since the last turn; nothing without turns."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from calib.effects.base import Column, Effect, Parameter, State
+from calib.effects.base import SPLINE_REACH, Column, Effect, Parameter, State
 from calib.recording import AXES
 from calib.rotation import skew
 
@@ -26,6 +26,9 @@ class AccelSizeEffect(Effect):
     needs = "fast turns about several axes, from rest to rest"
     sentence = "While it turns fast, the three axes of the accelerometer disagree: they sit apart."
     rivals = ("accel_lever_arm", "time_offset", "inter_axis_skew")
+
+    def reach(self, parameters: Mapping[str, float], *, interval: float) -> int:
+        return SPLINE_REACH
 
     def columns(self, state: State, shape: Mapping[str, float]) -> dict[str, Column]:
         """Return rows y and z of ``skew(w)² + skew(dw/dt)``: positions relative to the x axis."""

@@ -4,7 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from calib.effects.base import Column, Effect, G, State, axis_columns, per_axis
+from calib.effects.base import (
+    SLOPE_WINDOW,
+    Column,
+    Effect,
+    G,
+    State,
+    axis_columns,
+    per_axis,
+    seconds_of_samples,
+)
 
 
 class AccelTemperatureRate(Effect):
@@ -25,6 +34,10 @@ class AccelTemperatureRate(Effect):
     )
     absorbed_by = ("accel.bias",)
     rivals = ("accel_warm_up", "accel_bias_temperature")
+    reads = ("temperature",)
+
+    def reach(self, parameters: Mapping[str, float], *, interval: float) -> int:
+        return seconds_of_samples(0.5 * SLOPE_WINDOW, interval)
 
     def columns(self, state: State, shape: Mapping[str, float]) -> dict[str, Column]:
         """Return the rate of temperature, on each axis; nothing if not measured."""

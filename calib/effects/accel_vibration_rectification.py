@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from calib.effects.base import Column, Effect, G, State, axis_columns, per_axis
+from calib.effects.base import Column, Effect, G, State, axis_columns, per_axis, seconds_of_samples
+from calib.effects.observed import VIBRATION_WINDOW
 
 
 class AccelVibrationRectification(Effect):
@@ -23,6 +24,10 @@ class AccelVibrationRectification(Effect):
     sentence = "The mean of the accelerometer shifts while the sensor is shaken."
     absorbed_by = ("accel.bias",)
     rivals = ("accel_quadratic", "accel_bias_step")
+    reads = ("vibration",)
+
+    def reach(self, parameters: Mapping[str, float], *, interval: float) -> int:
+        return seconds_of_samples(0.5 * VIBRATION_WINDOW, interval)
 
     def columns(self, state: State, shape: Mapping[str, float]) -> dict[str, Column]:
         """Return each axis' own variance of specific force; nothing where it is not known."""

@@ -8,6 +8,7 @@ import numpy as np
 
 from calib.effects.base import (
     PRESENCE,
+    SPLINE_REACH,
     Column,
     Parameter,
     ShapeParameter,
@@ -46,6 +47,9 @@ class Bandwidth(TransformEffect):
     needs = "motion over a range of frequencies; its delay alone is the same as time_offset"
     sentence = "Fast changes come out smaller and later: the sensor's low-pass is too low for them."
     rivals = ("time_offset", "gyro_scale_nonlinearity")
+
+    def reach(self, parameters: Mapping[str, float], *, interval: float) -> int:
+        return SPLINE_REACH
 
     def columns(self, state: State, shape: Mapping[str, float]) -> dict[str, Column]:
         """Return what the low-pass takes away from each triad whose cut-off is given."""

@@ -42,6 +42,14 @@ PRESENCE = "presence"
 parameters (a cut-off, a full scale); its column is the whole change made with that shape."""
 
 
+SPLINE_REACH = 32
+"""Samples after which a cubic spline has forgotten its neighbours: it does by 0.27 a sample, and
+the fixed point of `SensorModel.correct` repeats it."""
+
+SLOPE_WINDOW = 20.0
+"""s through which the rate of temperature is fitted."""
+
+
 class Signals(NamedTuple):
     """A pair of (n, 3) arrays: accelerometer in m/s², gyroscope in rad/s."""
 
@@ -166,13 +174,13 @@ class State:
 
     @cached_property
     def temperature_rate(self) -> FloatArray | None:
-        """Rate of temperature, K/s, (n,): the slope of a line through 20 s about each sample.
+        """Rate of temperature, K/s, (n,): the slope of a line through `SLOPE_WINDOW` s.
 
         A sensor's thermometer is far too noisy to be differenced from sample to sample.
         """
         if self.temperature is None or self.temperature_slope is not None:
             return self.temperature_slope
-        return local_slope(self.time, self.temperature, window=20.0)
+        return local_slope(self.time, self.temperature, window=SLOPE_WINDOW)
 
 
 def local_slope(time: FloatArray, values: FloatArray, *, window: float) -> FloatArray:
@@ -217,6 +225,8 @@ class Effect(ABC):
     """Groups of baseline parameters that take up part of it when it is left out."""
     rivals: tuple[str, ...] = ()
     """Effects whose columns overlap with its own on common recordings."""
+    reads: tuple[str, ...] = ()
+    """Fields of `State` beyond the signals without which it has no columns."""
 
     @abstractmethod
     def columns(self, state: State, shape: Mapping[str, float]) -> dict[str, Column]:
@@ -224,6 +234,14 @@ class Effect(ABC):
 
         An empty dict means that the state lacks what the effect is a function of (no temperature).
         """
+
+    def reach(self, parameters: Mapping[str, float], *, interval: float) -> int:
+        """Return how many samples on either side of one its correction looks at.
+
+        ``interval`` is the time between samples, s. A stream is corrected in blocks that overlap by
+        so many samples.
+        """
+        return 0
 
     def contribution(self, state: State, parameters: Mapping[str, float]) -> dict[str, FloatArray]:
         """Return what the effect adds to each channel that it touches, with these parameters."""
@@ -315,6 +333,11 @@ class Term:
 
     effect: str
     parameters: Mapping[str, float] = field(default_factory=dict)
+
+
+def seconds_of_samples(seconds: float, interval: float) -> int:
+    """Return how many samples of `interval` s reach over some seconds."""
+    return int(np.ceil(seconds / interval)) if interval > 0 else 0
 
 
 def per_axis(

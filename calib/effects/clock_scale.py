@@ -20,6 +20,7 @@ class ClockScale(TransformEffect):
         "Internal oscillators of consumer parts are within 1 % (MPU-6050 product specification "
         "rev. 3.4: +-1 % at 25 °C when run from the gyro), crystals within 50 ppm"
     )
+    kind = "setup"
     parameters = (Parameter("scale", "1", 5e-3, CHANNELS, reference_only=True),)
     follows = "time, ever more"
     needs = "an outside clock or a reference; alone it looks like a gyro scale common to all axes"

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from calib.effects.base import (
+    SPLINE_REACH,
     Column,
     Parameter,
     ShapeParameter,
@@ -35,6 +36,9 @@ class DroppedSamples(TransformEffect):
     sentence = "Samples are missing (or repeated) at this moment, and the time stamps hide it."
     absorbed_by = ("gyro.scale_factor_error",)
     rivals = ("gyro_bias_step",)
+
+    def reach(self, parameters: Mapping[str, float], *, interval: float) -> int:
+        return SPLINE_REACH + int(np.ceil(abs(parameters.get("count", 0.0))))
 
     def columns(self, state: State, shape: Mapping[str, float]) -> dict[str, Column]:
         """Return the derivative times one sample interval, from the moment on.

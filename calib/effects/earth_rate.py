@@ -32,6 +32,7 @@ class EarthRate(Effect):
     sentence = "The gyro at rest senses the Earth's rotation."
     absorbed_by = ("gyro.bias",)
     rivals = ("gyro_g_sensitivity",)
+    reads = ("mat_ns",)
 
     def columns(self, state: State, shape: Mapping[str, float]) -> dict[str, Column]:
         """Return the axes of frame n in the sensor frame; nothing where orientation is not known.

@@ -28,6 +28,7 @@ class GyroBiasTemperature(Effect):
     sentence = "The gyro reads off at rest by an amount that follows temperature."
     absorbed_by = ("gyro.bias", "gyro.scale_factor_error")
     rivals = ("gyro_warm_up", "gyro_scale_temperature", "gyro_temperature_rate", "gyro_bias_step")
+    reads = ("temperature",)
 
     def columns(self, state: State, shape: Mapping[str, float]) -> dict[str, Column]:
         """Return temperature and its square, on each axis; nothing where it was not measured."""

@@ -23,6 +23,7 @@ class GyroScaleTemperature(Effect):
     sentence = "Turns read too large or too small by a share that follows temperature."
     absorbed_by = ("gyro.scale_factor_error", "gyro.bias")
     rivals = ("gyro_bias_temperature", "gyro_warm_up", "clock_scale")
+    reads = ("temperature",)
 
     def columns(self, state: State, shape: Mapping[str, float]) -> dict[str, Column]:
         """Return temperature times the rates; nothing where it was not measured."""

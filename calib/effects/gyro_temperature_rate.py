@@ -6,7 +6,15 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from calib.effects.base import Column, Effect, State, axis_columns, per_axis
+from calib.effects.base import (
+    SLOPE_WINDOW,
+    Column,
+    Effect,
+    State,
+    axis_columns,
+    per_axis,
+    seconds_of_samples,
+)
 
 
 class GyroTemperatureRate(Effect):
@@ -27,6 +35,10 @@ class GyroTemperatureRate(Effect):
     )
     absorbed_by = ("gyro.bias",)
     rivals = ("gyro_warm_up", "gyro_bias_temperature")
+    reads = ("temperature",)
+
+    def reach(self, parameters: Mapping[str, float], *, interval: float) -> int:
+        return seconds_of_samples(0.5 * SLOPE_WINDOW, interval)
 
     def columns(self, state: State, shape: Mapping[str, float]) -> dict[str, Column]:
         """Return the rate of temperature, on each axis; nothing if not measured."""

@@ -6,7 +6,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from calib.effects.base import Column, Effect, G, State, axis_columns, per_axis
+from calib.effects.base import Column, Effect, G, State, axis_columns, per_axis, seconds_of_samples
+from calib.effects.observed import VIBRATION_WINDOW
 
 
 class GyroVibrationRectification(Effect):
@@ -25,6 +26,10 @@ class GyroVibrationRectification(Effect):
     sentence = "The mean of the gyro shifts while the sensor is shaken."
     absorbed_by = ("gyro.bias",)
     rivals = ("gyro_g_squared_sensitivity", "gyro_bias_step")
+    reads = ("vibration",)
+
+    def reach(self, parameters: Mapping[str, float], *, interval: float) -> int:
+        return seconds_of_samples(0.5 * VIBRATION_WINDOW, interval)
 
     def columns(self, state: State, shape: Mapping[str, float]) -> dict[str, Column]:
         """Return the variance of specific force, all axes together; nothing if not known."""

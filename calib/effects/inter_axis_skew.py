@@ -6,7 +6,15 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from calib.effects.base import Column, Parameter, Signals, State, TransformEffect
+from calib.effects.base import (
+    SPLINE_REACH,
+    Column,
+    Parameter,
+    Signals,
+    State,
+    TransformEffect,
+    seconds_of_samples,
+)
 from calib.effects.resampling import resample
 from calib.recording import AXES
 from calib.types import FloatArray
@@ -29,6 +37,10 @@ class InterAxisSkew(TransformEffect):
     needs = "fast turns about several axes"
     sentence = "The axes are not sampled at the same moment."
     rivals = ("time_offset", "accel_size_effect")
+
+    def reach(self, parameters: Mapping[str, float], *, interval: float) -> int:
+        longest = max((abs(value) for value in parameters.values()), default=0.0)
+        return SPLINE_REACH + seconds_of_samples(longest, interval)
 
     def columns(self, state: State, shape: Mapping[str, float]) -> dict[str, Column]:
         """Return minus the derivative of each y and z."""

@@ -32,6 +32,7 @@ class ReferenceTilt(Effect):
     )
     absorbed_by = ("accel.bias", "accel.misalignment")
     rivals = ("reference_misalignment",)
+    reads = ("mat_ns",)
 
     def columns(self, state: State, shape: Mapping[str, float]) -> dict[str, Column]:
         """Return gravity tipped about east and about north; nothing if orientation is not known."""

@@ -4,7 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from calib.effects.base import Column, Parameter, Signals, State, TransformEffect
+from calib.effects.base import (
+    SPLINE_REACH,
+    Column,
+    Parameter,
+    Signals,
+    State,
+    TransformEffect,
+    seconds_of_samples,
+)
 from calib.effects.resampling import resample, triad_column
 from calib.recording import CHANNELS
 from calib.types import FloatArray
@@ -30,6 +38,10 @@ class TimeOffset(TransformEffect):
         "The gyro runs late (or early) against the accelerometer, or both against the reference."
     )
     rivals = ("inter_axis_skew", "bandwidth", "accel_size_effect")
+
+    def reach(self, parameters: Mapping[str, float], *, interval: float) -> int:
+        delay = abs(parameters.get("delay", 0.0)) + abs(parameters.get("gyro_delay", 0.0))
+        return SPLINE_REACH + seconds_of_samples(delay, interval)
 
     def columns(self, state: State, shape: Mapping[str, float]) -> dict[str, Column]:
         """Return minus the derivative, of the gyro alone and of both."""

@@ -98,18 +98,17 @@ of about 30 µg and 7 deg/h, random walk seen from some 100 s on)."""
 def noise_at_rest(recording: Recording, poses: Poses) -> NoiseModel:
     """Return the white noise of a recording at its rests; slower noise is left at 0.
 
-    From successive differences, which drift does not enter; rounding to LSB is part of it. Where no
-    rest has two samples, there is no noise.
+    From successive differences, which drift does not enter; rounding to LSB is part of it. The
+    median over the rests: one that was shaken does not count. Without a rest there is no noise.
     """
-    total, count = np.zeros(2), 0
-    for start, stop in zip(poses.start, poses.stop, strict=True):
-        for k, values in enumerate((recording.accel, recording.gyro)):
-            total[k] += np.square(np.diff(values[start:stop], axis=0)).mean(axis=1).sum() / 2
-        count += stop - start - 1
-    if count < 1 or not recording.interval:
+    pairs = [(a, b) for a, b in zip(poses.start, poses.stop, strict=True) if b - a > 1]
+    if not pairs or not recording.interval:
         return NoiseModel()
-    density = np.sqrt(total / count * 2 * recording.interval)
-    return NoiseModel(accel_noise_density=float(density[0]), gyro_noise_density=float(density[1]))
+    density = []
+    for values in (recording.accel, recording.gyro):
+        variance = [np.square(np.diff(values[a:b], axis=0)).mean() / 2 for a, b in pairs]
+        density.append(float(np.sqrt(np.median(variance) * 2 * recording.interval)))
+    return NoiseModel(accel_noise_density=density[0], gyro_noise_density=density[1])
 
 
 def _triad_noise(

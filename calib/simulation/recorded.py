@@ -315,7 +315,7 @@ def _without_noise(values: FloatArray, poses: Poses) -> FloatArray:
     """
     if not len(poses) or len(values) < 5:
         return np.array(values)
-    noise = np.mean([values[a:b].var(axis=0) for a, b in _pairs(poses)], axis=0)
+    noise = np.median([values[a:b].var(axis=0) for a, b in _pairs(poses)], axis=0)
     mean = uniform_filter1d(values, 5, axis=0, mode="nearest")
     variance = uniform_filter1d(values**2, 5, axis=0, mode="nearest") - mean**2
     gain = np.maximum(0.0, 1.0 - noise / np.maximum(variance, np.finfo(float).tiny))

@@ -1,78 +1,28 @@
 """Correcting a stream block by block is correcting it whole."""
 
-from collections.abc import Mapping
-
 import numpy as np
 import pytest
 
-from calib import effects as catalogue
 from calib.apply import Block, Corrector, correct_recording
 from calib.calibration import Calibration, Gravity, Housing, TemperatureRange
 from calib.effects.base import (
-    Column,
-    Effect,
-    Parameter,
-    ShapeParameter,
-    Signals,
     State,
     Term,
-    TransformEffect,
 )
 from calib.model import SensorModel, Triad
 from calib.recording import Recording
 from calib.rotation import mat_from_rotvec
-from calib.types import FloatArray
 
 
-class Rate(Effect):
-    """An effect of a derivative, known to these tests only."""
-
-    slug = "test_rate"
-    title = equation = source = follows = needs = sentence = ""
-    parameters = (Parameter("k", "s", 1e-3, ("accel.x",)),)
-
-    def columns(self, state: State, shape: Mapping[str, float]) -> dict[str, Column]:
-        return {"k": {"accel.x": state.force_dot[:, 0]}}
-
-
-class Delay(TransformEffect):
-    """A delay by linear interpolation, known to these tests only."""
-
-    slug = "test_delay"
-    title = equation = source = follows = needs = sentence = ""
-    parameters = (Parameter("tau", "s", 1e-3, ("gyro.x", "gyro.y", "gyro.z")),)
-    shape: tuple[ShapeParameter, ...] = ()
-
-    def columns(self, state: State, shape: Mapping[str, float]) -> dict[str, Column]:
-        return {}
-
-    def transform(
-        self, time: FloatArray, signals: Signals, parameters: Mapping[str, float]
-    ) -> Signals:
-        gyro = [np.interp(time - parameters["tau"], time, c) for c in signals.gyro.T]
-        return Signals(signals.accel, np.stack(gyro, axis=1))
-
-    def inverse(
-        self, time: FloatArray, signals: Signals, parameters: Mapping[str, float]
-    ) -> Signals:
-        return self.transform(time, signals, {"tau": -parameters["tau"]})
-
-
-@pytest.fixture(autouse=True)
-def _two_more_effects(monkeypatch: pytest.MonkeyPatch) -> None:
-    known = catalogue.effects() | {"test_rate": Rate(), "test_delay": Delay()}
-    monkeypatch.setattr(catalogue, "effects", lambda: known)
-
-
-def recording(n: int = 500) -> Recording:
-    time = np.arange(n) * 0.01
+def recording(n: int = 3000) -> Recording:
+    time = 1e3 + np.arange(n) * 0.01
     phase = time[:, None] + np.arange(3)
     return Recording(
         time=time,
         accel=9 * np.sin(2 * phase),
-        gyro=np.cos(3 * phase),
+        gyro=np.cos(3 * phase) * (np.sin(time) > 0)[:, None],
         clock="device",
-        temperature=20 + time,
+        temperature=20 + (time - time[0]) / 6,
     )
 
 
@@ -105,17 +55,27 @@ def calibration(*terms: Term, housing: Housing | None = None) -> Calibration:
     [
         ((), False),
         ((G_SENSITIVITY,), False),
-        ((Term("test_rate", {"k": 2e-3}),), True),
+        ((Term("accel_lever_arm", {"rx": 0.02}),), True),
+        ((Term("gyro_temperature_rate", {"kx": 0.1}),), True),
+        ((Term("accel_settling", {"kx": 0.1, "tau": 0.1}),), True),
+        ((Term("accel_vibration_rectification", {"kz": 0.1}),), True),
         (
-            (G_SENSITIVITY, Term("test_rate", {"k": 2e-3}), Term("test_delay", {"tau": 0.0234})),
+            (
+                G_SENSITIVITY,
+                Term("accel_size_effect", {"ryx": 2e-3}),
+                Term("gyro_warm_up", {"ky": 0.1, "tau": 3.0}),
+                Term("time_offset", {"gyro_delay": 0.0234}),
+            ),
             True,
         ),
     ],
 )
-@pytest.mark.parametrize("size", [1, 7, 100, 499])
+@pytest.mark.parametrize("size", [250, 2999])
 def test_blocks_of_any_size_give_the_whole(terms: tuple[Term, ...], lags: bool, size: int) -> None:
     whole, cal = recording(), calibration(*terms)
-    expected = cal.correct(State(whole.time, whole.accel, whole.gyro, whole.temperature))
+    expected = cal.correct(
+        State(whole.time, whole.accel, whole.gyro, whole.temperature, power_on=whole.time[0])
+    )
     corrector = Corrector(cal, whole.interval)
     assert (corrector.margin > 0) is lags
     parts = []
@@ -125,8 +85,8 @@ def test_blocks_of_any_size_give_the_whole(terms: tuple[Term, ...], lags: bool, 
         if not lags:
             assert len(parts[-1][0]) == len(part)
     parts.append(corrector.finish())
-    np.testing.assert_allclose(np.concatenate([p[0] for p in parts]), expected.accel, atol=1e-8)
-    np.testing.assert_allclose(np.concatenate([p[1] for p in parts]), expected.gyro, atol=1e-8)
+    np.testing.assert_allclose(np.concatenate([p[0] for p in parts]), expected.accel, atol=1e-7)
+    np.testing.assert_allclose(np.concatenate([p[1] for p in parts]), expected.gyro, atol=1e-7)
 
 
 def test_distorted_signals_come_back() -> None:
@@ -156,3 +116,22 @@ def test_coverage_counts_what_is_outside_the_temperature_range() -> None:
     cold, hot = (whole.temperature < 21).sum(), (whole.temperature > 24).sum()
     assert corrector.coverage.outside == cold + hot
     assert (corrector.coverage.low, corrector.coverage.high) == (20.0, whole.temperature[-1])
+
+
+def test_one_bad_sample_costs_only_itself() -> None:
+    whole = recording()
+    cal = calibration(
+        Term("accel_lever_arm", {"rx": 0.02}), Term("gyro_scale_asymmetry", {"kx": 1e-3})
+    )
+    expected = correct_recording(cal, whole)
+    accel, temperature = whole.accel.copy(), np.array(whole.temperature)
+    accel[1000, 1] = np.nan
+    temperature[[5, 1500]] = np.nan
+    corrector = Corrector(cal, whole.interval)
+    parts = [corrector.add(Block(whole.time, accel, whole.gyro, temperature)), corrector.finish()]
+    found = np.concatenate([part[0] for part in parts])
+    assert np.isnan(found[1000]).all()
+    kept = np.arange(len(whole)) != 1000
+    near = np.abs(np.arange(len(whole)) - 1000) < 20
+    np.testing.assert_allclose(found[kept & ~near], expected.accel[kept & ~near], atol=1e-9)
+    np.testing.assert_allclose(found[kept], expected.accel[kept], atol=1e-3)

@@ -103,6 +103,8 @@ def test_twin_of_a_recording(sensor: Path, tmp_path: Path) -> None:
         (["--effect", "axis_error"], "accel_axes"),
         (["--duration", "long"], "no duration"),
         (["--rate", "0"], "--rate"),
+        (["--rate", "0.01", "--duration", "60s"], "0.6 samples"),
+        (["--rate", "8000", "--duration", "24h"], "simulate shorter pieces"),
         (["--noise", "-1"], "--noise"),
         (["--gravity", "1"], "--gravity"),
         (["--lost", "2"], "lost"),

@@ -7,9 +7,12 @@ import pytest
 
 from calib.effects import effects, get_effect
 from calib.effects.base import PRESENCE, Effect, Signals, State, Term, TransformEffect
+from calib.effects.observed import short_time_variance, time_since_turn
 from calib.model import SensorModel, Triad
 from calib.recording import AXES, CHANNELS
+from calib.simulate import simulate
 from calib.simulation.bench import bench_protocol
+from calib.simulation.noise import NoiseModel
 
 CATALOGUE = [
     "gyro_misalignment",
@@ -347,3 +350,84 @@ def test_unit_mistakes_are_named() -> None:
     assert nearest_mistake(1.0) is None
     with pytest.raises(ValueError, match="`accel` of unit_error"):
         SensorModel(terms=(Term("unit_error", {"accel": -1.0}),))
+
+
+@everyone
+def test_says_what_it_reads(slug: str, state: State) -> None:
+    """Without a field that it reads it has no columns; without the others it has."""
+    effect = get_effect(slug)
+    optional = ("temperature", "vibration", "since_turn", "mat_ns")
+    assert set(effect.reads) <= set(optional)
+    for name in optional:
+        lacking = replace(state, temperature_slope=None, **{name: None})
+        assert (effect.columns(lacking, shape_of(effect)) == {}) == (name in effect.reads)
+
+
+def test_vibration_is_observed_and_motion_is_not() -> None:
+    time = np.arange(0.0, 20.0, 0.01)
+    force = 9.8 * np.stack([np.sin(time), np.cos(time), 0 * time], axis=1)
+    assert short_time_variance(time, force).max() < 1e-6
+    force += np.where(time > 10, 2.0, 0.0)[:, None] * np.random.default_rng(1).normal(
+        size=force.shape
+    )
+    found = short_time_variance(time, force)
+    assert found[:900].max() < 1e-6
+    assert found[1100:].mean() == pytest.approx(4.0, rel=0.05)
+
+
+def test_turns_are_observed() -> None:
+    time = np.arange(0.0, 10.0, 0.01)
+    rate = np.zeros((len(time), 3))
+    rate[200:300, 1] = 1.0
+    rate[240:250, 1] = 0.0  # on the way
+    rate[600:700, 2] = -1.0
+    since = time_since_turn(time, rate)
+    assert np.isinf(since[:299]).all()
+    np.testing.assert_allclose(since[[299, 399, 650, 799]], [0.0, 1.0, 3.51, 1.0], atol=1e-9)
+    assert np.isinf(time_since_turn(time, 0 * rate)).all()
+
+
+@pytest.mark.parametrize("slug", ["accel_settling", "gyro_vibration_rectification"])
+def test_correct_finds_what_nobody_states(slug: str) -> None:
+    """`apply` knows only the signals: the correction must still take most of the effect away."""
+    motion = bench_protocol(np.random.default_rng(6), poses=10, vibration=3.0)
+    effect = get_effect(slug)
+    values = {p.name: 20 * p.typical for p in effect.parameters}
+    model = SensorModel(terms=(Term(slug, values | {p.name: 2.0 for p in effect.shape}),))
+    quiet = NoiseModel()
+    with_effect, without = (
+        simulate(motion, m, quiet, rng=np.random.default_rng(0), rate=100.0)
+        for m in (model, SensorModel())
+    )
+    measured = State(with_effect.time, with_effect.accel, with_effect.gyro)
+    found = stacked(model.correct(measured))
+    before = stacked(Signals(with_effect.accel, with_effect.gyro))
+    for channel, true in stacked(Signals(without.accel, without.gyro)).items():
+        size = rms(before[channel] - true)
+        assert rms(found[channel] - true) <= 0.35 * size + 1e-9
+
+
+@pytest.mark.parametrize(
+    "slug", [slug for slug in CATALOGUE if slug not in ("clock_scale", "dropped_samples")]
+)
+def test_reach_covers_what_the_correction_looks_at(slug: str, state: State) -> None:
+    """Changing a sample changes corrected samples only within reach."""
+    effect = get_effect(slug)
+    model = SensorModel(terms=(Term(slug, values_of(effect)),))
+    n, k = 6000, 3000
+    measured = State(
+        state.time[:n], state.force[:n], state.rate[:n], temperature=25 + state.time[:n] / 10
+    )
+    reach = effect.reach(values_of(effect), interval=0.0025)
+    first = model.correct(measured)
+    bumped = {
+        "force": measured.force + np.where(np.arange(n) == k, 0.1, 0.0)[:, None],
+        "temperature": measured.temperature + np.where(np.arange(n) == k, 0.1, 0.0),
+    }
+    second = model.correct(replace(measured, **bumped))
+    moved = np.flatnonzero(
+        (np.abs(first.accel - second.accel).max(axis=1) > 1e-9)
+        | (np.abs(first.gyro - second.gyro).max(axis=1) > 1e-9)
+    )
+    assert len(moved)
+    assert np.abs(moved - k).max() <= reach
