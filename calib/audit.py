@@ -11,7 +11,7 @@ from calib.poses import Poses
 from calib.recording import CHANNELS, Clock, Recording
 from calib.statics import find_poses
 from calib.types import BoolArray, FloatArray
-from calib.units import G, check_units, closure_of_turns, unit_faults
+from calib.units import Closure, G, check_units, unit_faults
 
 __all__ = ["Audit", "Finding", "audit", "check_units"]
 
@@ -84,14 +84,17 @@ def audit(recording: Recording, poses: Poses | None = None) -> Audit:
         at_rest[start:stop] = True
     gaps = faults.find_gaps(recording)
     distinct = _distinct(poses)
+    closure = Closure.of(recording, poses)
+    samples = _samples(recording, at_rest)
+    dead = any(found.kind == "stuck" and found.count == len(recording) for found in samples)
     findings = [
         *_timing(recording, gaps),
-        *_samples(recording, at_rest),
+        *samples,
         *(
             Finding("unit", fault.message, (fault.triad,))
-            for fault in unit_faults(recording, poses)
+            for fault in unit_faults(recording, poses, closure)
         ),
-        *_axes(recording, poses),
+        *([] if dead else _axes(closure)),
         *_calibrated(poses, distinct),
     ]
     if not recording.complete:
@@ -252,18 +255,18 @@ def _samples(recording: Recording, at_rest: BoolArray) -> list[Finding]:
     return out
 
 
-def _axes(recording: Recording, poses: Poses) -> list[Finding]:
-    closure = closure_of_turns(recording, poses)
-    if closure is None or closure.turns < 3 or closure.error.min() < DISAGREE:
+def _axes(closure: Closure | None) -> list[Finding]:
+    if closure is None or len(closure) < 3 or closure.missed < DISAGREE or closure.factor != 1.0:
         return []
-    return [
-        Finding(
-            "axes",
-            f"gravity and the gyroscope disagree by {np.degrees(closure.error[0]):.0f}° over a "
-            "turn, in any unit: an axis is swapped, has the wrong sign, or turns lost samples",
-            count=closure.turns,
-        )
-    ]
+    miss = f"gravity and the gyroscope disagree by {np.degrees(closure.missed):.0f}° over a turn"
+    if np.array_equal(closure.axes, np.eye(3)):
+        why = "; no unit and no order of axes explains it"
+    else:
+        names = ("xyz"[int(np.argmax(np.abs(row)))] for row in closure.axes)
+        signs = ("-" if row.sum() < 0 else "" for row in closure.axes)
+        order = ", ".join(sign + name for sign, name in zip(signs, names, strict=True))
+        why = f", unless the gyroscope's x, y, z are its ({order})"
+    return [Finding("axes", miss + why, ("gyro",), len(closure))]
 
 
 def _calibrated(poses: Poses, distinct: list[int]) -> list[Finding]:

@@ -16,10 +16,16 @@ from calib.types import BoolArray, FloatArray, IntArray
 
 BLOCK = 64
 """Samples over which local scatter and chances are estimated."""
+NEARBY = 16
+"""Samples over which the scatter about a spike is estimated; turns begin and end within few."""
 FALSE_ALARM = 1e-6
 """Probability, for a whole recording, that chance alone makes a finding."""
-SPIKE, ISOLATED, OTHERS, SHAKEN = 9.0, 4.0, 4.0, 50.0
+SPIKE, ISOLATED, OTHERS = 9.0, 4.0, 4.0
 """A spike over the local scatter, over the ten samples around it; what other channels may show."""
+SHARED = 0.15
+"""Of a spike's size over the noise: a knock shows on other channels by more than this."""
+SHAKEN = 50.0
+"""Local scatter over that at rest, above which a spike and a knock cannot be told apart."""
 ROBUST = 1.4826
 """Standard deviation of a Gaussian over its median absolute deviation."""
 
@@ -93,8 +99,8 @@ def find_clipping(
     """Return the samples of one channel at which the sensor, or its logger, was at its limit.
 
     With a known full scale: what reaches it. Otherwise a plateau: the extreme value of the
-    recording, held for three samples or met in two peaks, and left by a step that no smooth peak
-    makes (more than 10 times the noise or the resolution).
+    recording, held for longer than chance explains; or held for three samples or met in two peaks,
+    and left by a step that no smooth peak makes (more than 10 times the noise or the resolution).
     """
     if full_scale is not None:
         limit = 0.9995 * full_scale
@@ -112,6 +118,10 @@ def _plateaus(channel: FloatArray, scale: float) -> IntArray:
     start, stop = runs(top)
     inside = (start > 0) & (stop < len(channel))
     start, stop = start[inside], stop[inside]
+    share, blocks = _equal_share(channel), np.unique(np.flatnonzero(top) // BLOCK)
+    share = np.delete(share, blocks[blocks < len(share)])
+    if share.size and (stop - start).max(initial=0) > _longest(share, len(channel)):
+        return np.flatnonzero(top)
     drop = 2 * channel.max() - channel[start - 1] - channel[np.minimum(stop, len(channel) - 1)]
     steep = drop > 10 * scale
     length = (stop - start)[steep]
@@ -132,14 +142,13 @@ def find_stuck(
     out = []
     for c in range(values.shape[1]):
         equal = values[1:, c] == values[:-1, c]
-        share = _block_sums(equal[:, None])[:, 0] / _block_sums(np.ones((n - 1, 1)))[:, 0]
+        share = _equal_share(values[:, c])
         constant = share == 1.0
         if constant.all():
             if n >= BLOCK:
                 out.append((c, 0, n))
             continue
-        chance = float(np.quantile(share[~constant], 0.9))
-        longest = np.log(FALSE_ALARM / n) / np.log(min(max(chance, 0.01), 0.999))
+        longest = _longest(share[~constant], n)
         start, stop = runs(equal)
         for begin, end in zip(start, stop + 1, strict=True):
             if end - begin < max(longest, 8) or clipped[begin:end, c].all():
@@ -156,8 +165,7 @@ def find_spikes(values: FloatArray, *, lsb: FloatArray) -> list[tuple[int, int]]
     """Return ``(sample, channel)`` of single samples that leave a channel's course and come back.
 
     A spike stands out of the local scatter and out of everything within ten samples, on one channel
-    only: a knock shows on several, and rings. Where the sensor is shaken (scatter beyond `SHAKEN`
-    times that at rest), the two cannot be told apart, and nothing is said.
+    only: a knock shows on several, and rings. Where the sensor is shaken nothing is said.
     """
     n = len(values)
     if n < 2 * BLOCK:
@@ -166,21 +174,24 @@ def find_spikes(values: FloatArray, *, lsb: FloatArray) -> list[tuple[int, int]]
     around.sort(axis=0)
     rest = np.abs(values - 0.5 * (around[1] + around[2]))
     rest[:2] = rest[-2:] = 0.0
-    count = n // BLOCK
-    level = np.median(rest[: count * BLOCK].reshape(count, BLOCK, -1), axis=1)
+    count = n // NEARBY
+    level = np.median(rest[: count * NEARBY].reshape(count, NEARBY, -1), axis=1)
     padded = np.pad(level, ((1, 1), (0, 0)), mode="edge")
     level = np.maximum(np.maximum(padded[:-2], padded[1:-1]), padded[2:])
-    scale = np.repeat(ROBUST * level, BLOCK, axis=0)
+    scale = np.repeat(ROBUST * level, NEARBY, axis=0)
     scale = np.concatenate([scale, np.repeat(scale[-1:], n - len(scale), axis=0)])
     scale = np.maximum(scale, lsb)
     ratio = rest / np.where(scale > 0, scale, np.inf)
-    quiet = scale < SHAKEN * np.maximum(noise_at_rest(values), lsb)
+    floor = np.maximum(noise_at_rest(values), lsb)
+    quiet = scale < SHAKEN * floor
+    size = rest / np.where(floor > 0, floor, np.inf)
     found = []
     for k, c in np.argwhere((ratio > SPIKE) & quiet):
         near = rest[max(0, k - 10) : k + 11, c].copy()
         near[min(k, 10)] = 0.0
         back = values[k, c] - values[[k - 1, k + 1], c]
         alone = (np.delete(ratio[max(0, k - 1) : k + 2], c, axis=1) < OTHERS).all()
+        alone &= np.delete(size[k], c).max() < max(OTHERS, SHARED * size[k, c])
         returns = back[0] * back[1] > 0 and np.abs(back).min() > 0.5 * rest[k, c]
         if alone and returns and rest[k, c] > ISOLATED * near.max():
             found.append((int(k), int(c)))
@@ -208,6 +219,18 @@ def runs(mask: BoolArray) -> tuple[IntArray, IntArray]:
     """Return the index ranges ``[start, stop)`` of the runs of True."""
     edge = np.diff(np.concatenate(([0], mask.astype(np.int8), [0])))
     return np.flatnonzero(edge == 1), np.flatnonzero(edge == -1)
+
+
+def _equal_share(channel: FloatArray) -> FloatArray:
+    """Return the share of samples equal to the one before, for each block."""
+    equal = (channel[1:] == channel[:-1])[:, None]
+    return (_block_sums(equal) / _block_sums(np.ones((len(equal), 1))))[:, 0]
+
+
+def _longest(share: FloatArray, n: int) -> float:
+    """Return the longest run of equal values that chance makes among `n` samples."""
+    chance = float(np.clip(np.quantile(share, 0.9), 0.01, 0.999))
+    return float(np.log(FALSE_ALARM / n) / np.log(chance))
 
 
 def _block_sums(flags: BoolArray | FloatArray) -> FloatArray:

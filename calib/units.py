@@ -11,8 +11,9 @@ degrees per second, of zero; the tests leave room for three times that.
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
-from typing import NamedTuple
+from functools import cached_property
 
 import numpy as np
 
@@ -23,7 +24,7 @@ from calib.recording import Recording
 from calib.rotation import cumulative_quat_segments, mat_from_quat, quat_from_rotvec
 from calib.statics import find_poses
 from calib.turns import find_turns
-from calib.types import FloatArray
+from calib.types import FloatArray, IntArray
 
 G = 9.80665
 DEGREE = np.pi / 180
@@ -81,6 +82,8 @@ MOVED = 20 * DEGREE
 """By how much a turn must tilt the sensor to tell anything of the gyroscope's unit."""
 AGREE = 20 * DEGREE
 """Closure that an uncalibrated sensor reaches: 10 % of a half turn."""
+ENOUGH = 12
+"""Turns."""
 FASTEST = 150.0
 """rad/s, twice the largest full scale that MEMS gyroscopes have."""
 
@@ -108,7 +111,8 @@ def check_units(recording: Recording, poses: Poses | None = None) -> None:
     UnitError
         With the factor that was found, and the unit that explains it.
     """
-    faults = unit_faults(recording, poses)
+    poses = find_poses(recording) if poses is None else poses
+    faults = unit_faults(recording, poses, Closure.of(recording, poses))
     if faults:
         raise UnitError(
             "; ".join(fault.message for fault in faults)
@@ -116,10 +120,12 @@ def check_units(recording: Recording, poses: Poses | None = None) -> None:
         )
 
 
-def unit_faults(recording: Recording, poses: Poses | None = None) -> list[UnitFault]:
-    """Return what is wrong with the units of a recording: nothing, or one fault a sensor."""
-    poses = find_poses(recording) if poses is None else poses
-    found = [_accel_fault(recording, poses), _gyro_fault(recording, poses)]
+def unit_faults(recording: Recording, poses: Poses, closure: Closure | None) -> list[UnitFault]:
+    """Return what is wrong with the units of a recording: nothing, or one fault a sensor.
+
+    `closure` is that of its turns, as `Closure.of` returns it.
+    """
+    found = [_accel_fault(recording, poses), _gyro_fault(recording, closure)]
     return [fault for fault in found if fault is not None]
 
 
@@ -149,20 +155,17 @@ def _accel_fault(recording: Recording, poses: Poses) -> UnitFault | None:
     )
 
 
-def _gyro_fault(recording: Recording, poses: Poses) -> UnitFault | None:
-    closure = closure_of_turns(recording, poses)
+def _gyro_fault(recording: Recording, closure: Closure | None) -> UnitFault | None:
     if closure is not None:
-        error = closure.error
-        best = int(np.argmin(error))
-        if error[0] > AGREE and error[best] < min(AGREE, error[0] / 3):
-            factor = float(closure.factors[best])
-            return UnitFault(
-                "gyro",
-                factor,
-                f"turns are {factor:.4g} times as large by the gyroscope as by the direction of "
-                f"gravity{_name(factor, GYRO_FACTORS)}",
-            )
-        return None
+        factor = closure.factor
+        if factor == 1.0:
+            return None
+        return UnitFault(
+            "gyro",
+            factor,
+            f"turns are {factor:.4g} times as large by the gyroscope as by the direction of "
+            f"gravity{_name(factor, GYRO_FACTORS)}",
+        )
     rate = np.linalg.norm(recording.gyro - np.median(recording.gyro, axis=0), axis=1)
     fast = float(np.quantile(rate, 0.99))
     if fast > FASTEST:
@@ -175,42 +178,96 @@ def _gyro_fault(recording: Recording, poses: Poses) -> UnitFault | None:
     return None
 
 
-class Closure(NamedTuple):
-    """Median angle (rad) by which gravity misses over `turns` turns, with each factor (1 first)."""
+@dataclass(frozen=True, eq=False)
+class Closure:
+    """The turns that tilted the sensor: what the gyroscope says they did, and what gravity did.
 
-    factors: FloatArray
-    error: FloatArray
-    turns: int
+    Parameters
+    ----------
+    angle : (n, 3) array, rad
+        Integral of the rate over each step, bias taken out; `first` as in `TurnSteps`.
+    before, after : (m, 3) arrays
+        Direction of gravity at both ends of each turn.
+    """
+
+    angle: FloatArray
+    first: IntArray
+    before: FloatArray
+    after: FloatArray
+
+    @classmethod
+    def of(cls, recording: Recording, poses: Poses) -> Closure | None:
+        """Return the turns of a recording, or None if none tilted the sensor without a gap."""
+        turns = find_turns(recording, poses)
+        assert recording.lost is not None
+        up = poses.accel / np.linalg.norm(poses.accel, axis=1, keepdims=True)
+        before, after = up[turns.before], up[turns.after]
+        tilt = np.linalg.norm(closure_residual(before, after), axis=1)
+        lost = np.concatenate([[0], np.cumsum(recording.lost)])
+        whole = lost[turns.stop] == lost[turns.start + 1]
+        which = np.flatnonzero((tilt > MOVED) & whole)
+        if not which.size:
+            return None
+        # A dozen are enough; the shortest say most, since least drifts into them.
+        shortest = np.argsort((turns.stop - turns.start)[which], kind="stable")[:ENOUGH]
+        which = np.sort(which[shortest])
+        steps = TurnSteps.of(recording, turns.select(which))
+        angle = steps.angle - np.median(poses.gyro, axis=0) * steps.step[:, None]
+        return cls(angle, steps.first, before[which], after[which])
+
+    def __len__(self) -> int:
+        return len(self.before)
+
+    def error(self, matrix: FloatArray) -> float:
+        """Return the median angle, rad, by which gravity misses if ``matrix @ rate`` is true."""
+        quat = cumulative_quat_segments(quat_from_rotvec(self.angle @ matrix.T), self.first)
+        mat = mat_from_quat(quat[self.first[1:] - 1])
+        predicted = np.einsum("mij,mj->mi", mat, self.after)
+        return float(np.median(np.linalg.norm(closure_residual(self.before, predicted), axis=1)))
+
+    @cached_property
+    def missed(self) -> float:
+        """The median angle, rad, by which gravity misses with the rate as it is."""
+        return self.error(np.eye(3))
+
+    @cached_property
+    def _explained(self) -> tuple[float, FloatArray]:
+        """The factor and the axes (columns of the file, signed) that explain the turns best."""
+        plain = 1.0, np.eye(3)
+        if self.missed < AGREE:
+            return plain
+        enough = min(AGREE, self.missed / 3)
+        by_factor = {factor: self.error(np.eye(3) / factor) for factor in GYRO_FACTORS}
+        factor = min(by_factor, key=by_factor.__getitem__)
+        maps = [self.error(mat) for mat in AXIS_MAPS]
+        best = int(np.argmin(maps))
+        # One or two turns fit some axes or other; a unit is the simpler explanation.
+        if by_factor[factor] < enough and (len(self) < 3 or by_factor[factor] < 1.5 * maps[best]):
+            return factor, np.eye(3)
+        if len(self) >= 3 and maps[best] < enough:
+            return 1.0, AXIS_MAPS[best]
+        return plain
+
+    @property
+    def factor(self) -> float:
+        """Measured over true rate; 1 unless another factor explains the turns."""
+        return self._explained[0]
+
+    @property
+    def axes(self) -> FloatArray:
+        """The signed permutation that makes the rate agree with gravity; identity if none does."""
+        return self._explained[1]
 
 
-def closure_of_turns(recording: Recording, poses: Poses) -> Closure | None:
-    """Return how well the gyroscope explains the turns; None if no turn tilted the sensor."""
-    turns = find_turns(recording, poses)
-    if not len(turns):
-        return None
-    up = poses.accel / np.linalg.norm(poses.accel, axis=1, keepdims=True)
-    before, after = up[turns.before], up[turns.after]
-    tilt = np.linalg.norm(closure_residual(before, after), axis=1)
-    whole = np.array(
-        [
-            recording.lost is None or not recording.lost[a + 1 : b].any()
-            for a, b in zip(turns.start, turns.stop, strict=True)
-        ]
-    )
-    which = np.flatnonzero((tilt > MOVED) & whole)
-    if not which.size:
-        return None
-    turns, before, after = turns.select(which), before[which], after[which]
-    steps = TurnSteps.of(recording, turns)
-    angle = steps.angle - np.median(poses.gyro, axis=0) * steps.step[:, None]
-    factors = np.array([1.0, *GYRO_FACTORS])
-    errors = np.empty((len(factors), len(which)))
-    for k, factor in enumerate(factors):
-        quat = cumulative_quat_segments(quat_from_rotvec(angle / factor), steps.first)
-        mat = mat_from_quat(quat[steps.first[1:] - 1])
-        predicted = np.einsum("mij,mj->mi", mat, after)
-        errors[k] = np.linalg.norm(closure_residual(before, predicted), axis=1)
-    return Closure(factors, np.median(errors, axis=1), len(which))
+def _signed_permutations() -> list[FloatArray]:
+    signs = itertools.product((1.0, -1.0), repeat=3)
+    orders = itertools.permutations(range(3))
+    return [
+        np.diag(sign) @ np.eye(3)[list(order)] for order, sign in itertools.product(orders, signs)
+    ]
+
+
+AXIS_MAPS = _signed_permutations()
 
 
 def _name(factor: float, known: dict[float, str]) -> str:

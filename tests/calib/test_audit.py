@@ -1,0 +1,218 @@
+"""Each fault is found and said, on its channel and at its time; sound logs have no findings."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from calib import DeviceInfo, Recording, SensorModel, Triad
+from calib.audit import Finding, audit, check_units
+from calib.effects.base import State
+from calib.errors import UnitError
+from calib.faults import find_clipping, find_gaps, find_repeats, find_spikes, values_of
+from drivers.formats import read_recording
+
+ROOT = Path(__file__).resolve().parents[2]
+RNG = np.random.default_rng
+
+
+@cache
+def bench() -> Recording:
+    return read_recording(ROOT / "fixtures" / "bench.csv")
+
+
+def changed(channel: int, rows: slice | np.ndarray, change: Callable[..., object]) -> Recording:
+    values = values_of(bench()).copy()
+    values[rows, channel] = change(values[rows, channel])
+    return replace(bench(), accel=values[:, :3], gyro=values[:, 3:])
+
+
+def the_finding(recording: Recording) -> Finding:
+    findings = audit(recording).findings
+    assert len(findings) == 1, findings
+    return findings[0]
+
+
+def test_a_sound_log_has_no_findings() -> None:
+    result = audit(bench())
+    assert result.findings == ()
+    assert (result.samples, len(result.poses), result.rate) == (9786, 20, pytest.approx(100))
+    assert result.distinct_poses >= 9
+    assert result.complete
+
+
+def test_a_gap_is_measured_and_timed() -> None:
+    b = bench()
+    keep = np.r_[:4000, 4025:6000, 6001 : len(b)]
+    assert b.temperature is not None
+    recording = replace(
+        b,
+        time=b.time[keep],
+        accel=b.accel[keep],
+        gyro=b.gyro[keep],
+        temperature=b.temperature[keep],
+        lost=None,
+    )
+    finding = the_finding(recording)
+    assert (finding.kind, finding.count) == ("gaps", 26)
+    assert finding.times == (pytest.approx(40.25), pytest.approx(60.01))
+    assert "26 of them were not counted" in finding.message
+
+
+@given(st.lists(st.integers(1, 40), min_size=3, max_size=60), st.integers(0, 2**32 - 1))
+@settings(max_examples=60, deadline=None)
+def test_gaps_count_what_was_removed(steps: list[int], seed: int) -> None:
+    # Most steps are one interval, so that the median is.
+    steps = [step for gap in steps for step in (1, 1, gap)]
+    time = np.cumsum([0, *steps]) * 0.01
+    n = len(time)
+    values = RNG(seed).normal(size=(n, 3))
+    gaps = find_gaps(Recording(time=time, accel=values, gyro=values, clock="device"))
+    assert gaps.missing.sum() == sum(steps) - len(steps)
+
+
+def test_jitter_and_repeats_and_rate() -> None:
+    b = bench()
+    shaken = replace(b, time=b.time + RNG(0).uniform(-0.0015, 0.0015, len(b)))
+    assert the_finding(shaken).kind == "jitter"
+    values = values_of(b).copy()
+    for k in range(500, 9000, 800):
+        values[k] = values[k - 1]
+    finding = the_finding(replace(b, accel=values[:, :3], gyro=values[:, 3:]))
+    assert (finding.kind, finding.count) == ("repeats", 11)
+    assert finding.times[0] == pytest.approx(5.0)
+    late = replace(b, time=b.time * 1000, temperature=None)
+    assert "rate" in {found.kind for found in audit(late).findings}
+
+
+def test_chance_repeats_of_a_coarse_sensor_are_no_fault() -> None:
+    # Noise of a quarter of the resolution: neighbours are equal more often than not.
+    coarse = np.round(RNG(1).normal(0, 0.25, (20_000, 6)) + RNG(2).uniform(-0.5, 0.5, 6))
+    assert (coarse[1:] == coarse[:-1]).all(axis=1).mean() > 0.02
+    assert find_repeats(coarse).size == 0
+    coarse[5000:15000:10] = coarse[4999:14999:10]
+    assert find_repeats(coarse).size > 900
+
+
+def test_clipping_at_known_full_scale_and_by_its_plateaus() -> None:
+    limit = 2.5
+    cut = changed(4, slice(None), lambda v: np.clip(v, -limit, limit))
+    expected = int((np.abs(bench().gyro[:, 1]) >= limit).sum())
+    finding = the_finding(replace(cut, device=DeviceInfo()))
+    assert (finding.kind, finding.channels) == ("clipping", ("gyro.y",))
+    assert finding.count == expected
+    whole = replace(bench(), gyro=np.clip(bench().gyro, -limit, limit))
+    found = audit(replace(whole, device=DeviceInfo(gyro_full_scale=limit))).findings
+    counts = {f.channels: f.count for f in found if f.kind == "clipping"}
+    per_axis = (np.abs(bench().gyro) >= limit).sum(axis=0)
+    assert counts == {(f"gyro.{a}",): n for a, n in zip("xyz", per_axis, strict=True)}
+    counts = np.array([0.0, 5, 32766, 32767, 12, -32768])
+    at = find_clipping(counts * 1e-3, full_scale=32.768, lsb=1e-3, noise=0.01)
+    assert at.tolist() == [3, 5]
+
+
+def test_a_dead_and_a_stuck_channel() -> None:
+    finding = the_finding(changed(2, slice(None), lambda v: v * 0))
+    assert (finding.kind, finding.channels) == ("stuck", ("accel.z",))
+    finding = the_finding(changed(3, slice(3000, 3400), lambda v: v[0]))
+    assert (finding.kind, finding.channels) == ("stuck", ("gyro.x",))
+    assert finding.times == (pytest.approx(30.0, abs=0.02),)
+
+
+@pytest.mark.parametrize("size", [0.02, -0.02, 0.3])
+def test_spikes_are_named_and_a_knock_is_none(size: float) -> None:
+    at = np.array([300, 1000, 5000])
+    assert audit(bench()).static > 0.5
+    found = find_spikes(
+        values_of(changed(5, at, lambda v: v + size)), lsb=np.array([1e-3] * 3 + [2e-4] * 3)
+    )
+    assert set(found) <= {(k, 5) for k in at.tolist()}
+    assert (300, 5) in found
+    knock = changed(5, at, lambda v: v + size)
+    knock = replace(knock, accel=knock.accel + 3 * (np.isin(np.arange(9786), at)[:, None]))
+    assert audit(knock).findings == ()
+
+
+@pytest.mark.parametrize(
+    ("triad", "factor", "unit"),
+    [
+        ("accel", 1 / 9.80665, "in g"),
+        ("accel", 1000 / 9.80665, "in mg"),
+        ("accel", 2.0, "full scale is half"),
+        ("accel", 16384 / 9.80665, "counts of 16384 LSB/g"),
+        ("gyro", 180 / np.pi, "in deg/s"),
+        ("gyro", np.pi / 180, "converted from deg/s again"),
+        ("gyro", 0.5, "full scale is twice"),
+        ("gyro", 131 * 180 / np.pi, "counts of 131.0 LSB"),
+    ],
+)
+def test_a_wrong_unit_is_refused_and_named(triad: str, factor: float, unit: str) -> None:
+    wrong = replace(bench(), device=DeviceInfo(), **{triad: getattr(bench(), triad) * factor})
+    with pytest.raises(UnitError, match=unit):
+        check_units(wrong)
+    finding = the_finding(wrong)
+    assert (finding.kind, finding.channels) == ("unit", (triad,))
+
+
+@given(
+    st.lists(st.floats(-0.12, 0.12), min_size=6, max_size=6),
+    st.lists(st.floats(-1.0, 1.0), min_size=3, max_size=3),
+    st.lists(st.floats(-0.3, 0.3), min_size=3, max_size=3),
+)
+@settings(max_examples=15, deadline=None)
+def test_no_error_of_a_real_sensor_passes_for_a_unit(
+    scale: list[float], accel_bias: list[float], gyro_bias: list[float]
+) -> None:
+    model = SensorModel(
+        Triad(np.array(accel_bias), np.array(scale[:3])),
+        Triad(np.array(gyro_bias), np.array(scale[3:])),
+    )
+    signals = model.distort(State(bench().time, bench().accel, bench().gyro))
+    check_units(replace(bench(), accel=signals.accel, gyro=signals.gyro))
+
+
+def test_swapped_axes_are_no_unit_and_are_named() -> None:
+    swapped = replace(bench(), gyro=bench().gyro[:, [1, 0, 2]] * [1, -1, 1])
+    check_units(swapped)
+    finding = the_finding(swapped)
+    assert finding.kind == "axes"
+    assert "x, y, z are its (-y, x, z)" in finding.message
+
+
+def test_gravity_taken_out_is_said() -> None:
+    b = bench()
+    rest = RNG(3).normal(0, 0.02, (len(b), 3))
+    with pytest.raises(UnitError, match="gravity was taken out"):
+        check_units(replace(b, accel=rest))
+
+
+def test_a_calibrated_log_says_so() -> None:
+    import json
+
+    truth = json.loads((ROOT / "fixtures" / "bench.truth.json").read_text("utf-8"))["parameters"]
+    model = SensorModel(
+        Triad().with_parameters({k: v for k, v in truth.items() if k.startswith("accel")}),
+        Triad().with_parameters({k: v for k, v in truth.items() if k.startswith("gyro")}),
+    )
+    true = model.correct(State(bench().time, bench().accel, bench().gyro))
+    done = replace(bench(), accel=true.accel, gyro=true.gyro, device=DeviceInfo())
+    assert the_finding(done).kind == "calibrated"
+
+
+def test_cut_and_invalid_clock() -> None:
+    assert the_finding(replace(bench(), complete=False)).kind == "cut"
+    assert the_finding(replace(bench(), clock="invalid")).kind == "clock"
+    sweep = 20 + 40 * np.sin(2 * np.pi * bench().time / 8)
+    assert "within a second" in the_finding(replace(bench(), temperature=sweep)).message
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 10, 100])
+def test_short_recordings_are_described(n: int) -> None:
+    result = audit(bench().slice(0, n))
+    assert result.samples == n
+    assert result.findings == ()
