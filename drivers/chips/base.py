@@ -261,6 +261,8 @@ class Samples:
     temperature: NDArray[np.float64] | None
     lost: int = 0
     overflow: bool = False
+    ticks: NDArray[np.float64] | None = None
+    """s on the chip's own clock, from 0 to the chip's `clock_period`, where its FIFO tells them."""
 
     def __len__(self) -> int:
         return len(self.accel)
@@ -300,6 +302,8 @@ class Chip(ABC):
     """Bytes of one sample in the FIFO."""
     biases: ClassVar[tuple[BiasSet, ...]] = ()
     """Sets of bias registers; several where the chip offers several weights, the finest first."""
+    clock_period: ClassVar[float] = 0.0
+    """When the clock in the FIFO wraps around, s; 0 where there is none."""
     start_up: ClassVar[float] = 0.1
     """Seconds from power-on to valid data."""
 

@@ -35,6 +35,7 @@ PWR_MGMT0 = Register("PWR_MGMT0", 0x4E, 0)
 GYRO_CONFIG0 = Register("GYRO_CONFIG0", 0x4F, 0)
 ACCEL_CONFIG0 = Register("ACCEL_CONFIG0", 0x50, 0)
 GYRO_ACCEL_CONFIG0 = Register("GYRO_ACCEL_CONFIG0", 0x52, 0)
+TMST_CONFIG = Register("TMST_CONFIG", 0x54, 0)
 FIFO_CONFIG1 = Register("FIFO_CONFIG1", 0x5F, 0)
 WHO_AM_I = Register("WHO_AM_I", 0x75, 0)
 REG_BANK_SEL = Register("REG_BANK_SEL", 0x76)
@@ -57,6 +58,8 @@ FIFO_ALL = 0x07  # FIFO_CONFIG1: temperature, gyroscope, accelerometer
 HEADER_BOTH = 0x60  # accelerometer and gyroscope in the packet
 HEADER_MASK = 0xE0  # with the "FIFO is empty" bit
 INVALID = -32768
+TIME_STAMPS = 0x29  # TMST_CONFIG: on, absolute, 16 µs; bit 5 is reserved and set
+TICK = 16e-6
 PACKET = np.dtype(
     [
         ("header", "u1"),
@@ -112,6 +115,7 @@ class Icm42688(Chip):
     frame = np.dtype([("temperature", ">i2"), ("accel", ">i2", 3), ("gyro", ">i2", 3)])
     fifo_size = 2048
     fifo_frame = PACKET.itemsize
+    clock_period = 65536 * TICK
     biases = (
         (
             _bias("accel.bias.x", (4, 7, 4), 5, 0.0005),
@@ -139,6 +143,7 @@ class Icm42688(Chip):
         accel = FULL_SCALE_ACCEL.put(rate, self.accel_sensitivity(setup.accel_range).code)
         device.write(GYRO_CONFIG0, gyro, accel)
         device.write(GYRO_ACCEL_CONFIG0, 0)
+        device.write(TMST_CONFIG, TIME_STAMPS)
         device.write(PWR_MGMT0, LOW_NOISE)
 
     def start_fifo(self, device: Device) -> None:
@@ -165,6 +170,7 @@ class Icm42688(Chip):
             temperature,
             lost=len(rows) - len(kept),
             overflow=overflow,
+            ticks=kept["time"] * TICK,
         )
 
     def ready(self, device: Device) -> bool:

@@ -26,8 +26,8 @@ from calib.errors import (
     DriverError,
     WrongDeviceError,
 )
-from calib.recording import DeviceInfo, Recording
-from calib.types import FloatArray
+from calib.recording import Clock, DeviceInfo, Recording
+from calib.types import FloatArray, IntArray
 from drivers.address import Address
 from drivers.chips import chips, get_chip, normal_name
 from drivers.chips.base import STANDARD_GRAVITY, Bus, Chip, Device, Samples, Setup
@@ -159,6 +159,7 @@ class I2CDriver(Driver):
         elif chip.ready(device):
             chip.sample(device)  # of unknown age: the next one comes when it is new
         self._times = SampleTimes(rate, self._clock.now(), age=age)
+        self._ticks = DeviceTimes(rate, chip.clock_period)
         self._lost = 0
 
     def restart_stream(self, settle: float) -> None:
@@ -251,14 +252,20 @@ class I2CDriver(Driver):
         setup = self._info
         assert setup.accel_lsb is not None
         assert setup.gyro_lsb is not None
-        lost = np.zeros(len(samples), np.int64)
-        lost[0], self._lost = self._lost, 0
-        times = self._times.take(len(samples), int(lost[0]), now)
+        if samples.ticks is not None:
+            times, lost = self._ticks.take(samples.ticks, now)
+            clock: Clock = "device"
+        else:
+            lost = np.zeros(len(samples), np.int64)
+            lost[0] = self._lost
+            times = self._times.take(len(samples), self._lost, now)
+            clock = "host"
+        self._lost = 0
         return Recording(
             time=times,
             accel=np.multiply(samples.accel, setup.accel_lsb, dtype=np.float64),
             gyro=np.multiply(samples.gyro, setup.gyro_lsb, dtype=np.float64),
-            clock="host",
+            clock=clock,
             temperature=samples.temperature,
             lost=lost,
             device=self._info,
@@ -322,6 +329,37 @@ class SampleTimes:
             return 0
         elapsed = now - self.age - self._origin - self._last
         return max(0, round(elapsed / self.interval) - 1)
+
+
+class DeviceTimes:
+    """The chip's own clock unwrapped, and the samples that it shows to be missing.
+
+    Parameters
+    ----------
+    rate : float, Hz
+        Samples and clock come from one oscillator, so that steps are whole intervals of it.
+    period : float, s
+        When the clock wraps around. Pauses longer than that are told apart by host time.
+    """
+
+    def __init__(self, rate: float, period: float) -> None:
+        self._interval = 1 / rate
+        self._period = period
+        self._tick: float | None = None
+        self._time = 0.0
+        self._now = 0.0
+
+    def take(self, ticks: FloatArray, now: float) -> tuple[FloatArray, IntArray]:
+        """Return times from 0, and how many samples are missing before each, at host time `now`."""
+        steps = np.diff(ticks, prepend=ticks[0] if self._tick is None else self._tick)
+        steps = np.mod(steps, self._period)
+        if self._tick is not None:
+            rest = now - self._now - float(steps.sum())
+            steps[0] += self._period * max(0, round(rest / self._period))
+        times = self._time + np.cumsum(steps)
+        lost = np.clip(np.rint(steps / self._interval) - 1, 0, None).astype(np.int64)
+        self._tick, self._time, self._now = float(ticks[-1]), float(times[-1]), now
+        return times, lost
 
 
 # ---- who is there ----

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -23,7 +24,7 @@ from drivers.emulators.base import EmulatorOptions, make_sensor
 from drivers.emulators.i2c_bus import EmulatedBus, Fault, Message, fail_at
 from drivers.emulators.i2c_chips import ANY_FIRMWARE, host_clock, make_model
 from drivers.transports import make_driver, open_driver
-from drivers.transports.i2c import I2CDriver, SampleTimes, identify, setup_from_options
+from drivers.transports.i2c import DeviceTimes, I2CDriver, SampleTimes, identify, setup_from_options
 
 PARTS = [normal_name(part) for chip in chips().values() for part in chip.models.values()]
 
@@ -207,6 +208,31 @@ def test_bad_addresses(url: str, message: str) -> None:
 def test_missing_bus_is_named() -> None:
     with pytest.raises(DeviceNotFoundError, match=r"/dev/i2c-99.*i2c-dev"):
         open_driver("i2c://99/0x68?chip=mpu6050")
+
+
+def test_a_device_clock_is_unwrapped_and_shows_what_is_missing() -> None:
+    times = DeviceTimes(100.0, 1.0)
+    index = np.r_[0:95, 98:130, 640:660]  # 3 missing in a batch; 510 in a pause of five turns
+    cuts = [0, 40, 95, 127, 147]
+    got, lost = [], []
+    for begin, end in itertools.pairwise(cuts):
+        part = index[begin:end]
+        now = part[-1] / 100 + 0.013
+        t, n = times.take(np.mod(part / 100 + 0.7, 1.0), now)
+        got.append(t)
+        lost.append(n)
+    assert np.concatenate(got) == pytest.approx(index / 100, abs=1e-9)
+    expected = np.zeros(147, int)
+    expected[95], expected[127] = 3, 510
+    assert np.concatenate(lost).tolist() == expected.tolist()
+
+
+def test_the_recording_says_which_clock_it_has() -> None:
+    for part, clock in (("icm42688p", "device"), ("mpu6050", "host")):
+        with open_driver(f"emulator://{part}?rate=200&speed=0") as driver:
+            batch = driver.read(1.0)
+            assert batch is not None
+            assert batch.clock == clock
 
 
 def test_times_follow_the_device_not_the_jitter_of_reads() -> None:

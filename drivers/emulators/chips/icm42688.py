@@ -14,10 +14,9 @@ from drivers.emulators.chips.base import ChipModel
 
 
 class Icm42688Model(ChipModel):
-    """Its time stamps count microseconds, 16 bits of them in a packet."""
+    """A packet holds the low 16 bits of its time stamp, in steps of 1 or 16 µs."""
 
     chip_name: ClassVar[str] = "icm42688p"
-    _stamp = 0.0
 
     def defaults(self) -> dict[Register, int]:
         return {r.INTF_CONFIG0: 0x30, r.GYRO_CONFIG0: 0x06, r.ACCEL_CONFIG0: 0x06}
@@ -44,9 +43,10 @@ class Icm42688Model(ChipModel):
         packets["accel"], packets["gyro"] = rows["accel"], rows["gyro"]
         celsius = rows["temperature"] / 132.48
         packets["temperature"] = np.clip(np.rint(celsius * 2.07), -128, 127)
-        stamps = (self._stamp + (np.arange(len(rows)) + 1) * 1e6 / self._rate) % 65536
-        self._stamp = float(stamps[-1])
-        packets["time"] = stamps.astype(np.uint16)
+        tick = r.TICK if self.peek(r.TMST_CONFIG) & 0x08 else 1e-6
+        # The last of these samples is number `_index` of the device's time.
+        times = (self._index - len(rows) + 1 + np.arange(len(rows))) / self._rate
+        packets["time"] = (times / tick).astype(np.int64) % 65536
         return packets.tobytes(), r.PACKET.itemsize
 
     def drop_oldest(self, excess: int, size: int) -> None:
