@@ -69,8 +69,8 @@ def held_out(
     still = np.array(levels)
     names = [c.name for c in rows.components]
     for i, name in enumerate(names):
-        if name.endswith(" walk"):
-            still[names.index(name.replace(" walk", " jitter"))] += 0.5 * still[i]
+        if name.endswith((" walk", " flicker")):
+            still[names.index(f"{name.split(' ')[0]} jitter")] += 0.5 * still[i]
             still[i] = 0.0
     after = np.hstack((fitted_before, columns))
     which, label, unit = _telling_rows(rows, fitted_before, columns, still, contrast, channels)

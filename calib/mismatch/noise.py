@@ -20,9 +20,9 @@ from scipy import linalg
 from calib.mismatch.rows import Rows
 from calib.types import FloatArray
 
-WITHIN = 0.5
-"""How much the drift of axes of one triad differs: standard deviation of the logarithm of a level
-(a variance), so that one axis has rarely more than twice the drift of another."""
+WITHIN = 0.7
+"""How much levels of one group differ among each other: standard deviation of the logarithm of a
+level (a variance)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,8 +49,8 @@ def expected_levels(rows: Rows) -> FloatArray:
 def prior_precision(rows: Rows) -> FloatArray:
     """Return the precision of the logarithms of the levels.
 
-    Each is uncertain by its ``spread``; components of one group (one kind of drift on the axes of
-    one triad) share most of that, and differ among each other by `WITHIN` only.
+    Each is uncertain by its ``spread``; components of one group (the drift of one triad) share most
+    of that, and differ among each other by `WITHIN` only.
     """
     spread = np.array([c.spread for c in rows.components])
     group = np.array([c.group for c in rows.components])

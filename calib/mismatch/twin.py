@@ -26,7 +26,11 @@ DRIFT = {"accel": 0.15, "gyro": 0.5}
 """How far a bias wanders in `DRIFT_TIME`, per noise density: the ratio of bias instability to noise
 density in data sheets and Allan plots (MPU-6050: 50 µg to 400 µg/√Hz, 10 °/h to 18 °/h/√Hz). In
 minutes at rest a few slow modes are all that shows of drift, and effects go with them; so the prior
-on drift is part of the physics, a factor of 2 wide."""
+on drift is part of the physics. Jitter, flicker and walk of the axes of one triad share their
+scale, so that what is seen from pose to pose says what to expect over minutes."""
+
+SPREAD = 1.4
+"""Standard deviation of the logarithm of a level of drift (a variance): a factor of 2 in size."""
 
 DRIFT_TIME = 600.0
 """s."""
@@ -304,6 +308,27 @@ def _cell_weights(count: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     return mean, linear, quadratic
 
 
+def flicker_covariance(time: FloatArray, length: FloatArray) -> FloatArray:
+    """Return the covariance of means of 1/f noise with a bias instability of one.
+
+    A sum of Gauss-Markov processes, correlation times a factor of 3 apart from shorter than any
+    segment to longer than the recording, each of variance ``ln(3) / pi``: one-sided density
+    ``1 / (pi f)``. Those shorter than a segment are averaged down in it.
+    """
+    gap = np.abs(np.subtract.outer(time, time))
+    span = max(float(gap.max()), 1e-9)
+    size = np.maximum(length, 1e-9)
+    out = np.zeros_like(gap)
+    for correlation in 3 * span * 3.0 ** -np.arange(12.0):
+        ratio = size / correlation
+        # Variance of the mean of a Gauss-Markov process over a segment.
+        own = 2 * (ratio - 1 + np.exp(-ratio)) / np.square(ratio)
+        part = np.exp(-np.maximum(gap, 0) / correlation) * np.sqrt(np.outer(own, own))
+        np.fill_diagonal(part, own)
+        out += part
+    return out * np.log(3.0) / np.pi
+
+
 def _components(
     grid: Grid,
     pieces: tuple[sparse.csr_matrix, ...],
@@ -323,16 +348,18 @@ def _components(
     density = np.median(2 * noise[rest] * grid.count[rest, None] * step, axis=0)
     middle = grid.interval.mean(axis=1)
     walk = np.minimum.outer(middle - middle[0], middle - middle[0]) / DRIFT_TIME
+    flicker = flicker_covariance(middle, np.ptp(grid.interval, axis=1))
     out = []
     for c, name in enumerate(CHANNELS):
         response = pieces[c][:dense].toarray()
         triad = name.split(".")[0]
-        group = f"{triad} jitter", f"{triad} walk"
         drift = DRIFT[triad] ** 2 * density[c]
-        out += [
-            Component(f"{name} jitter", response @ response.T, 0.25 * drift, 2.0, group[0]),
-            Component(f"{name} walk", response @ walk @ response.T, drift, 0.8, group[1]),
-        ]
+        for label, matrix, size in (
+            ("jitter", response @ response.T, 0.1),
+            ("flicker", response @ flicker @ response.T, 1.0),
+            ("walk", response @ walk @ response.T, 1.0),
+        ):
+            out.append(Component(f"{name} {label}", matrix, size * drift, SPREAD, triad))
     for label, which, scale in (
         ("attitude", Kind.ATTITUDE, None),
         ("attitude by angle", Kind.ATTITUDE, angle),
