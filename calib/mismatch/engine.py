@@ -8,7 +8,7 @@ from calib.effects import effects
 from calib.errors import InsufficientMotionError
 from calib.mismatch.diagnosis import Diagnosis
 from calib.mismatch.explain import changes, explain, verdict
-from calib.mismatch.grid import connected, make_grid
+from calib.mismatch.grid import connected, make_grid, steady
 from calib.mismatch.search import Outcome, search
 from calib.mismatch.selfmode import SelfProblem
 from calib.model import SensorModel
@@ -51,7 +51,7 @@ def diagnose_recording(
             "the recording has no moment of rest: without gravity to compare with, only a "
             "simulation or a reference can tell what is wrong (--against, --reference)"
         )
-    poses = connected(poses)
+    poses = connected(steady(poses))
     grid = make_grid(recording, poses)
     full = model is not None and bool(model.gyro.misalignment.any())
     problem = SelfProblem(grid, model, gravity=gravity, full_gyro=full)

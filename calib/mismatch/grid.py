@@ -123,6 +123,19 @@ def make_grid(recording: Recording, poses: Poses, *, margin: int = 3) -> Grid:
     return _fill(recording, poses, bounds, table)
 
 
+def steady(poses: Poses) -> Poses:
+    """Return the poses without those that were held by hand rather than at rest.
+
+    Such a pose is several times noisier than most, in its gyroscope, and turns on average: its mean
+    rate stands out from that of the others by far.
+    """
+    length = np.maximum(np.diff(poses.interval, axis=1)[:, 0], 1e-3)
+    power = np.einsum("kii->k", poses.gyro_covariance) * length
+    off = np.linalg.norm(poses.gyro - np.median(poses.gyro, axis=0), axis=1)
+    held = (power > 9 * np.median(power)) & (off > 6 * np.median(off))
+    return poses.select(~held)
+
+
 def connected(poses: Poses) -> Poses:
     """Return the poses without lone ones: cut off from all others by motion that is not closed.
 

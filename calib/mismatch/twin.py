@@ -326,7 +326,7 @@ def flicker_covariance(time: FloatArray, length: FloatArray) -> FloatArray:
         part = np.exp(-np.maximum(gap, 0) / correlation) * np.sqrt(np.outer(own, own))
         np.fill_diagonal(part, own)
         out += part
-    return out * np.log(3.0) / np.pi
+    return np.asarray(out * np.log(3.0) / np.pi)
 
 
 def _components(
@@ -354,12 +354,12 @@ def _components(
         response = pieces[c][:dense].toarray()
         triad = name.split(".")[0]
         drift = DRIFT[triad] ** 2 * density[c]
-        for label, matrix, size in (
+        for label, matrix, share in (
             ("jitter", response @ response.T, 0.1),
             ("flicker", response @ flicker @ response.T, 1.0),
             ("walk", response @ walk @ response.T, 1.0),
         ):
-            out.append(Component(f"{name} {label}", matrix, size * drift, SPREAD, triad))
+            out.append(Component(f"{name} {label}", matrix, share * drift, SPREAD, triad))
     for label, which, scale in (
         ("attitude", Kind.ATTITUDE, None),
         ("attitude by angle", Kind.ATTITUDE, angle),
