@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import chdtrc, ndtr
+from scipy.special import fdtrc, stdtr
 
+from calib.allowance import between
 from calib.calibration import Calibration, parameter_unit
 from calib.model import Triad
 from calib.recording import DeviceInfo
@@ -19,13 +19,17 @@ SIGNIFICANCE = 0.001
 
 @dataclass(frozen=True)
 class Difference:
-    """One parameter in both: the second less the first, its standard error, and their ratio."""
+    """One parameter in both: the second less the first, its standard error, and their ratio.
+
+    The standard errors were estimated with so many ``degrees_of_freedom``.
+    """
 
     name: str
     first: float
     second: float
     sigma: float
     unit: str
+    degrees_of_freedom: float
     allowance: float = 0.0
 
     @property
@@ -40,8 +44,8 @@ class Difference:
 
     @property
     def p_value(self) -> float:
-        """Two-sided, for this parameter alone."""
-        return float(2 * ndtr(-abs(self.score)))
+        """Two-sided, for this parameter alone, by Student's t."""
+        return float(2 * stdtr(self.degrees_of_freedom, -abs(self.score)))
 
 
 @dataclass(frozen=True)
@@ -49,13 +53,14 @@ class Comparison:
     """What differs between two calibrations.
 
     ``differences`` are of the parameters that both determine; ``p_value`` is that of all of them
-    together (chi-square with the covariance of both); ``only_first`` and ``only_second`` name what
+    together (Hotelling's test: chi-square of ``rank`` with the covariance of both, whose size is
+    estimated too); ``only_first`` and ``only_second`` name what
     one alone determines; ``identity`` says where they are of different devices, or "".
     """
 
     differences: tuple[Difference, ...]
     chi_square: float
-    degrees_of_freedom: int
+    rank: int
     only_first: tuple[str, ...]
     only_second: tuple[str, ...]
     identity: str
@@ -64,9 +69,10 @@ class Comparison:
     @property
     def p_value(self) -> float:
         """Of all parameters together; 1 if there is none in common."""
-        if not self.degrees_of_freedom:
+        if not self.rank:
             return 1.0
-        return float(chdtrc(self.degrees_of_freedom, self.chi_square))
+        freedom = min(item.degrees_of_freedom for item in self.differences)
+        return float(fdtrc(self.rank, freedom, self.chi_square / self.rank))
 
     @property
     def changed(self) -> tuple[Difference, ...]:
@@ -81,19 +87,11 @@ class Comparison:
         return self.p_value >= self.significance and not self.changed
 
 
-def compare(
-    first: Calibration, second: Calibration, *, allowance: Mapping[str, float] | None = None
-) -> Comparison:
-    """Compare two calibrations.
+def compare(first: Calibration, second: Calibration) -> Comparison:
+    """Compare two calibrations of one device.
 
-    Both are brought to one gravity first: what one assumed is in its scale factors.
-
-    Parameters
-    ----------
-    first, second : Calibration
-    allowance : mapping, optional
-        Standard deviation by which a parameter may move by itself (name to value in its unit); it
-        adds in quadrature to both standard errors.
+    Both are brought to one gravity first: what one assumed is in its scale factors. To both
+    covariances comes what a sensor may do by itself in between (`calib.allowance.between`).
     """
     ratio = second.gravity.value / first.gravity.value
     if ratio != 1.0:
@@ -102,7 +100,8 @@ def compare(
         moved = Triad.from_matrix(accel.matrix * ratio, accel.bias)
         second = replace(second, model=replace(second.model, accel=moved))
     common = [name for name in first.names if name in second.names]
-    moves = np.array([(allowance or {}).get(name, 0.0) for name in common])
+    allowed = between(first, second)
+    moves = np.array([allowed.get(name, 0.0) for name in common])
     one, two = _values(first, common), _values(second, common)
     covariance = _part(first, common) + _part(second, common) + np.diag(moves**2)
     sigma = np.sqrt(np.diag(covariance))
@@ -113,8 +112,16 @@ def compare(
     square = float(scaled @ np.linalg.lstsq(scaled_covariance, scaled, rcond=1e-10)[0])
     return Comparison(
         tuple(
-            Difference(name, float(a), float(b), float(s), parameter_unit(name), float(m))
-            for name, a, b, s, m in zip(common, one, two, sigma, moves, strict=True)
+            Difference(
+                name,
+                float(one[k]),
+                float(two[k]),
+                float(sigma[k]),
+                parameter_unit(name),
+                _freedom(name, first, second),
+                float(moves[k]),
+            )
+            for k, name in enumerate(common)
         ),
         square,
         int(np.linalg.matrix_rank(scaled_covariance, tol=1e-10)) if known.any() else 0,
@@ -143,3 +150,20 @@ def _values(calibration: Calibration, names: list[str]) -> FloatArray:
 def _part(calibration: Calibration, names: list[str]) -> FloatArray:
     index = [calibration.names.index(name) for name in names]
     return calibration.covariance[np.ix_(index, index)]
+
+
+def _freedom(name: str, first: Calibration, second: Calibration) -> float:
+    """Return the degrees of freedom of a difference's standard error, after Satterthwaite.
+
+    Those of either fit are its residuals, less nine for the parameters of a matrix.
+    """
+    variances, parts = 0.0, 0.0
+    for calibration in (first, second):
+        variance = calibration.sigmas[name] ** 2
+        summary = calibration.gyro if name.startswith("gyro") else calibration.accel
+        freedom = np.inf
+        if summary is not None and summary.residuals.size:
+            freedom = max(1.0, float(summary.residuals[summary.used].size - 9))
+        variances += variance
+        parts += variance**2 / freedom
+    return float(variances**2 / parts) if parts > 0 else 1e9

@@ -8,25 +8,23 @@ The new recording is corrected with the calibration. A right calibration then le
 
 Each is judged by a chi-square in which stand the noise of the new recording, the covariance of the
 calibration, what its own fit left over (its residuals: physics that the model lacks is no change),
-and an allowance for what a bias may do by itself: its wander from pose to pose when it was
-calibrated, Earth's rotation, and typical coefficients of temperature beyond the calibrated range.
+and what a sensor may do by itself (`calib.allowance`).
 What has changed is then named by fitting the corrected recording anew.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import chdtrc
 
+from calib.allowance import beyond, thermal, wander
 from calib.apply import correct_recording
 from calib.calibrate import calibrate
 from calib.calibration import Calibration
 from calib.closure import TurnSteps, closure_residual, horizontal_basis, pose_directions, propagate
 from calib.compare import SIGNIFICANCE, Comparison, compare, device_mismatch
-from calib.effects import get_effect
 from calib.errors import InsufficientMotionError
 from calib.model import SensorModel, Triad
 from calib.poses import Poses, average_poses
@@ -36,9 +34,6 @@ from calib.statics import find_poses
 from calib.turns import find_turns
 from calib.types import FloatArray
 from calib.units import check_units
-
-EARTH_RATE = 7.292115e-5
-"""rad/s (IERS Conventions 2010, table 1.2)."""
 
 UNCALIBRATED = {
     "accel.bias": 0.5,
@@ -134,75 +129,33 @@ def verify(
         )
     corrected = correct_recording(replace(calibration, housing=None), recording)
     still = average_poses(corrected, poses.start, poses.stop)
-    beyond = _beyond(calibration, still)
-    moves = allowances(calibration, beyond)
-    checks = [_gravity_check(calibration, still, moves), _rest_check(calibration, still, moves)]
+    outside = beyond(calibration, still.temperature)
+    checks = [_gravity_check(calibration, still, outside), _rest_check(calibration, still, outside)]
     turns = _turn_check(calibration, corrected, still)
     if turns is not None:
         checks.append(turns)
     return Verification(
-        tuple(check for check in checks if check is not None),
-        _compare_anew(calibration, corrected, moves),
+        tuple(checks),
+        _compare_anew(calibration, corrected),
         device_mismatch(calibration.provenance.device, recording.device),
-        _remarks(calibration, recording, beyond),
+        _remarks(calibration, recording, outside),
         significance,
     )
 
 
-def allowances(calibration: Calibration, beyond: float) -> dict[str, float]:
-    """Return by how much parameters may have moved by themselves, one standard deviation each.
-
-    ``beyond`` is how far outside the calibrated range it is now, K.
-    """
-    accel_bias2 = 0.0 if calibration.accel is None else calibration.accel.residual_rms**2
-    gyro_bias2 = EARTH_RATE**2 / 3 + _wander2(calibration)
-    accel_scale2 = 0.0
-    present = {term.effect for term in calibration.model.terms}
-    if beyond:
-        for slug in ("accel_bias_temperature", "gyro_bias_temperature", "accel_scale_temperature"):
-            typical = 0.0 if slug in present else get_effect(slug).parameters[0].typical
-            move2 = (typical * beyond) ** 2
-            accel_bias2 += move2 if slug == "accel_bias_temperature" else 0.0
-            gyro_bias2 += move2 if slug == "gyro_bias_temperature" else 0.0
-            accel_scale2 += move2 if slug == "accel_scale_temperature" else 0.0
-    out: dict[str, float] = {}
-    for axis in AXES:
-        out[f"accel.bias.{axis}"] = float(np.sqrt(accel_bias2))
-        out[f"gyro.bias.{axis}"] = float(np.sqrt(gyro_bias2))
-        out[f"accel.scale_factor_error.{axis}"] = float(np.sqrt(accel_scale2))
-    return out
-
-
-def _wander2(calibration: Calibration) -> float:
-    """Return the variance of the static rate from pose to pose when it was calibrated."""
-    table = calibration.poses
-    if table is None or calibration.gyro is None:
-        return 0.0
-    still = np.ones(len(table.gyro), bool)
-    for item in calibration.gyro.excluded:
-        low, high = item.interval
-        still &= (table.interval[:, 0] < low) | (table.interval[:, 1] > high)
-    return float(table.gyro[still].var(axis=0, ddof=1).max()) if still.sum() > 2 else 0.0
-
-
-def _beyond(calibration: Calibration, still: Poses) -> float:
-    """Return how far the poses' mean temperature is outside the calibrated range, K."""
-    span = calibration.temperature
-    if span is None or still.temperature is None:
-        return 0.0
-    mean = float(still.temperature.mean())
-    return max(span.low - mean, mean - span.high, 0.0)
-
-
-def _remarks(calibration: Calibration, recording: Recording, beyond: float) -> tuple[str, ...]:
+def _remarks(
+    calibration: Calibration, recording: Recording, outside: FloatArray
+) -> tuple[str, ...]:
     remarks = []
     if calibration.temperature is None or recording.temperature is None:
         remarks.append("temperature is not known in both, so a bias that followed it is a change")
-    elif beyond:
+    elif outside.any():
+        most = float(outside[np.argmax(np.abs(outside))])
+        where = "above" if most > 0 else "below"
+        span = calibration.temperature
         remarks.append(
-            f"the poses are {beyond:.1f} K beyond the calibrated "
-            f"{calibration.temperature.low:.1f} to {calibration.temperature.high:.1f} °C; typical "
-            "coefficients of temperature are allowed for that"
+            f"the poses are up to {abs(most):.1f} K {where} the calibrated {span.low:.1f} to "
+            f"{span.high:.1f} °C; typical coefficients of temperature are allowed for that"
         )
     if calibration.undetermined:
         remarks.append(
@@ -211,7 +164,7 @@ def _remarks(calibration: Calibration, recording: Recording, beyond: float) -> t
     return tuple(remarks)
 
 
-def _gravity_check(calibration: Calibration, still: Poses, moves: Mapping[str, float]) -> Check:
+def _gravity_check(calibration: Calibration, still: Poses, outside: FloatArray) -> Check:
     """Judge ``|a| = g`` over the poses."""
     size = np.linalg.norm(still.accel, axis=1)
     residual = size - calibration.gravity.value
@@ -222,27 +175,24 @@ def _gravity_check(calibration: Calibration, still: Poses, moves: Mapping[str, f
         used = int(calibration.accel.used.sum())
         left = calibration.accel.residual_rms**2 * used / calibration.accel.degrees_of_freedom
     inverse = np.asarray(np.linalg.inv(calibration.model.accel.matrix))
-    covariance = _covariance(calibration, NAMES, moves)
     # d|f| = -u.T K (db + dT f) for f = K (a - b), u its direction.
     normal = up @ inverse
     design = -np.hstack([normal, normal[:, ROWS] * still.accel[:, COLUMNS]])
-    total = np.diag(noise + left) + design @ covariance @ design.T
+    total = np.diag(noise + left) + _spread(calibration, NAMES, design, outside)
     return _check(
         "gravity", "|a| - g in each pose", residual[:, None], total, "m/s²", still.interval
     )
 
 
-def _rest_check(calibration: Calibration, still: Poses, moves: Mapping[str, float]) -> Check:
+def _rest_check(calibration: Calibration, still: Poses, outside: FloatArray) -> Check:
     """Judge that the mean rate at rest is zero."""
     names = tuple(f"gyro.bias.{axis}" for axis in AXES)
-    inverse = np.asarray(np.linalg.inv(calibration.model.gyro.matrix))
-    common = inverse @ _covariance(calibration, names, moves) @ inverse.T
-    k = len(still)
-    wander = np.eye(3) * (_wander2(calibration) + EARTH_RATE**2 / 3)
-    total = np.asarray(np.kron(np.ones((k, k)), common), np.float64)
-    for i in range(k):
+    design = np.tile(np.linalg.inv(calibration.model.gyro.matrix), (len(still), 1))
+    total = _spread(calibration, names, design, np.repeat(outside, 3))
+    each = np.diag([wander(calibration)[name] ** 2 for name in names])
+    for i, noise in enumerate(still.gyro_covariance):
         part = slice(3 * i, 3 * i + 3)
-        total[part, part] += still.gyro_covariance[i] + wander
+        total[part, part] += noise + each
     return _check("rest", "rate in each pose", still.gyro, total, "rad/s", still.interval)
 
 
@@ -273,7 +223,8 @@ def _turn_check(calibration: Calibration, corrected: Recording, still: Poses) ->
         else:
             changed = closure(as_told, pose_directions(still, moved).up)
         design[:, k] = (changed - residual) / step
-    common = design @ _covariance(calibration, (*NAMES, *turned), {}) @ design.T
+    covariance = _covariance(calibration, (*NAMES, *turned))
+    common = design @ covariance @ design.T
     left = calibration.gyro.residual_rms**2
     rate = 0.5 * (still.gyro_covariance[turns.before] + still.gyro_covariance[turns.after])
     drift = np.trace(rate, axis1=1, axis2=2) / 3 * steps.duration**2
@@ -318,26 +269,36 @@ def _check(
     )
 
 
-def _covariance(
-    calibration: Calibration, names: tuple[str, ...], moves: Mapping[str, float]
+def _spread(
+    calibration: Calibration, names: tuple[str, ...], design: FloatArray, outside: FloatArray
 ) -> FloatArray:
-    """Return the covariance of some parameters, with what they may have moved by themselves.
+    """Return the covariance of residuals ``design @ parameters`` of an unchanged device.
+
+    ``outside`` (K, one for each row) moves the parameters by their coefficients of temperature.
+    """
+    moves, coefficients = wander(calibration), thermal(calibration)
+    alike = _covariance(calibration, names)
+    alike += np.diag([moves.get(name, 0.0) ** 2 for name in names])
+    warmed = design * np.broadcast_to(outside, (len(design),))[:, None]
+    apart = np.diag([coefficients.get(name, 0.0) ** 2 for name in names])
+    return np.asarray(design @ alike @ design.T + warmed @ apart @ warmed.T, np.float64)
+
+
+def _covariance(calibration: Calibration, names: tuple[str, ...]) -> FloatArray:
+    """Return the covariance of some parameters.
 
     What is not determined is uncertain by what a consumer part promises.
     """
     open_ = set(calibration.undetermined)
     prior = [UNCALIBRATED[name.rpartition(".")[0]] if name in open_ else 0.0 for name in names]
-    move = [moves.get(name, 0.0) for name in names]
-    out: FloatArray = np.diag(np.square(prior) + np.square(move))
+    out: FloatArray = np.diag(np.square(prior))
     known = [k for k, name in enumerate(names) if name in calibration.names]
     index = [calibration.names.index(names[k]) for k in known]
     out[np.ix_(known, known)] += calibration.covariance[np.ix_(index, index)]
     return out
 
 
-def _compare_anew(
-    calibration: Calibration, corrected: Recording, moves: Mapping[str, float]
-) -> Comparison | None:
+def _compare_anew(calibration: Calibration, corrected: Recording) -> Comparison | None:
     """Fit the corrected recording: what a right calibration leaves is no bias, scale or angle."""
     try:
         left = calibrate(corrected, gravity=calibration.gravity)
@@ -356,7 +317,7 @@ def _compare_anew(
         covariance=calibration.covariance[np.ix_(index, index)],
         undetermined=tuple(n for n in calibration.undetermined if n in left.values),
     )
-    return compare(known, replace(left, model=model), allowance=moves)
+    return compare(known, replace(left, model=model))
 
 
 def _compose(known: Triad, left: Triad) -> Triad:

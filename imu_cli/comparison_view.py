@@ -62,7 +62,7 @@ def comparison_document(comparison: Comparison) -> dict[str, Any]:
         "same": comparison.same,
         "p_value": comparison.p_value,
         "chi_square": comparison.chi_square,
-        "degrees_of_freedom": comparison.degrees_of_freedom,
+        "rank": comparison.rank,
         "significance": comparison.significance,
         "identity_mismatch": comparison.identity or None,
         "parameters": {
@@ -73,6 +73,7 @@ def comparison_document(comparison: Comparison) -> dict[str, Any]:
                 "sigma": item.sigma,
                 "allowance": item.allowance,
                 "score": item.score,
+                "degrees_of_freedom": item.degrees_of_freedom,
                 "p_value": item.p_value,
                 "changed": item in changed,
                 "unit": item.unit,

@@ -1,0 +1,167 @@
+"""A calibration against another, and against a new recording: what changed is named."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calib.calibrate import calibrate
+from calib.calibration import Calibration, Gravity
+from calib.compare import compare
+from calib.effects.base import Term
+from calib.errors import InsufficientMotionError
+from calib.model import SensorModel, Triad
+from calib.recording import DeviceInfo, Recording
+from calib.simulate import NoiseModel, simulate
+from calib.simulation.bench import bench_protocol
+from calib.verify import verify
+
+NOISE = NoiseModel(accel_noise_density=2e-3, gyro_noise_density=2e-4, gyro_bias_instability=3e-5)
+
+
+def sensor(rng: np.random.Generator) -> SensorModel:
+    return SensorModel(
+        Triad(
+            rng.normal(0, 0.2, 3),
+            rng.normal(0, 0.02, 3),
+            np.tril(rng.normal(0, 0.01, (3, 3)), -1),
+        ),
+        Triad(
+            rng.normal(0, 0.02, 3),
+            rng.normal(0, 0.02, 3),
+            rng.normal(0, 0.01, (3, 3)) * (1 - np.eye(3)),
+        ),
+    )
+
+
+def record(
+    model: SensorModel,
+    rng: np.random.Generator,
+    poses: int = 20,
+    serial: str = "1",
+    temperature: float = 28.0,
+) -> Recording:
+    motion = bench_protocol(rng, poses=poses, temperature=temperature, warm_up=2.0)
+    device = DeviceInfo("simulated", serial)
+    return simulate(motion, model, NOISE, rng=rng, rate=50.0, device=device)
+
+
+def changed(model: SensorModel, name: str, by: float) -> SensorModel:
+    triad = name.split(".")[0]
+    old = getattr(model, triad)
+    moved = old.with_parameters({name: old.parameters(triad)[name] + by})
+    return replace(model, **{triad: moved})
+
+
+@pytest.fixture(scope="module")
+def known() -> tuple[SensorModel, Calibration]:
+    rng = np.random.default_rng(11)
+    model = sensor(rng)
+    return model, calibrate(record(model, rng), gravity=9.80665)
+
+
+def test_an_unchanged_device_passes(known: tuple[SensorModel, Calibration]) -> None:
+    model, calibration = known
+    for seed, poses in enumerate([1, 2, 4, 8, 16, 24]):
+        answer = verify(calibration, record(model, np.random.default_rng(seed), poses))
+        assert answer.right, (poses, answer.failed)
+        assert not answer.identity
+        assert {check.name for check in answer.checks} >= {"gravity", "rest"}
+
+
+@pytest.mark.parametrize(
+    ("name", "by", "check"),
+    [
+        ("accel.bias.x", 0.02, "gravity"),
+        ("accel.scale_factor_error.z", 0.002, "gravity"),
+        ("accel.misalignment.yx", 0.004, "gravity"),
+        ("gyro.bias.y", np.radians(0.06), "rest"),
+        ("gyro.scale_factor_error.x", 0.004, "turns"),
+        ("gyro.misalignment.xy", 0.004, "turns"),
+    ],
+)
+def test_a_change_is_found_and_named(
+    known: tuple[SensorModel, Calibration], name: str, by: float, check: str
+) -> None:
+    model, calibration = known
+    new = record(changed(model, name, by), np.random.default_rng(5))
+    answer = verify(calibration, new)
+    assert not answer.right
+    assert check in {item.name for item in answer.failed}
+    assert answer.comparison is not None
+    assert answer.comparison.changed[0].name == name
+    assert answer.comparison.changed[0].difference == pytest.approx(by, rel=0.25)
+    fresh = compare(calibration, calibrate(new, gravity=9.80665))
+    assert not fresh.same
+    assert name in {item.name for item in fresh.changed}
+
+
+def test_one_pose_is_enough_to_see_a_bias(known: tuple[SensorModel, Calibration]) -> None:
+    model, calibration = known
+    moved = changed(model, "gyro.bias.z", np.radians(0.5))
+    answer = verify(calibration, record(moved, np.random.default_rng(3), poses=1))
+    assert [check.name for check in answer.failed] == ["rest"]
+    assert answer.comparison is None
+
+
+def test_another_temperature_is_allowed_for_and_said(
+    known: tuple[SensorModel, Calibration],
+) -> None:
+    model, calibration = known
+    tempco = Term("gyro_bias_temperature", {f"k{a}": np.radians(0.03) for a in "xyz"})
+    warm = replace(model, terms=(tempco,), reference_temperature=29.0)
+    new = record(warm, np.random.default_rng(4), temperature=45.0)
+    answer = verify(calibration, new)
+    assert answer.right
+    assert any("above the calibrated" in remark for remark in answer.remarks)
+    calibration = replace(calibration, temperature=None)
+    assert not verify(calibration, new).right
+
+
+def test_a_model_with_terms_is_verified_as_a_whole(
+    known: tuple[SensorModel, Calibration],
+) -> None:
+    model, calibration = known
+    term = Term("gyro_g_sensitivity", {"gxz": 4e-4, "gyx": -3e-4})
+    new = record(replace(model, terms=(term,)), np.random.default_rng(6))
+    assert not verify(calibration, new).right
+    with_term = replace(calibration, model=replace(calibration.model, terms=(term,)))
+    assert verify(with_term, new).right
+
+
+def test_another_device_is_said(known: tuple[SensorModel, Calibration]) -> None:
+    model, calibration = known
+    answer = verify(calibration, record(model, np.random.default_rng(7), 3, serial="2"))
+    assert "serial number is 2, that of the calibration 1" in answer.identity
+
+
+def test_no_pose_no_answer(known: tuple[SensorModel, Calibration]) -> None:
+    moving = record(known[0], np.random.default_rng(8), 2).slice(0, 5)
+    with pytest.raises(InsufficientMotionError, match="no static pose"):
+        verify(known[1], moving)
+
+
+def test_calibrations_of_one_device_agree_as_their_covariances_say() -> None:
+    scores = []
+    for seed in range(12):
+        rng = np.random.default_rng(100 + seed)
+        model = sensor(rng)
+        first, second = (calibrate(record(model, rng, 16), gravity=9.80665) for _ in range(2))
+        answer = compare(first, second)
+        assert answer.rank == 21
+        assert answer.same, answer.changed
+        scores.append(answer.chi_square / answer.rank)
+    # 12 x 21 squares over covariances of about 20 degrees of freedom, biases within allowances.
+    assert 0.5 < np.mean(scores) < 1.6
+
+
+def test_gravity_and_what_one_alone_determines(known: tuple[SensorModel, Calibration]) -> None:
+    model, _ = known
+    new = record(model, np.random.default_rng(9))
+    here, there = (calibrate(new, gravity=Gravity(g)) for g in (9.80665, 9.78))
+    assert compare(here, there).chi_square < 1e-3
+    part = replace(
+        here, names=here.names[:-1], covariance=here.covariance[:-1, :-1], undetermined=()
+    )
+    assert compare(here, part).only_first == (here.names[-1],)
+    assert compare(part, here).only_second == (here.names[-1],)
