@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from calib.calibration import Calibration
+from calib.effects import effects
 from calib.effects.base import Term
 from calib.model import SensorModel
 from calib.recording import Recording
@@ -18,7 +19,7 @@ from calib.simulation.library import make_motion
 from calib.simulation.noise import CONSUMER, NoiseModel, noise_at_rest
 from calib.simulation.recorded import motion_of
 from calib.statics import find_poses
-from drivers.calibration_file import load_calibration
+from drivers.calibration_file import describe_input, load_calibration
 from drivers.formats import read_recording
 
 G = 9.80665
@@ -126,16 +127,33 @@ def _twin(plan: Plan, terms: tuple[Term, ...], *, rng: np.random.Generator) -> S
     recording = read_recording(plan.like, profile=plan.profile, imu=plan.imu)
     calibration = load_calibration(plan.calibration)
     sensor = calibration if plan.sensor is None else load_calibration(plan.sensor)
-    model = replace(sensor.model, terms=sensor.model.terms + terms)
+    events = _events_of(plan.like, calibration)
+    own = replace(calibration.model, terms=calibration.model.terms + events)
+    model = own if sensor is calibration else sensor.model
+    model = replace(model, terms=model.terms + terms)
     gravity = plan.gravity or calibration.gravity.value
     poses = find_poses(recording)
     noise = noise_at_rest(recording, poses).scaled(plan.noise)
-    motion = motion_of(recording, calibration.model, poses, gravity=gravity)
+    motion = motion_of(recording, own, poses, gravity=gravity)
     twin = digital_twin(recording, motion, model, noise, rng=rng)
     truth = None
     if plan.truth:
         truth = digital_twin(recording, motion, SensorModel(), NoiseModel(), rng=rng)
     return Simulated(twin, truth, motion, model, noise)
+
+
+def _events_of(log: Path, calibration: Calibration) -> tuple[Term, ...]:
+    """Return what happened once in the recording, if it is the one that was calibrated."""
+    if not calibration.events:
+        return ()
+    digest = describe_input(log).sha256
+    if digest not in {item.sha256 for item in calibration.provenance.inputs}:
+        return ()
+    return tuple(
+        Term(event.effect, {name: item.value for name, item in event.parameters.items()})
+        for event in calibration.events
+        if event.effect in effects()
+    )
 
 
 def _noise(calibration: Calibration | None) -> NoiseModel:

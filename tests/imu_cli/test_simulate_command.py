@@ -1,17 +1,18 @@
 """``imu-cal simulate``: files, twins, effects and wrong arguments."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner, Result
 
-from calib.calibration import Calibration, Gravity, Noise
+from calib.calibration import Calibration, Event, Gravity, Noise, Provenance, Quantity
 from calib.effects.base import Term
 from calib.model import SensorModel, Triad
 from calib.simulation.library import MOTIONS
-from drivers.calibration_file import save_calibration
+from drivers.calibration_file import describe_input, load_calibration, save_calibration
 from drivers.formats import read_recording
 from imu_cli.app import app
 from imu_cli.options import parse_duration, parse_effect
@@ -89,6 +90,24 @@ def test_twin_of_a_recording(sensor: Path, tmp_path: Path) -> None:
     np.testing.assert_array_equal(found.time, recorded.time)
     assert np.std(found.gyro - recorded.gyro) < 2e-3
     assert np.std(found.accel - recorded.accel) < 0.06
+
+
+def test_events_are_in_the_twin_of_their_own_recording_only(sensor: Path, tmp_path: Path) -> None:
+    log, other, twin = (tmp_path / f"{name}.arrow" for name in ("log", "other", "twin"))
+    assert run("--sensor", sensor, "--duration", "40s", "-o", log).exit_code == 0
+    assert run("--sensor", sensor, "--duration", "40s", "--seed", 1, "-o", other).exit_code == 0
+    step = {name: Quantity(value, None, "") for name, value in (("bz", 1.0), ("moment", 2.0))}
+    known = replace(
+        load_calibration(sensor),
+        events=(Event("gyro_bias_step", ("gyro.z",), ((2.0, 40.0),), step),),
+        provenance=Provenance((describe_input(log),)),
+    )
+    path = tmp_path / "known.cal.json"
+    save_calibration(known, path)
+    for recording, said in ((log, True), (other, False)):
+        result = run("--like", recording, "--calibration", path, "-o", twin)
+        assert result.exit_code == 0, result.stderr
+        assert ("gyro_bias_step (bz = 1, moment = 2)" in result.stdout) is said
 
 
 @pytest.mark.parametrize(
