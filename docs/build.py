@@ -89,6 +89,15 @@ SECTIONS = {
 }
 
 
+def single_pages() -> Iterator[tuple[str, str]]:
+    """Yield the pages that state what the code states once: conventions and exit codes."""
+    import calib
+    from calib import errors
+
+    yield "conventions", f"# Conventions\n\n```text\n{(calib.__doc__ or '').strip()}\n```\n"
+    yield "exit-codes", f"# Exit codes\n\n```text\n{(errors.__doc__ or '').strip()}\n```\n"
+
+
 def write_section(folder: str, title: str, pages: Iterable[tuple[str, str]]) -> None:
     """Write the pages of one section and an index that links to each."""
     target = OUT / folder
@@ -107,6 +116,8 @@ def main() -> int:
     arguments = parser.parse_args()
     shutil.rmtree(OUT, ignore_errors=True)
     shutil.copytree(PAGES, OUT)
+    for name, text in single_pages():
+        (OUT / f"{name}.md").write_text(text, encoding="utf-8")
     for folder, (title, pages) in SECTIONS.items():
         write_section(folder, title, pages())
     if arguments.pages:
