@@ -1,4 +1,4 @@
-"""Option values that several commands read the same way: durations, effects, gravity."""
+"""Option values that several commands read the same way: durations, gravity."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ import typer
 
 if TYPE_CHECKING:
     from calib.calibration import Gravity
-    from calib.effects.base import Term
 
 _UNITS = {"": 1.0, "s": 1.0, "min": 60.0, "h": 3600.0, "ms": 1e-3}
 
@@ -25,40 +24,6 @@ def parse_duration(text: str) -> float:
     if not value > 0:
         raise ValueError(f"{text!r} is no duration: give 90s, 10min or 1.5h")
     return value
-
-
-def parse_effect(text: str, *, span: tuple[float, float]) -> Term:
-    """Return the term of ``slug:name=value,name=value`` in SI units, or of ``slug`` alone.
-
-    Alone, or with shape parameters only, its linear parameters have their typical size.
-    ValueError says what is wrong.
-    """
-    import difflib
-
-    from calib.effects import effects
-    from calib.effects.base import Term
-
-    slug, _, rest = text.partition(":")
-    if slug not in effects():
-        near = difflib.get_close_matches(slug, effects(), n=1)
-        hint = f": did you mean {near[0]}?" if near else f"; known: {', '.join(effects())}"
-        raise ValueError(f"{slug!r} is no effect{hint}")
-    effect = effects()[slug]
-    given: dict[str, float] = {}
-    for item in filter(None, rest.split(",")):
-        name, equals, value = item.partition("=")
-        try:
-            given[name.strip()] = float(value)
-        except ValueError:
-            shown = "no number" if equals else "no value"
-            raise ValueError(f"{item!r} in {text!r} has {shown}: give name=value") from None
-    linear = {p.name for p in effect.parameters}
-    if not linear & set(given):
-        shape = {p.name for p in effect.shape}
-        if not shape or not shape & set(given) or not all(p.optional for p in effect.shape):
-            given = {**effect.typical(span=span), **given}
-    effect.check(given)
-    return Term(slug, given)
 
 
 def choose_gravity(gravity: float | None, latitude: float | None, height: float | None) -> Gravity:

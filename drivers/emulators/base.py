@@ -9,12 +9,13 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from calib.effects.base import Signals, State
+from calib.effects.text import parse_term
 from calib.model import SensorModel, Triad
 from calib.simulation.bench import bench_protocol
 from calib.types import FloatArray
@@ -31,13 +32,15 @@ class EmulatorOptions:
     """How an emulator runs.
 
     ``rate`` is in Hz (None: the device's own default), ``speed`` is emulated over real time
-    (0: as fast as the reader takes it).
+    (0: as fast as the reader takes it), ``effects`` are further terms of the sensor, as
+    `calib.effects.text.parse_term` reads them.
     """
 
     rate: float | None = None
     seed: int = 0
     motion: str = "still"
     speed: float = 1.0
+    effects: tuple[str, ...] = ()
 
     @classmethod
     def from_address(cls, address: Address, *more: str) -> EmulatorOptions:
@@ -48,12 +51,13 @@ class EmulatorOptions:
         AddressError
             If the address holds another option, or one that does not parse.
         """
-        address.check({"rate", "seed", "motion", "speed", *more})
+        address.check({"rate", "seed", "motion", "speed", "effect", *more})
         return cls(
             rate=address.number("rate", 0.0) or None,
             seed=address.integer("seed", 0),
             motion=address.choice("motion", MOTIONS, "still"),
             speed=address.number("speed", 1.0),
+            effects=tuple(filter(None, address.options.get("effect", "").split(";"))),
         )
 
 
@@ -153,10 +157,13 @@ def make_sensor(options: EmulatorOptions, *, default_rate: float) -> EmulatedSen
     """
     rate = options.rate or default_rate
     generator = np.random.default_rng(options.seed)
+    state = MOTIONS[options.motion](rate, options.seed)
+    span = (float(state.time[0]), float(state.time[-1]))
+    terms = tuple(parse_term(text, span=span) for text in options.effects)
     return EmulatedSensor(
-        MOTIONS[options.motion](rate, options.seed),
+        state,
         rate=rate,
-        model=draw_model(generator),
+        model=replace(draw_model(generator), terms=terms),
         accel_noise=200e-6 * STANDARD_GRAVITY,
         gyro_noise=0.007 * DEGREE,
         seed=options.seed,

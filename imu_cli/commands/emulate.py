@@ -19,6 +19,10 @@ def emulate(
     speed: Annotated[
         float, typer.Option(min=0.0, help="Emulated over real time; 0 is as fast as it is read.")
     ] = 1.0,
+    effect: Annotated[
+        list[str] | None,
+        typer.Option(metavar="SLUG[:...]", help="A concealed effect of the sensor; repeatable."),
+    ] = None,
     json: Annotated[bool, typer.Option("--json", help="List as JSON.")] = False,
 ) -> None:
     """Run an emulated chip or serial device that any program can use.
@@ -42,6 +46,11 @@ def emulate(
         raise typer.BadParameter(f"no emulator {name!r}; there are {', '.join(known)}")
     if motion not in MOTIONS:
         raise typer.BadParameter(f"no motion {motion!r}; there are {', '.join(MOTIONS)}")
-    options = EmulatorOptions(rate=rate, seed=seed, motion=motion, speed=speed)
-    with stop_on_signals() as stop:
-        known[name].serve(options, output.print_now, stop)
+    options = EmulatorOptions(
+        rate=rate, seed=seed, motion=motion, speed=speed, effects=tuple(effect or ())
+    )
+    try:
+        with stop_on_signals() as stop:
+            known[name].serve(options, output.print_now, stop)
+    except ValueError as error:
+        raise typer.BadParameter(str(error), param_hint="--effect") from error

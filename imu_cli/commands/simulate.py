@@ -63,11 +63,12 @@ def simulate(
     """
     import numpy as np
 
+    from calib.effects.text import parse_term
     from calib.simulate import Sampling
     from calib.simulation.library import MOTIONS
     from drivers.formats import open_writer
     from imu_cli import output as out
-    from imu_cli.options import parse_duration, parse_effect
+    from imu_cli.options import parse_duration
     from imu_cli.simulation import Plan, describe, run
 
     if motion not in MOTIONS:
@@ -105,7 +106,7 @@ def simulate(
             imu=imu,
             truth=truth is not None,
         )
-        terms = tuple(parse_effect(text, span=plan.span) for text in effect or ())
+        terms = tuple(parse_term(text, span=plan.span) for text in effect or ())
     except ValueError as error:
         raise typer.BadParameter(str(error)) from error
     # The suffixes are checked before the work is done.

@@ -10,12 +10,13 @@ from typer.testing import CliRunner, Result
 
 from calib.calibration import Calibration, Event, Gravity, Noise, Provenance, Quantity
 from calib.effects.base import Term
+from calib.effects.text import parse_term
 from calib.model import SensorModel, Triad
 from calib.simulation.library import MOTIONS
 from drivers.calibration_file import describe_input, load_calibration, save_calibration
 from drivers.formats import read_recording
 from imu_cli.app import app
-from imu_cli.options import parse_duration, parse_effect
+from imu_cli.options import parse_duration
 
 
 def run(*arguments: object) -> Result:
@@ -158,8 +159,8 @@ def test_durations() -> None:
 
 
 def test_an_effect_may_be_given_in_part() -> None:
-    assert parse_effect("gyro_bias_step", span=(0, 10)).parameters["moment"] == 5.0
-    term = parse_effect("gyro_warm_up:tau=50", span=(0, 10))
+    assert parse_term("gyro_bias_step", span=(0, 10)).parameters["moment"] == 5.0
+    term = parse_term("gyro_warm_up:tau=50", span=(0, 10))
     assert term.parameters["tau"] == 50.0
     assert term.parameters["kx"] > 0
-    assert parse_effect("bandwidth:gyro_cutoff=20", span=(0, 10)).parameters == {"gyro_cutoff": 20}
+    assert parse_term("bandwidth:gyro_cutoff=20", span=(0, 10)).parameters == {"gyro_cutoff": 20}
