@@ -1,7 +1,8 @@
 """The whole story on emulated hardware: what ``imu-cal demo`` tells.
 
 A sensor with a concealed effect is recorded, calibrated and diagnosed; the effect is named,
-modelled and removed; what the device can hold is flashed into it, verified on a new recording, and reported.
+modelled and removed; what the device can hold is flashed into it, verified on a new recording, and
+reported.
 """
 
 from __future__ import annotations
