@@ -240,16 +240,42 @@ def _batches(
         None if profile is None else get_profile(profile), imu, drop_invalid, batch
     )
     last: Recording | None = None
-    for file in files:
-        source = find_source(file)
+    for group in _groups(files, options):
+        sources = [find_source(file) for file in group]
         shift: float | None = None if last is not None else 0.0
-        for part in find_format(source, options).batches(source, options):
+        for part in _parts(sources, options):
             if shift is None and last is not None:
-                shift, part = _follow(last, part, source)
+                shift, part = _follow(last, part, sources[0])
             elif shift:
                 part = replace(part, time=part.time + shift)
             last = part
             yield part
+
+
+def _groups(files: list[Path_], options: ReadOptions) -> list[list[Path_]]:
+    """Return the files that belong together: pairs where the profile says so."""
+    profile = options.profile
+    if profile is None or not profile.separate_files:
+        return [[file] for file in files]
+    if len(files) % 2:
+        raise RecordingFormatError(
+            f"profile {profile.name} reads pairs of files, the accelerometer's and then the "
+            f"gyroscope's, but {len(files)} were given: {', '.join(map(str, files))}"
+        )
+    return [files[k : k + 2] for k in range(0, len(files), 2)]
+
+
+def _parts(sources: list[Source], options: ReadOptions) -> Iterator[Recording]:
+    if len(sources) == 1:
+        yield from find_format(sources[0], options).batches(sources[0], options)
+        return
+    from drivers.formats.pairs import read_pair
+
+    assert options.profile is not None
+    whole = read_pair(sources[0], sources[1], options.profile, options)
+    width = options.batch or len(whole)
+    for at in range(0, len(whole), width):
+        yield whole.slice(at, min(at + width, len(whole)))
 
 
 def _follow(last: Recording, part: Recording, source: Source) -> tuple[float, Recording]:

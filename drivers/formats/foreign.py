@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from calib.types import FloatArray
 from drivers.formats.assemble import Assembler
 from drivers.formats.base import Format, ReadOptions, Source
 from drivers.formats.columns import column_values, no_samples, stack_columns
-from drivers.formats.profile import Column, Profile, TimeColumn, TriadColumns, shipped_profiles
+from drivers.formats.profile import Column, Profile, TriadColumns, shipped_profiles
 from drivers.formats.text import TextTable, decode_head
 
 DELIMITERS = (",", ";", "\t", " ")
@@ -54,114 +55,168 @@ def find_profile(text: str) -> Profile | None:
     return found[0] if len(found) == 1 else None
 
 
+class TextLog:
+    """One text file under a profile: the rows of some triads, in SI, batch by batch.
+
+    Raises
+    ------
+    RecordingFormatError
+        If the file does not fit the profile.
+    EmptyRecordingError
+        If there is no line of samples.
+    """
+
+    def __init__(
+        self, source: Source, text: str, profile: Profile, triads: Sequence[TriadColumns]
+    ) -> None:
+        self.profile = profile.for_file(text)
+        self._source, self._triads = source, triads
+        lines = text.splitlines()
+        at = profile.skip_lines
+        while at < len(lines) and (lines[at].startswith("#") or not lines[at].strip()):
+            at += 1
+        if at >= len(lines):
+            raise no_samples(str(source.path))
+        delimiter = profile.delimiter or _guess_delimiter(lines[at])
+        fields = split_line(lines[at], delimiter)
+        self._names = [str(number + 1) for number in range(len(fields))]
+        if profile.header:
+            self._names = [name.strip().strip('"') for name in fields]
+            at += 1
+        self._stamp = self._heat = None
+        if profile.time is not None and profile.time.column is not None:
+            self._stamp = self._find(profile.time.column)
+        if profile.temperature is not None:
+            self._heat = self._find(profile.temperature.column)
+        self._columns = [tuple(map(self._find, triad.columns)) for triad in triads]
+        self._types: dict[str, Any] = {}
+        for name in itertools.chain(*self._columns, [self._heat] if self._heat else []):
+            self._types[name] = pa.float64()
+        if self._stamp is not None:
+            self._types[self._stamp] = self._stamp_type(lines[-1], delimiter)
+        self.table = TextTable(
+            source,
+            delimiter=delimiter,
+            names=self._names,
+            skip_lines=at,
+            decimal=profile.decimal,
+        )
+
+    def read(
+        self, clock: Timekeeper, *, batch: int | None
+    ) -> Iterator[tuple[FloatArray, list[FloatArray], FloatArray | None]]:
+        """Yield seconds (n,), the triads (n, 3) in SI, and the temperature (n,) or None."""
+        for part in self.table.read(self._types, batch=batch):
+            values = [
+                triad.to_si(stack_columns(part, columns))
+                for triad, columns in zip(self._triads, self._columns, strict=True)
+            ]
+            heat = None
+            if self._heat is not None and self.profile.temperature is not None:
+                raw = column_values(part, self._heat)
+                heat = self.profile.temperature.factor * raw + self.profile.temperature.zero
+            stamps = None if self._stamp is None else part.column(self._stamp)
+            yield clock.seconds(part.num_rows, stamps), values, heat
+
+    def _find(self, column: Column) -> str:
+        if isinstance(column, int) and column <= len(self._names):
+            return self._names[column - 1]
+        if column in self._names:
+            return str(column)
+        raise RecordingFormatError(
+            f"{self._source.path} does not fit profile {self.profile.name}: it has no column "
+            f"{column!r} among {', '.join(self._names[:12])}"
+        )
+
+    def _stamp_type(self, line: str, delimiter: str) -> Any:
+        """Return int64 where stamps are whole: nanoseconds since 1970 need all 64 bits."""
+        assert self.profile.time is not None
+        assert self._stamp is not None
+        if self.profile.time.factor is None:
+            return pa.timestamp("ns")
+        fields, position = split_line(line, delimiter), self._names.index(self._stamp)
+        whole = position < len(fields) and re.fullmatch(r"[+-]?\d+", fields[position].strip())
+        return pa.int64() if whole else pa.float64()
+
+
 def read_text(
     source: Source, text: str, profile: Profile, options: ReadOptions
 ) -> Iterator[Recording]:
     """Read the rows of one file, both triads in it."""
-    profile = profile.for_file(text)
-    table, names = open_table(source, text, profile)
     if profile.accel is None or profile.gyro is None:
         raise RecordingFormatError(
             f"profile {profile.name} has no {'[accel]' if profile.accel is None else '[gyro]'}"
         )
-    types = _types(source, text, profile, names)
-    assembler = Assembler(
-        name=str(source.path),
-        clock=profile.clock,
-        device=profile.device,
-        drop_invalid=options.drop_invalid,
-        row_name=table.line_name,
-        notes={"profile": profile.name, **profile.notes},
-    )
-    if options.profile is None:
-        assembler.notes["profile"] += " (recognised from the file)"
-    if table.cut:
-        assembler.complete = False
-        assembler.notes["cut"] = table.cut
-    clock = Timekeeper(profile)
-    for part in table.read(types, batch=options.batch):
-        seconds = clock.seconds(part, names)
-        temperature = None
-        if profile.temperature is not None:
-            values = column_values(part, _find(names, profile.temperature.column, source, profile))
-            temperature = profile.temperature.factor * values + profile.temperature.zero
-        recording = assembler.add(
-            seconds,
-            _triad(part, names, profile.accel, source, profile),
-            _triad(part, names, profile.gyro, source, profile),
-            temperature,
-        )
+    log = TextLog(source, text, profile, (profile.accel, profile.gyro))
+    assembler = text_assembler(source, log, options)
+    clock = Timekeeper(log.profile)
+    for seconds, (accel, gyro), heat in log.read(clock, batch=options.batch):
+        recording = assembler.add(seconds, accel, gyro, heat)
         if recording is not None:
             yield recording
     if not assembler.rows:
         raise no_samples(str(source.path))
 
 
-class Timekeeper:
-    """Seconds of each row, running on from batch to batch."""
+def text_assembler(source: Source, log: TextLog, options: ReadOptions) -> Assembler:
+    """Return the assembler for one text file, with what is known of it before it is read."""
+    recognised = " (recognised from the file)" if options.profile is None else ""
+    assembler = Assembler(
+        name=str(source.path),
+        clock=log.profile.clock,
+        device=log.profile.device,
+        drop_invalid=options.drop_invalid,
+        row_name=log.table.line_name,
+        notes={"profile": log.profile.name + recognised, **log.profile.notes},
+    )
+    if log.table.cut:
+        assembler.complete = False
+        assembler.notes["cut"] = log.table.cut
+    return assembler
 
-    def __init__(self, profile: Profile) -> None:
+
+class Timekeeper:
+    """Seconds of each row since the first, running on from batch to batch.
+
+    `zero` is the stamp that counts as 0, if it is not the first one.
+    """
+
+    def __init__(self, profile: Profile, zero: Any = None) -> None:
         self._profile = profile
         self._rows = 0
-        self._first: Any = None
+        self.zero = zero
         self._turns = 0
-        self._last: float | None = None
+        self._last: Any = None
 
-    def seconds(self, part: Any, names: list[str]) -> FloatArray:
-        """Return the time of the rows of one batch, (n,) s."""
-        count, time = part.num_rows, self._profile.time
-        start = self._rows
+    def seconds(self, count: int, column: Any) -> FloatArray:
+        """Return the time of `count` rows, (n,) s, from their stamps, or from the rate."""
+        start, time = self._rows, self._profile.time
         self._rows += count
-        if time is None or time.column is None:
+        if column is None or time is None:
             assert self._profile.rate is not None
             return np.arange(start, start + count) / self._profile.rate
-        values = part.column(names[_position(names, time.column) or 0])
         if time.factor is None:
-            stamps = np.asarray(values.to_numpy(zero_copy_only=False), "datetime64[ns]")
-            return self._scaled(stamps.astype(np.int64), 1e-9)
-        if pa.types.is_integer(values.type) and not values.null_count:
-            stamps = np.asarray(values.to_numpy(zero_copy_only=False), np.int64)
-            return self._scaled(self._unwrapped(stamps, time), time.factor)
-        stamps = np.asarray(values.cast(pa.float64()).to_numpy(zero_copy_only=False), np.float64)
-        return self._scaled(self._unwrapped(stamps, time), time.factor)
+            stamps = np.asarray(column.to_numpy(zero_copy_only=False), "datetime64[ns]")
+            missing = np.isnat(stamps)
+            seconds = self._since_zero(stamps.astype(np.int64), 1e-9)
+            return np.where(missing, np.nan, seconds)
+        if not pa.types.is_integer(column.type) or column.null_count:
+            column = column.cast(pa.float64())
+        stamps = np.asarray(column.to_numpy(zero_copy_only=False))
+        return self._since_zero(self._unwrapped(stamps, time.wraps), time.factor)
 
-    def _scaled(self, stamps: Any, factor: float) -> FloatArray:
-        if self._first is None and len(stamps):
-            self._first = stamps[0]
-        return np.asarray(stamps - self._first, np.float64) * factor
+    def _since_zero(self, stamps: Any, factor: float) -> FloatArray:
+        if self.zero is None and len(stamps):
+            self.zero = stamps[0]
+        return np.asarray(stamps - self.zero, np.float64) * factor
 
-    def _unwrapped(self, stamps: Any, time: TimeColumn) -> Any:
-        if time.wraps is None or not len(stamps):
+    def _unwrapped(self, stamps: Any, wraps: int | None) -> Any:
+        if wraps is None or not len(stamps):
             return stamps
-        before = stamps[0] if self._last is None else self._last
-        step = np.diff(stamps, prepend=before)
-        turns = self._turns + np.cumsum(step < -time.wraps / 2)
+        step = np.diff(stamps, prepend=stamps[0] if self._last is None else self._last)
+        turns = self._turns + np.cumsum(step < -wraps / 2)
         self._last, self._turns = stamps[-1], int(turns[-1])
-        return stamps + turns * time.wraps
-
-
-def open_table(source: Source, text: str, profile: Profile) -> tuple[TextTable, list[str]]:
-    """Return the rows of a file and the names of its columns (``1, 2, ..`` without a header)."""
-    lines = text.splitlines()
-    at = profile.skip_lines
-    while at < len(lines) and (lines[at].startswith("#") or not lines[at].strip()):
-        at += 1
-    if at >= len(lines):
-        raise no_samples(str(source.path))
-    delimiter = profile.delimiter or _guess_delimiter(lines[at])
-    fields = split_line(lines[at], delimiter)
-    if profile.header:
-        names = [name.strip().strip('"') for name in fields]
-        at += 1
-    else:
-        names = [str(number + 1) for number in range(len(fields))]
-    for triad in (profile.accel, profile.gyro):
-        for column in triad.columns if triad else ():
-            _find(names, column, source, profile)
-    return (
-        TextTable(source, delimiter=delimiter, names=names, skip_lines=at, decimal=profile.decimal),
-        names,
-    )
+        return stamps + turns * wraps
 
 
 def split_line(line: str, delimiter: str) -> list[str]:
@@ -171,53 +226,6 @@ def split_line(line: str, delimiter: str) -> list[str]:
 
 def _guess_delimiter(line: str) -> str:
     return next((d for d in DELIMITERS if d in line.strip()), ",")
-
-
-def _position(names: list[str], column: Column) -> int | None:
-    if isinstance(column, int):
-        return column - 1 if column <= len(names) else None
-    return names.index(column) if column in names else None
-
-
-def _find(names: list[str], column: Column, source: Source, profile: Profile) -> str:
-    """Return the name of a column in the table."""
-    position = _position(names, column)
-    if position is None:
-        raise RecordingFormatError(
-            f"{source.path} does not fit profile {profile.name}: it has no column {column!r} among "
-            f"{', '.join(names[:12])}"
-        )
-    return names[position]
-
-
-def _types(source: Source, text: str, profile: Profile, names: list[str]) -> dict[str, Any]:
-    types: dict[str, Any] = {}
-    for triad in (profile.accel, profile.gyro):
-        for column in triad.columns if triad else ():
-            types[_find(names, column, source, profile)] = pa.float64()
-    if profile.temperature is not None:
-        types[_find(names, profile.temperature.column, source, profile)] = pa.float64()
-    if profile.time is not None and profile.time.column is not None:
-        name = _find(names, profile.time.column, source, profile)
-        types[name] = pa.timestamp("ns") if profile.time.factor is None else pa.float64()
-        if profile.time.factor is not None and profile.time.factor < 1:
-            types[name] = _stamp_type(text, names.index(name))
-    return types
-
-
-def _stamp_type(text: str, position: int) -> Any:
-    """Return int64 where the stamps are whole numbers: nanoseconds since 1970 need all 64 bits."""
-    last = text.splitlines()[-1]
-    fields = re.split(r"[,;\t ]", last)
-    whole = position < len(fields) and re.fullmatch(r"[+-]?\d+", fields[position].strip())
-    return pa.int64() if whole else pa.float64()
-
-
-def _triad(
-    part: Any, names: list[str], triad: TriadColumns, source: Source, profile: Profile
-) -> FloatArray:
-    columns = tuple(_find(names, column, source, profile) for column in triad.columns)
-    return triad.to_si(stack_columns(part, columns))
 
 
 def _unknown(source: Source, text: str) -> str:

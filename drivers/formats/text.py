@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
@@ -91,11 +92,11 @@ class TextTable:
             yield self._read_whole(types)
             return
         block = max(4096, batch * ROW_BYTES)
-        buffer = self._rows
+        rows: Any = self._rows
         if self._delimiter == " ":
-            buffer = _single_spaces(buffer)
+            rows = pa.PythonFile(_SingleSpaces(rows), mode="r")
         try:
-            with csv.open_csv(buffer, **self._options(types, block)) as reader:
+            with csv.open_csv(rows, **self._options(types, block)) as reader:
                 for part in reader:
                     for at in range(0, part.num_rows, batch):
                         yield part.slice(at, batch)
@@ -109,7 +110,8 @@ class TextTable:
             if self._delimiter != " ":
                 raise self._bad_line(types, error) from error
         try:
-            return csv.read_csv(_single_spaces(self._rows), **self._options(types, BLOCK))
+            squeezed = pa.py_buffer(_SingleSpaces(self._rows).read())
+            return csv.read_csv(squeezed, **self._options(types, BLOCK))
         except pa.ArrowInvalid as error:
             raise self._bad_line(types, error) from error
 
@@ -207,8 +209,28 @@ def _last_newline(buffer: Any, start: int) -> int:
     return start - 1
 
 
-def _single_spaces(buffer: Any) -> Any:
-    """Return the rows with one space for each run of blanks, and none at the ends of lines."""
-    text = re.sub(rb"[ \t]+", b" ", buffer.to_pybytes())
-    text = re.sub(rb" ?(\r?\n) ?", rb"\1", text)
-    return pa.py_buffer(text.lstrip(b" "))
+class _SingleSpaces(io.RawIOBase):
+    """Rows with one space for each run of blanks, and none at the ends of lines, read as a file."""
+
+    def __init__(self, rows: Any) -> None:
+        self._rows = rows
+        self._at = 0
+
+    def readable(self) -> bool:
+        return True
+
+    def read(self, size: int = -1) -> bytes:
+        """Return whole lines of at most `size` bytes, or all that is left."""
+        left = int(self._rows.size) - self._at
+        text = b""
+        while not text and left > 0:
+            stop = self._at + (left if size < 0 else min(max(size, 1), left))
+            end = _last_newline(self._rows.slice(0, stop), self._at) + 1
+            if end <= self._at:
+                end = stop
+            text = self._rows.slice(self._at, end - self._at).to_pybytes()
+            text = re.sub(rb"[ \t]+", b" ", text)
+            text = re.sub(rb" ?(\r?\n) ?", rb"\1", text).lstrip(b" ")
+            self._at = end
+            left = int(self._rows.size) - end
+        return text
