@@ -269,6 +269,7 @@ class _Sink:
         self._pending: list[Recording] = []
         self._recent: list[Recording] = []
         self._flushed = time.monotonic()
+        self._broken = False
 
     def append(self, batch: Recording) -> None:
         self._pending.append(batch)
@@ -283,16 +284,20 @@ class _Sink:
         if time.monotonic() - self._flushed < every:
             return
         self._flushed = time.monotonic()
+        self._write()
         if self._capture is not None:
             self._capture.flush()
-        if not self._pending:
+
+    def _write(self) -> None:
+        pending, self._pending = self._pending, []
+        if not pending:
             return
         try:
-            self._writer.append(join(self._pending))
+            self._writer.append(join(pending))
             self._writer.flush()
         except OSError as error:
+            self._broken = True
             raise self._failure(error) from error
-        self._pending = []
 
     def __enter__(self) -> _Sink:
         return self
@@ -304,8 +309,8 @@ class _Sink:
         trace: TracebackType | None,
     ) -> None:
         try:
-            if error is not None and not isinstance(error, RecordingWriteError):
-                self.flush(every=0.0)
+            if not self._broken:
+                self._write()
             self._writer.__exit__(kind, error, trace)
         except OSError as problem:
             if not isinstance(error, OSError):
