@@ -70,6 +70,7 @@ class Writer(ABC):
         """Write the next samples; time runs on from those before."""
         if self._last is None:
             self._start(batch)
+            self._last = batch  # it is open now, and must be closed even if this fails
         elif (batch.temperature is None) != (self._last.temperature is None):
             raise ValueError("`batch` must have a temperature exactly if the ones before it have")
         elif batch.time[0] <= self._last.time[-1]:
