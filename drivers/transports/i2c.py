@@ -496,8 +496,9 @@ class SmbusBus:
 
     def _read_blocks(self, address: int, register: int, count: int) -> bytes:
         if count > 32:
-            raise OSError(
-                95, f"this adapter has SMBus calls only, which stop at 32 bytes, not {count}"
+            raise DriverError(
+                f"this adapter has SMBus calls only, which read at most 32 bytes at once, not "
+                f"{count} from a FIFO; add fifo=off to the address"
             )
         return bytes(self._bus.read_i2c_block_data(address, register, count))
 
