@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import struct
+import sys
 
 import smbus2
 
@@ -61,7 +62,7 @@ def main() -> None:
         out["absent"] = ""
     except DriverError as error:
         out["absent"] = str(error)
-    print("RESULT " + json.dumps(out), flush=True)
+    sys.stdout.write("RESULT " + json.dumps(out) + "\n")
 
 
 if __name__ == "__main__":
