@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from imu_cli import output
 
 if TYPE_CHECKING:
-    from drivers.transports.i2c import Found
+    from drivers.i2c_scan import Found
     from drivers.transports.serial import SerialPort
 
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 import re
-import sys
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -19,19 +18,19 @@ from pathlib import Path
 import numpy as np
 
 from calib.errors import (
-    DeviceBusyError,
     DeviceLostError,
     DeviceNotFoundError,
-    DevicePermissionError,
     DriverError,
     WrongDeviceError,
 )
 from calib.recording import Clock, DeviceInfo, Recording
-from calib.types import FloatArray, IntArray
 from drivers.address import Address
 from drivers.chips import chips, get_chip, normal_name
 from drivers.chips.base import STANDARD_GRAVITY, Bus, Chip, Device, Samples, Setup
 from drivers.driver import Driver
+from drivers.i2c_scan import ask_identity, identify
+from drivers.sample_times import DeviceTimes, SampleTimes
+from drivers.smbus import SmbusBus
 from drivers.transports.base import Transport
 
 OPTIONS = ("chip", "rate", "accel_range", "gyro_range", "filter", "fifo", "config_file")
@@ -177,7 +176,7 @@ class I2CDriver(Driver):
                 f"imu-cal knows ({', '.join(chips())})"
             )
         chip = get_chip(self._wanted)
-        value, part = _ask_identity(bus, self._place, chip)
+        value, part = ask_identity(bus, self._place, chip)
         first = next(iter(chip.models.values()))
         names = (part, *(chip.aliases if part == first else ()))
         if normal_name(self._wanted) in map(normal_name, names):
@@ -270,281 +269,6 @@ class I2CDriver(Driver):
             lost=lost,
             device=self._info,
         )
-
-
-class SampleTimes:
-    """Sample numbers turned into times: the device's steady rate, locked to host time.
-
-    The last sample of a read has a known mean `age`: half an interval where a FIFO's count is
-    read, half a polling pause where a data-ready bit is watched. ``now - age`` observes its time.
-    A Kalman filter over (time of the last sample, interval) follows these observations.
-    """
-
-    def __init__(self, rate: float, now: float, *, age: float) -> None:
-        self.age = age
-        self.interval = 1 / rate
-        self.nominal = 1 / rate
-        self.last_read = now
-        self._origin = now
-        self._last = 0.0
-        self._started = False
-        # Of the estimates: an IMU's oscillator is within a few per cent of its nominal rate.
-        self._variance = np.diag([(2 * age) ** 2, (0.03 / rate) ** 2])
-        # Of an observation: the age is even over its range, and reads are late by scheduling.
-        self._noise = (2 * age) ** 2 / 12 + 2e-4**2
-
-    def take(self, count: int, lost: int, now: float) -> FloatArray:
-        """Return the times of the next `count` samples, `lost` samples after the one before."""
-        observed = now - self._origin - self.age
-        steps = count + lost
-        if not self._started:
-            self._started = True
-            self._last = observed - steps * self.interval
-        predict = np.array([[1.0, steps], [0.0, 1.0]])
-        variance = predict @ self._variance @ predict.T
-        # The rate drifts with temperature, by about 1e-6 of itself a second.
-        variance[1, 1] += (1e-6 * self.interval) ** 2 * steps * self.interval
-        gain = variance[:, 0] / (variance[0, 0] + self._noise)
-        error = observed - (self._last + steps * self.interval)
-        self._variance = variance - np.outer(gain, variance[0])
-        # Never backwards, however late a read was: at least half the nominal interval.
-        step = max(self.interval + gain[0] * error / steps, self.nominal / 2)
-        self.interval = min(
-            max(self.interval + gain[1] * error, 0.9 * self.nominal), 1.1 * self.nominal
-        )
-        times: FloatArray = self._last + step * np.arange(lost + 1, steps + 1, dtype=np.float64)
-        self._last += step * steps
-        return times
-
-    def restart(self, now: float) -> int:
-        """Return how many samples an emptied FIFO lost between the last one and `now`."""
-        if not self._started:
-            return 0
-        elapsed = now - self._origin - self._last
-        return max(1, int(elapsed / self.interval))
-
-    def missing(self, now: float) -> int:
-        """Return how many samples went by unread, when one that is new is read at `now`."""
-        if not self._started:
-            return 0
-        elapsed = now - self.age - self._origin - self._last
-        return max(0, round(elapsed / self.interval) - 1)
-
-
-class DeviceTimes:
-    """The chip's own clock unwrapped, and the samples that it shows to be missing.
-
-    Parameters
-    ----------
-    rate : float, Hz
-        Samples and clock come from one oscillator, so that steps are whole intervals of it.
-    period : float, s
-        When the clock wraps around. Pauses longer than that are told apart by host time.
-    """
-
-    def __init__(self, rate: float, period: float) -> None:
-        self._interval = 1 / rate
-        self._period = period
-        self._tick: float | None = None
-        self._time = 0.0
-        self._now = 0.0
-
-    def take(self, ticks: FloatArray, now: float) -> tuple[FloatArray, IntArray]:
-        """Return times from 0, and how many samples are missing before each, at host time `now`."""
-        steps = np.diff(ticks, prepend=ticks[0] if self._tick is None else self._tick)
-        steps = np.mod(steps, self._period)
-        if self._tick is not None:
-            rest = now - self._now - float(steps.sum())
-            steps[0] += self._period * max(0, round(rest / self._period))
-        times = self._time + np.cumsum(steps)
-        lost = np.clip(np.rint(steps / self._interval) - 1, 0, None).astype(np.int64)
-        self._tick, self._time, self._now = float(ticks[-1]), float(times[-1]), now
-        return times, lost
-
-
-# ---- who is there ----
-
-
-def identify(bus: Bus, place: int) -> list[tuple[str, Chip]]:
-    """Return the parts that could answer at an address, by their identity registers only.
-
-    Raises
-    ------
-    OSError
-        If nothing answers there.
-    """
-    found = []
-    for chip in chips().values():
-        if place in chip.addresses:
-            _, part = _ask_identity(bus, place, chip)
-            if part:
-                found.append((part, chip))
-    return found
-
-
-def _ask_identity(bus: Bus, place: int, chip: Chip) -> tuple[int, str]:
-    """Return what a chip's identity register reads, and the part that it stands for ('')."""
-    register = chip.identity.address
-    value = bus.read(place, register, 1)[0]
-    part = chip.models.get(value, "")
-    if part and register == 0 and _is_clock(bus, place):
-        part = ""
-    return value, part
-
-
-def _is_clock(bus: Bus, place: int) -> bool:
-    """Whether registers 0 to 6 read as a calendar: real-time clocks live at 0x68 too.
-
-    A DS3231 at 24 s reads 0x24 from register 0 as a BMI270 does. Day of week, day and month are
-    never zero in a clock; in the chips these registers are status bits and empty data.
-    """
-    data = bus.read(place, 0, 7)
-    date, month = _bcd(data[4] & 0x3F), _bcd(data[5] & 0x1F)
-    return 1 <= data[3] <= 7 and 1 <= date <= 31 and 1 <= month <= 12
-
-
-def _bcd(byte: int) -> int:
-    return 10 * (byte >> 4) + (byte & 0x0F)
-
-
-@dataclass(frozen=True)
-class Found:
-    """What a scan saw: an IMU at an address, or (``problem``) why a bus could not be read."""
-
-    bus: str
-    address: int | None = None
-    chip: str = ""
-    url: str = ""
-    problem: str = ""
-
-
-def scan_buses(folder: Path = Path("/dev")) -> list[Found]:
-    """Look for IMUs on every I2C bus, reading identity registers only; nothing is written."""
-    if not sys.platform.startswith("linux"):
-        return []
-    out: list[Found] = []
-    for path in sorted(folder.glob("i2c-[0-9]*"), key=lambda p: int(p.name[4:])):
-        try:
-            bus = SmbusBus(str(path))
-        except DriverError as error:
-            out.append(Found(str(path), problem=str(error)))
-            continue
-        try:
-            out += _scan(bus, path)
-        finally:
-            bus.close()
-    return out
-
-
-def _scan(bus: Bus, path: Path) -> list[Found]:
-    out = []
-    for place in sorted({a for chip in chips().values() for a in chip.addresses}):
-        try:
-            answers = identify(bus, place)
-        except OSError:
-            continue
-        name = path.name[4:] if str(path.parent) == "/dev" else str(path)
-        for part, _ in answers:
-            url = f"i2c://{name}/0x{place:02x}?chip={normal_name(part)}"
-            out.append(Found(str(path), place, part, url))
-    return out
-
-
-# ---- the bus itself ----
-
-
-class SmbusBus:
-    """A Linux I2C adapter through smbus2.
-
-    Plain I2C transactions where the adapter does them (``i2c_rdwr`` has no limit of 32 bytes);
-    SMBus block calls where it does not.
-    """
-
-    def __init__(self, path: str) -> None:
-        if not sys.platform.startswith("linux"):
-            raise DeviceNotFoundError(
-                f"{path}: I2C buses are reached on Linux only (this is {sys.platform}); record on "
-                "a Linux board, or use a serial device"
-            )
-        import smbus2
-
-        try:
-            self._bus = smbus2.SMBus(path)
-        except FileNotFoundError as error:
-            raise DeviceNotFoundError(
-                f"{path}: there is no such I2C bus; load the i2c-dev module and switch I2C on for "
-                "this board, and see `ls /dev/i2c-*`"
-            ) from error
-        except PermissionError as error:
-            raise DevicePermissionError(
-                f"{path}: permission denied; join the i2c group (sudo usermod -aG i2c $USER, then "
-                "log in again)"
-            ) from error
-        except OSError as error:
-            raise DriverError(f"{path}: cannot open it as an I2C bus: {error.strerror}") from error
-        self._message = smbus2.i2c_msg
-        self._plain = bool(self._bus.funcs & smbus2.I2cFunc.I2C)
-
-    def read(self, address: int, register: int, count: int) -> bytes:
-        """Read registers after a repeated start."""
-        if not self._plain:
-            return self._read_blocks(address, register, count)
-        write = self._message.write(address, [register])
-        read = self._message.read(address, count)
-        self._bus.i2c_rdwr(write, read)
-        return bytes(read.buf[0:count])
-
-    def _read_blocks(self, address: int, register: int, count: int) -> bytes:
-        if count > 32:
-            raise DriverError(
-                f"this adapter has SMBus calls only, which read at most 32 bytes at once, not "
-                f"{count} from a FIFO; add fifo=off to the address"
-            )
-        return bytes(self._bus.read_i2c_block_data(address, register, count))
-
-    def write(self, address: int, register: int, data: bytes) -> None:
-        """Write registers."""
-        if self._plain:
-            self._bus.i2c_rdwr(self._message.write(address, [register, *data]))
-        else:
-            self._bus.write_i2c_block_data(address, register, list(data))
-
-    def lock(self, address: int) -> None:
-        """Take one chip for this process, until the bus is closed.
-
-        Raises
-        ------
-        DeviceBusyError
-            If another process has it; the message names it.
-        """
-        import fcntl
-        import os
-        import struct
-
-        assert self._bus.fd is not None
-        request = struct.pack("hhqqi4x", fcntl.F_WRLCK, os.SEEK_SET, address, 1, 0)
-        try:
-            fcntl.fcntl(self._bus.fd, fcntl.F_SETLK, request)
-        except (BlockingIOError, PermissionError) as error:
-            holder = struct.unpack("hhqqi4x", fcntl.fcntl(self._bus.fd, fcntl.F_GETLK, request))[4]
-            raise DeviceBusyError(
-                f"the chip at 0x{address:02X} is in use by process {holder}{_name(holder)}; end "
-                "that first"
-            ) from error
-
-    def close(self) -> None:
-        """Let go of the bus."""
-        self._bus.close()
-
-
-def _name(pid: int) -> str:
-    try:
-        return f" ({Path(f'/proc/{pid}/comm').read_text(encoding='utf-8').strip()})"
-    except OSError:
-        return ""
-
-
-# ---- addresses ----
 
 
 def setup_from_options(address: Address) -> Callable[[Chip], Setup]:

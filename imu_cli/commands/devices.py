@@ -15,7 +15,7 @@ def devices(
     An I2C chip is asked for its identity register and nothing else: clocks and other chips have
     the same addresses.
     """
-    from drivers.transports.i2c import scan_buses
+    from drivers.i2c_scan import scan_buses
     from drivers.transports.serial import list_serial_ports
     from imu_cli import devices_view as view
 

@@ -23,8 +23,10 @@ from drivers.driver import Driver
 from drivers.emulators.base import EmulatorOptions, make_sensor
 from drivers.emulators.i2c_bus import EmulatedBus, Fault, Message, fail_at
 from drivers.emulators.i2c_chips import ANY_FIRMWARE, host_clock, make_model
+from drivers.i2c_scan import identify
+from drivers.sample_times import DeviceTimes, SampleTimes
 from drivers.transports import make_driver, open_driver
-from drivers.transports.i2c import DeviceTimes, I2CDriver, SampleTimes, identify, setup_from_options
+from drivers.transports.i2c import I2CDriver, setup_from_options
 
 PARTS = [normal_name(part) for chip in chips().values() for part in chip.models.values()]
 

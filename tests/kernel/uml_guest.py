@@ -17,8 +17,8 @@ from drivers.emulators.base import EmulatorOptions
 from drivers.emulators.i2c_chips import make_model
 from drivers.flash import make_target
 from drivers.flash.i2c import I2CTarget
+from drivers.i2c_scan import scan_buses
 from drivers.transports import open_driver
-from drivers.transports.i2c import scan_buses
 
 SAMPLE = (1000, -2000, 8192, -3540, 131, -262, 393)
 URL = "i2c://0/0x68?chip=mpu6050&rate=100&fifo=off"

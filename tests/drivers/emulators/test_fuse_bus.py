@@ -19,8 +19,8 @@ from drivers.emulators.base import EmulatorOptions
 from drivers.emulators.fuse_bus import FuseBus, unavailable
 from drivers.emulators.i2c_bus import EmulatedBus, fail_at
 from drivers.emulators.i2c_chips import make_model
+from drivers.i2c_scan import scan_buses
 from drivers.transports import open_driver
-from drivers.transports.i2c import scan_buses
 
 REASON = unavailable()
 pytestmark = pytest.mark.skipif(bool(REASON), reason=f"no FUSE bus here: {REASON}")
