@@ -49,7 +49,9 @@ def main() -> int:
     parser.add_argument("--runs", type=int, default=300)
     args = parser.parse_args()
     solve = accel_solvers()["maximum_likelihood"].solve
-    print("| poses | bumped | visible bumps found | false | rms error without them | with | plain |")
+    print(
+        "| poses | bumped | visible bumps found | false | rms error without them | with | plain |"
+    )
     print("|---|---|---|---|---|---|---|")
     reached = True
     for n in (20, 30, 50, 100):

@@ -97,7 +97,9 @@ def table_1(runs: int, seed: int) -> bool:
                 error = fit.values - TRUTH
                 known = np.flatnonzero(~np.isnan(fit.standard_errors))
                 covariance = fit.covariance[np.ix_(known, known)]
-                normalised[name] += error[known] @ np.linalg.solve(covariance, error[known]) / len(known)
+                normalised[name] += (
+                    error[known] @ np.linalg.solve(covariance, error[known]) / len(known)
+                )
         for name in METHODS:
             bias = float(np.square(values[name].mean(axis=0) - TRUTH).sum())
             mse = float(values[name].var(axis=0).sum()) + bias

@@ -54,6 +54,5 @@ def normal_gravity(latitude: float, height: float = 0.0) -> float:
     )
     h = height / SEMI_MAJOR_AXIS
     return float(
-        surface
-        * (1 - 2 * (1 + FLATTENING + RATE_RATIO - 2 * FLATTENING * square) * h + 3 * h**2)
+        surface * (1 - 2 * (1 + FLATTENING + RATE_RATIO - 2 * FLATTENING * square) * h + 3 * h**2)
     )

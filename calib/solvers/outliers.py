@@ -1,4 +1,4 @@
-"""Which poses or segments do not belong: Rosner's test, carried over to a weighted linear fit."""
+"""Which poses or segments do not belong: Rosner's sequential test for a weighted linear fit."""
 
 from __future__ import annotations
 
@@ -9,6 +9,10 @@ from calib.types import BoolArray, FloatArray
 
 LEVEL = 0.01
 """Probability of leaving anything out of a clean recording, per test."""
+FEW = 60
+"""Up to here all pairs of rows are tried."""
+LEAST_REST = 1e-6
+"""One minus leverage of a row that determines a parameter alone: it cannot be judged."""
 MANY = 1000
 """From here on leverages are small, and a robust scale finds all outliers at once."""
 
@@ -40,10 +44,10 @@ def find_outliers(residual: FloatArray, jacobian: FloatArray, variance: FloatArr
 
     Model: ``residual = jacobian @ x + e``, ``var e = variance + t²`` with t² unknown and common.
 
-    The worst row, by its externally studentised residual (which takes its leverage into account),
-    is taken out, the rest is fitted again, and so on up to a fifth of the rows; the outliers are
-    the rows up to the *last* step at which the one taken out was significant, so that two outliers
-    cannot hide each other. Rows that fit what the others say are put back.
+    Sets of one, two, three ... rows, up to a fifth of all, are taken out: those without which the
+    rest fits best, two found at a time where that is quick, so that two outliers cannot hide each
+    other. The outliers are the largest set of which the rest, fitted alone, rejects every member
+    (by its predicted residual, at `LEVEL` over all rows).
 
     Parameters
     ----------
@@ -56,70 +60,92 @@ def find_outliers(residual: FloatArray, jacobian: FloatArray, variance: FloatArr
     References
     ----------
     .. [1] B. Rosner, "Percentage Points for a Generalized ESD Many-Outlier Procedure",
-       Technometrics 25(2), 1983.
-    .. [2] R. D. Cook, S. Weisberg, Residuals and Influence in Regression, 1982, eq. (2.2.8).
+       Technometrics 25(2), 1983 (the number of outliers is the last one that is significant).
+    .. [2] R. D. Cook, S. Weisberg, Residuals and Influence in Regression, 1982, section 2.2
+       (residuals without one row, or a set of rows).
     """
     n, p = jacobian.shape
-    out = np.zeros(n, bool)
     if n > MANY:
         return _bulk(residual, variance)
-    most = min(n // 5, (n - p) // 3)
-    order: list[int] = []
-    significant = 0
-    active = np.arange(n)
-    for step in range(most):
-        error, leverage, extra = _refit(residual[active], jacobian[active], variance[active])
-        freedom = len(active) - p
-        rest = np.maximum(1.0 - leverage, 1e-9)
-        outside = (float(error @ error) - error**2 / rest) / (freedom - 1)
-        # Known variances are a lower bound: what is left must not look better than that.
-        known = variance[active] / np.maximum(variance[active] + extra, np.finfo(float).tiny)
-        t = np.abs(error) / np.sqrt(rest * np.maximum(outside, known))
-        worst = int(np.argmax(np.where(leverage < 1 - 1e-6, t, 0.0)))
-        if 2 * stdtr(freedom - 1, -t[worst]) * len(active) < LEVEL:
-            significant = step + 1
-        order.append(int(active[worst]))
-        active = np.delete(active, worst)
-    out[order[:significant]] = True
-    if significant:
-        out[out] = _still_outside(residual, jacobian, variance, out)
-    return out
+    width = 2 if n <= FEW else 1
+    sets: list[BoolArray] = [np.zeros(n, bool)]
+    found = sets[0]
+    for size in range(1, min(n // 5, (n - p) // 3) + 1):
+        base = sets[max(0, size - width)]
+        active = np.flatnonzero(~base)
+        error, hat = _refit(residual[active], jacobian[active], variance[active])
+        out = base.copy()
+        out[active[_worst_pair(error, hat) if size >= width > 1 else _worst(error, hat)]] = True
+        sets.append(out)
+        if _rejected(residual, jacobian, variance, out).all():
+            found = out
+    return found
+
+
+def _worst(error: FloatArray, hat: FloatArray) -> int:
+    """Return the row without which the weighted squares of the others are least."""
+    rest = 1.0 - np.einsum("ij,ij->i", hat, hat)
+    return int(np.argmax(np.where(rest > LEAST_REST, error**2 / np.maximum(rest, LEAST_REST), 0)))
+
+
+def _worst_pair(error: FloatArray, hat: FloatArray) -> list[int]:
+    """Return the two rows without which the weighted squares of the others are least."""
+    projection = hat @ hat.T
+    rest = 1.0 - np.diag(projection)
+    determinant = np.outer(rest, rest) - projection**2
+    square = error**2
+    fall = np.add.outer(square * 0, square) * rest[:, None]
+    fall = fall + fall.T + 2 * np.outer(error, error) * projection
+    usable = (determinant > LEAST_REST) & (rest > LEAST_REST) & (rest > LEAST_REST)[:, None]
+    np.fill_diagonal(usable, val=False)
+    fall = np.where(usable, fall / np.where(usable, determinant, 1.0), -1.0)
+    return [int(k) for k in np.unravel_index(np.argmax(fall), fall.shape)]
 
 
 def _refit(
     residual: FloatArray, jacobian: FloatArray, variance: FloatArray
-) -> tuple[FloatArray, FloatArray, float]:
-    """Return standardised residuals of the fit, leverages, and the extra variance."""
+) -> tuple[FloatArray, FloatArray]:
+    """Return standardised residuals of the fit, and Q of which ``Q @ Q.T`` is the hat matrix."""
+    weight = _weights(residual, jacobian, variance)
+    q, _ = np.linalg.qr(jacobian * weight[:, None])
+    scaled = residual * weight
+    return scaled - q @ (q.T @ scaled), q
+
+
+def _weights(residual: FloatArray, jacobian: FloatArray, variance: FloatArray) -> FloatArray:
+    """Return ``1 / sqrt(variance + t²)`` with t² from the fit's own residuals."""
     freedom = len(residual) - jacobian.shape[1]
     extra = 0.0
-    error = leverage = residual
     for _ in range(3):
-        sigma = np.sqrt(np.maximum(variance + extra, np.finfo(float).tiny))
-        q, _ = np.linalg.qr(jacobian / sigma[:, None])
-        scaled = residual / sigma
-        error = scaled - q @ (q.T @ scaled)
-        leverage = np.square(q).sum(axis=1)
-        new = between_variance(error * sigma, variance, freedom)
+        weight = 1.0 / np.sqrt(np.maximum(variance + extra, np.finfo(float).tiny))
+        q, _ = np.linalg.qr(jacobian * weight[:, None])
+        scaled = residual * weight
+        error = (scaled - q @ (q.T @ scaled)) / weight
+        new = between_variance(error, variance, freedom)
         if abs(new - extra) <= 0.02 * (new + float(variance.mean())):
             break
         extra = new
-    return error, leverage, extra
+    return np.asarray(1.0 / np.sqrt(np.maximum(variance + extra, np.finfo(float).tiny)))
 
 
-def _still_outside(
+def _rejected(
     residual: FloatArray, jacobian: FloatArray, variance: FloatArray, out: BoolArray
 ) -> BoolArray:
-    """Return, for the rows that are out, whether the fit of the others still rejects them."""
+    """Return, for each row that is out, whether the fit of the others rejects it."""
     keep = ~out
-    _, _, extra = _refit(residual[keep], jacobian[keep], variance[keep])
-    weight = 1.0 / np.maximum(variance + extra, np.finfo(float).tiny)
-    design = jacobian[keep] * np.sqrt(weight[keep])[:, None]
-    x, *_ = np.linalg.lstsq(design, residual[keep] * np.sqrt(weight[keep]), rcond=None)
-    inverse = np.linalg.pinv(design.T @ design)
-    spread = np.einsum("ni,ij,nj->n", jacobian[out], inverse, jacobian[out]) + 1 / weight[out]
-    t = np.abs(residual[out] - jacobian[out] @ x) / np.sqrt(spread)
+    weight = _weights(residual[keep], jacobian[keep], variance[keep])
+    q, r = np.linalg.qr(jacobian[keep] * weight[:, None])
+    if np.abs(np.diag(r)).min() < 1e-9 * np.abs(np.diag(r)).max():
+        return np.zeros(int(out.sum()), bool)  # nothing could be said without them
+    predict = np.linalg.solve(r.T, jacobian[out].T).T
+    error = residual[out] - predict @ (q.T @ (residual[keep] * weight))
     freedom = int(keep.sum()) - jacobian.shape[1]
-    rejected: BoolArray = 2 * stdtr(freedom, -t) * len(out) < LEVEL
+    # The extra variance is the same for the rows that are out.
+    extra = float(np.mean(1.0 / weight**2 - variance[keep]))
+    spread = np.square(predict).sum(axis=1) + variance[out] + max(extra, 0.0)
+    rejected: BoolArray = (
+        2 * stdtr(freedom, -np.abs(error) / np.sqrt(spread)) * len(residual) < LEVEL
+    )
     return rejected
 
 
