@@ -136,8 +136,8 @@ def floor(force: np.ndarray) -> None:
         print(f"| {name} | {error @ error:.2g} | " + " | ".join(f"{p:.1g}" for p in parts) + " |")
     share = 1 - float(repaired @ repaired) / whole
     print(
-        f"\nSo the paper's floor at low noise, {PAPER[0.01]:.2g}, is not noise: {whole:.2g} of it is "
-        f"there without any, and {100 * share:.0f} % of that is equation 4's reading of the bias."
+        f"\nSo the paper's floor at low noise, {PAPER[0.01]:.2g}, is not noise: {whole:.2g} of it "
+        f"is there without any, {100 * share:.1f} % of it by equation 4's reading of the bias."
     )
 
 

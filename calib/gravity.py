@@ -1,58 +1,50 @@
-"""Normal gravity by latitude and height."""
+"""Normal gravity by latitude and height, and its standard error."""
 
 from __future__ import annotations
 
 import numpy as np
 
-# WGS 84 ellipsoid, NGA.STND.0036 (2014): tables 3.1, 3.5 and 3.6.
-SEMI_MAJOR_AXIS = 6378137.0
-FLATTENING = 1 / 298.257223563
-GRAVITY_EQUATOR = 9.7803253359
-SOMIGLIANA = 0.00193185265241
-"""``k = b gamma_p / (a gamma_e) - 1``."""
-ECCENTRICITY_SQUARED = 0.00669437999014
-RATE_RATIO = 0.00344978650684
-"""``m = omega² a² b / GM``."""
+STANDARD_GRAVITY = 9.80665
+"""m/s², by definition (3rd General Conference on Weights and Measures, 1901)."""
 
-STANDARD = 9.80665
-"""Standard gravity (3rd CGPM, 1901), m/s²; what is assumed where no place is given."""
+ANOMALY = 3e-4
+"""m/s²: what local gravity differs from the normal formula by, root mean square over the Earth: a
+free-air anomaly of about 30 mGal."""
 
 
-def normal_gravity(latitude: float, height: float = 0.0) -> float:
-    """Return the gravity of the WGS 84 ellipsoid.
+def normal_gravity(latitude: float, height: float) -> float:
+    """Return normal gravity on WGS 84, m/s².
 
-    On the ellipsoid ``g0 = ge (1 + k sin²φ) / sqrt(1 - e² sin²φ)`` (Somigliana's closed form); at
-    height h above it ``g = g0 (1 - 2 (1 + f + m - 2 f sin²φ) h / a + 3 h² / a²)``.
+    Somigliana's closed formula on the ellipsoid, with its second-order expansion in height [1]_::
 
-    The gravity of a place differs from it by its anomaly, mostly below 1e-3 m/s² (100 mGal).
+        gamma_0 = gamma_e (1 + k sin² φ) / sqrt(1 - e² sin² φ)
+        gamma_h = gamma_0 (1 - 2/a (1 + f + m - 2 f sin² φ) h + 3/a² h²)
 
     Parameters
     ----------
     latitude : float, rad
         Geodetic.
     height : float, m
-        Above the ellipsoid; up to some 10 km, where the series is good to 1e-6 m/s².
+        Above the ellipsoid; above sea level is good to 3e-4 m/s².
 
     Raises
     ------
     ValueError
-        If `latitude` is not within ±π/2 or `height` is not within -1 km (mines) and 20 km.
+        If the latitude is beyond a pole, or the height beyond -1 to 20 km, where the expansion is
+        good to 1e-6 m/s².
 
     References
     ----------
-    .. [1] NGA.STND.0036, Department of Defense World Geodetic System 1984, version 1.0.0, 2014,
-       eqs. (4-1) and (4-3).
-    .. [2] W. A. Heiskanen, H. Moritz, Physical Geodesy, 1967, eqs. (2-78) and (2-123).
+    .. [1] NIMA TR8350.2, "Department of Defense World Geodetic System 1984", 3rd ed., 2000, eqs.
+       (4-1) and (4-3), tables 3.3 and 3.4.
     """
     if not abs(latitude) <= np.pi / 2:
-        raise ValueError(f"`latitude` must be within ±π/2 rad (±90°), got {latitude}")
-    if not -1000.0 <= height <= 20000.0:
-        raise ValueError(f"`height` must be in metres, within -1000 and 20000, got {height}")
-    square = np.sin(latitude) ** 2
-    surface = (
-        GRAVITY_EQUATOR * (1 + SOMIGLIANA * square) / np.sqrt(1 - ECCENTRICITY_SQUARED * square)
-    )
-    h = height / SEMI_MAJOR_AXIS
-    return float(
-        surface * (1 - 2 * (1 + FLATTENING + RATE_RATIO - 2 * FLATTENING * square) * h + 3 * h**2)
-    )
+        raise ValueError(f"`latitude` must be within ±90°, got {np.degrees(latitude):g}°")
+    if not -1e3 <= height <= 20e3:
+        raise ValueError(f"`height` must be between -1000 and 20000 m, got {height:g}")
+    equator, k, e2 = 9.7803253359, 0.00193185265241, 0.00669437999014
+    axis, flattening, m = 6378137.0, 1 / 298.257223563, 0.00344978650684
+    sin2 = float(np.sin(latitude)) ** 2
+    surface = equator * (1 + k * sin2) / float(np.sqrt(1 - e2 * sin2))
+    slope = 2 / axis * (1 + flattening + m - 2 * flattening * sin2)
+    return surface * (1 - slope * height + 3 * height**2 / axis**2)
