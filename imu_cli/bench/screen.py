@@ -17,8 +17,17 @@ from imu_cli.bench.session import Status
 from imu_cli.bench.words import describe_axis, instruction, turn_rule
 from imu_cli.report.units import people_unit
 
-MAP_WIDTH, MAP_HEIGHT = 36, 11
-BAR = 8
+MAP_WIDTH, MAP_HEIGHT = 30, 11
+SHORT_NAMES = {
+    "accel.bias": "accel bias",
+    "accel.scale_factor_error": "accel scale",
+    "accel.misalignment": "accel misalign",
+    "gyro.bias": "gyro bias",
+    "gyro.scale_factor_error": "gyro scale",
+    "gyro.misalignment": "gyro misalign",
+}
+ENOUGH = 60.0
+"""° about an axis, both ways, before it is shown as covered."""
 
 
 @dataclass(frozen=True)
@@ -128,35 +137,47 @@ def _cell(up: FloatArray) -> tuple[int, int]:
 
 
 def _errors(status: Status) -> Panel:
-    table = Table(box=None, pad_edge=False, expand=True)
+    table = Table(box=None, pad_edge=False, padding=(0, 1, 0, 0))
     table.add_column("standard error", no_wrap=True)
-    for heading in ("now", "target", "", ""):
-        table.add_column(heading, justify="left" if not heading else "right", no_wrap=True)
-    for group in _groups(status):
-        table.add_row(*group)
-    return Panel(table, title="accuracy (worst axis of each group)", title_align="left")
+    table.add_column("now", no_wrap=False)
+    table.add_column("target", justify="right", no_wrap=True)
+    for row in _groups(status):
+        table.add_row(*row)
+    content = Group(table, Text(), _turned(status))
+    return Panel(content, title="accuracy of every parameter", title_align="left")
 
 
-def _groups(status: Status) -> list[tuple[str, str, str, str, Text]]:
-    """Return a row for each group of parameters, by the axis that is farthest from its target."""
+def _groups(status: Status) -> list[tuple[str, Text, str]]:
+    """Return a row for each group of parameters: every axis, green once it meets its target."""
     groups: dict[str, list[str]] = {}
     for name in status.targets:
         groups.setdefault(name.rpartition(".")[0], []).append(name)
     rows = []
-    for names in groups.values():
-        worst = max(names, key=lambda n: _ratio(status, n))
-        ratio = _ratio(status, worst)
-        unit, factor = people_unit(parameter_unit(worst))
-        error = status.errors[worst]
-        now = "-" if error is None else f"{error * factor:.3g}"
-        met = ratio <= 1
-        filled = BAR if met else max(0, min(BAR - 1, int(BAR / ratio)))
-        bar = Text("━" * filled, "green" if met else "yellow")
-        bar.append("─" * (BAR - filled), "dim")
-        rows.append((worst, now, f"{status.targets[worst] * factor:.3g}", unit, bar))
+    for group, names in groups.items():
+        unit, factor = people_unit(parameter_unit(names[0]))
+        now = Text()
+        for name in names:
+            error = status.errors[name]
+            axis = name.rpartition(".")[2]
+            if error is None:
+                now.append(f"{axis}\u00a0-  ", "red")
+            else:
+                met = error <= status.targets[name]
+                now.append(f"{axis}\u00a0{_short(error * factor)}  ", "green" if met else "yellow")
+        wanted = sorted({status.targets[name] * factor for name in names})
+        rows.append((SHORT_NAMES[group], now, f"{'/'.join(f'{w:.3g}' for w in wanted)} {unit}"))
     return rows
 
 
-def _ratio(status: Status, name: str) -> float:
-    error = status.errors[name]
-    return np.inf if error is None else error / status.targets[name]
+def _short(value: float) -> str:
+    return f"{value:.1e}" if value < 1e-3 else f"{value:.2g}"
+
+
+def _turned(status: Status) -> Text:
+    """Return how far it was turned about each axis, both ways."""
+    degrees = np.degrees(status.turned)
+    text = Text("turned  ", "bold")
+    for axis, (forward, back) in zip("xyz", degrees, strict=True):
+        style = "green" if min(forward, back) > ENOUGH else "yellow"
+        text.append(f"{axis}\u00a0+{forward:.0f}°\u00a0-{back:.0f}°  ", style)
+    return text

@@ -48,14 +48,16 @@ LIMIT_ROUNDS = 200
 class Status:
     """All that a screen shows.
 
-    ``errors`` are the present standard errors, None where not determined yet; ``ratio`` of the
-    worst to its target. ``choice`` is the next action, None while there is none to give.
+    ``errors`` are the present standard errors, None where not determined yet. ``turned`` (3, 2) is
+    the angle turned about each axis, rad, forward and back. ``choice`` is the next action, None
+    while there is none to give.
     """
 
     recording: Recording | None
     moving: bool
     poses: Poses | None
     turns: int
+    turned: FloatArray
     errors: Mapping[str, float | None]
     targets: Mapping[str, float]
     choice: Choice | None
@@ -83,6 +85,7 @@ class Session:
         self._whole: Recording | None = None
         self._poses: Poses | None = None
         self._turns = 0
+        self._turned = np.zeros((3, 2))
         self._choice: Choice | None = None
         self._calibration: Calibration | None = None
         self._refusal = ""
@@ -146,6 +149,7 @@ class Session:
             return
         turns = find_turns(recording, poses)
         self._turns = len(turns)
+        self._turned = _turned(recording, poses, turns)
         try:
             check_units(recording, poses)
             self._calibration = calibrate(recording, gravity=self.gravity)
@@ -232,6 +236,7 @@ class Session:
             moving,
             self._poses,
             self._turns,
+            self._turned,
             errors,
             self.targets,
             None if done else self._choice,
@@ -240,3 +245,13 @@ class Session:
             done and not self._refusal,
             self._calibration,
         )
+
+
+def _turned(recording: Recording, poses: Poses, turns: Turns) -> FloatArray:
+    """Return the angle turned about each axis over all turns, (3, 2) rad, forward and back."""
+    bias = poses.gyro.mean(axis=0)
+    out = np.zeros((3, 2))
+    for start, stop in zip(turns.start, turns.stop, strict=True):
+        angle = np.trapezoid(recording.gyro[start:stop] - bias, recording.time[start:stop], axis=0)
+        out += np.column_stack([np.maximum(angle, 0), np.maximum(-angle, 0)])
+    return out

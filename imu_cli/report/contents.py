@@ -96,7 +96,7 @@ def _facts(
     facts = []
     if before is not None and after is not None:
         facts.append(
-            ("error of |a| at rest", f"{_rms(before) * MG:.3g} mg → {_rms(after) * MG:.3g} mg")
+            ("error of |a| at rest", f"{_rms(before) * MG:.3g} → {_rms(after) * MG:.3g} mg")
         )
         facts.append(("poses", str(len(after))))
     if calibration.gyro is not None and calibration.gyro.residuals.size:
@@ -106,7 +106,7 @@ def _facts(
     if calibration.temperature is not None:
         span = calibration.temperature
         facts.append(("temperature", f"{span.low:.1f} to {span.high:.1f} °C"))
-    return tuple(facts)
+    return tuple((name, value.replace(" ", "\u00a0")) for name, value in facts)
 
 
 def _parameters(calibration: Calibration) -> Table:
