@@ -5,17 +5,23 @@ from __future__ import annotations
 import numpy as np
 
 from calib.effects import effects
+from calib.effects.base import TransformEffect
 from calib.errors import InsufficientMotionError
 from calib.mismatch.diagnosis import Diagnosis
 from calib.mismatch.explain import changes, explain, verdict
-from calib.mismatch.grid import connected, make_grid, steady
+from calib.mismatch.grid import SHORTEST_CELL, Grid, connected, make_grid, one_rest, steady
+from calib.mismatch.samples import Samples, look_at_samples
 from calib.mismatch.search import Outcome, search
 from calib.mismatch.selfmode import SelfProblem
+from calib.mismatch.spectrum import look_at_spectrum
 from calib.model import SensorModel
 from calib.poses import Poses
 from calib.recording import Recording
 from calib.statics import find_poses
-from calib.types import FloatArray
+from calib.types import BoolArray, FloatArray
+
+LEAST_TURNS = 3
+"""Turns below which nothing that shows in motion alone is named."""
 
 LEAST_DIRECTIONS = 9
 """Distinct directions of gravity below which the accelerometer's nine parameters are open."""
@@ -51,21 +57,40 @@ def diagnose_recording(
             "the recording has no moment of rest: without gravity to compare with, only a "
             "simulation or a reference can tell what is wrong (--against, --reference)"
         )
+    seen = look_at_samples(recording, poses)
+    missing = _missing(recording, poses)
+    if seen.fatal:
+        return _unfit(recording, poses, seen, missing)
+    noisy = look_at_spectrum(recording, poses)
     poses = connected(steady(poses))
-    grid = make_grid(recording, poses)
+    if recording.clock == "invalid" and distinct_directions(poses.accel) == 1:
+        # Without a clock no motion can be integrated, and here there was none.
+        poses = one_rest(poses)
+    shortest = 0.0 if recording.clock == "invalid" else SHORTEST_CELL
+    grid = make_grid(recording, poses, shortest_cell=shortest)
     full = model is not None and bool(model.gyro.misalignment.any())
     problem = SelfProblem(grid, model, gravity=gravity, full_gyro=full)
+    problem.drop = _spoilt_turns(grid, recording, seen.spoilt)
     before = problem.rows()
-    skip = ("gyro_misalignment",) if full else ()
+    skip: tuple[str, ...] = ("gyro_misalignment",) if full else ()
+    if (~grid.is_rest).sum() < LEAST_TURNS:
+        # Delays and filters show in motion only.
+        skip += tuple(k for k, e in effects().items() if isinstance(e, TransformEffect))
     outcome = search(problem, skip=skip)
     names = problem.twin.names
+    directions = distinct_directions(poses.accel)
     findings, unexplained, (known, covariance) = explain(
         outcome, problem.twin.model, reference=False, names=names
     )
-    missing = _missing(recording, poses, grid_turns=int((~grid.is_rest).sum()))
+    findings = [*seen.findings, *findings]
+    unexplained = [*seen.unexplained, *unexplained, *noisy]
     change, likelihood = changes(outcome, before)
     return Diagnosis(
-        verdict=verdict(tuple(findings), tuple(unexplained), able=not missing),
+        verdict=verdict(
+            tuple(findings),
+            tuple(unexplained),
+            able=directions >= LEAST_DIRECTIONS and len(poses) > 3,
+        ),
         findings=tuple(findings),
         unexplained=tuple(unexplained),
         missing=missing,
@@ -75,14 +100,7 @@ def diagnose_recording(
         model=problem.twin.model,
         names=known,
         covariance=covariance,
-        summary={
-            "duration": recording.duration,
-            "samples": len(recording),
-            "rate": 1.0 / recording.interval if recording.interval else 0.0,
-            "clock": recording.clock,
-            "poses": len(poses),
-            "turns": int((~grid.is_rest).sum()),
-        },
+        summary=_summary(recording, poses),
     )
 
 
@@ -96,18 +114,57 @@ def distinct_directions(accel: FloatArray, *, angle: float = 0.26) -> int:
     return len(kept)
 
 
-def _missing(recording: Recording, poses: Poses, *, grid_turns: int) -> tuple[str, ...]:
+def _spoilt_turns(grid: Grid, recording: Recording, spoilt: BoolArray) -> BoolArray:
+    """Return the segments that are turns with a sample that no model can explain."""
+    count = np.concatenate(([0], np.cumsum(spoilt)))
+    a = np.searchsorted(recording.time, grid.interval[:, 0])
+    b = np.searchsorted(recording.time, grid.interval[:, 1], side="right")
+    return ~grid.is_rest & (count[b] > count[a])
+
+
+def _unfit(
+    recording: Recording, poses: Poses, seen: Samples, missing: tuple[str, ...]
+) -> Diagnosis:
+    """Return the diagnosis of a recording whose units or axes must be mended first."""
+    return Diagnosis(
+        verdict="explained",
+        findings=seen.findings,
+        unexplained=(),
+        missing=(*missing, "right units and axes: mend them and diagnose again"),
+        hidden={},
+        changes=(),
+        log_likelihood=None,
+        model=SensorModel(),
+        names=(),
+        covariance=np.zeros((0, 0)),
+        summary=_summary(recording, poses),
+    )
+
+
+def _summary(recording: Recording, poses: Poses) -> dict[str, object]:
+    return {
+        "duration": recording.duration,
+        "samples": len(recording),
+        "rate": 1.0 / recording.interval if recording.interval else 0.0,
+        "clock": recording.clock,
+        "poses": len(poses),
+        "turns": max(len(poses) - 1, 0),
+    }
+
+
+def _missing(recording: Recording, poses: Poses) -> tuple[str, ...]:
     out = []
     directions = distinct_directions(poses.accel)
     if directions < LEAST_DIRECTIONS:
         out.append(
-            f"{directions} distinct pose{'s' if directions != 1 else ''}: the accelerometer's "
-            f"scale and alignment need at least {LEAST_DIRECTIONS}"
+            f"enough poses: it has {directions} distinct one{'s' if directions != 1 else ''}, and "
+            f"the accelerometer's scale and alignment need {LEAST_DIRECTIONS}"
         )
-    if grid_turns < 3:
-        out.append(f"{grid_turns} turns between rests: the gyroscope's scale needs several")
+    if len(poses) < 4:
+        turns = max(len(poses) - 1, 0)
+        out.append(f"turns between rests: it has {turns}, and the gyroscope's scale needs several")
     if recording.clock == "invalid":
-        out.append("a valid clock: only the order of samples is known, so nothing follows time")
+        out.append("a valid clock: only the order of samples is known, so times are not seconds")
     if recording.temperature is None:
         out.append("temperature: effects of temperature cannot be told from drift")
     elif np.ptp(recording.temperature) == 0:

@@ -117,7 +117,8 @@ def explain(
         reason = ""
         if effect.kind == "event" and proof.gain <= 0:
             reason = "it happened once: no other pose or turn shows it"
-        if proof.gain <= 0 and effect.kind != "event":
+        useless = proof.gain <= 0 or proof.after >= proof.before
+        if useless and effect.kind != "event":
             unexplained.append(
                 replace(
                     _unexplained(rows, a, rivals),

@@ -7,7 +7,7 @@ is therefore that of the turns, not that of the recording.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -22,6 +22,15 @@ REST_STEP = 0.25
 LONGEST_TURN = 30.0
 """Motion that lasts longer than this between two rests is not closed, s: the errors of a hand
 shaking a sensor for minutes say nothing of its calibration."""
+
+SHORTEST_CELL = 2.0
+"""Of a rest that is cut, s."""
+
+LOUD = 9.0
+"""Noise power, relative to the median, above which a pose is louder than others."""
+
+FEW = 0.15
+"""Share of louder poses up to which they are left out; where more are, that is how it was."""
 
 CELLS = 150
 """At most so many cells (parts of a rest, each with a mean and two contrasts)."""
@@ -79,7 +88,9 @@ class Grid:
         return np.where(self.is_rest, self.before, -1)[self.segment]
 
 
-def make_grid(recording: Recording, poses: Poses, *, margin: int = 3) -> Grid:
+def make_grid(
+    recording: Recording, poses: Poses, *, margin: int = 3, shortest_cell: float | None = None
+) -> Grid:
     """Cut a recording into cells of rests and turns between them.
 
     Parameters
@@ -90,10 +101,12 @@ def make_grid(recording: Recording, poses: Poses, *, margin: int = 3) -> Grid:
     margin : int
         Samples at either end of a rest that are given to the turn beside it, so that the turn is
         integrated from rest to rest.
+    shortest_cell : float, s
+        Shortest part that a long rest is cut into.
     """
     step = max(recording.interval, 1e-9)
     width = max(1, round(REST_STEP / step))
-    cells = _cell_counts(poses, CELLS)
+    cells = _cell_counts(poses, SHORTEST_CELL if shortest_cell is None else shortest_cell)
     starts: list[IntArray] = []
     segments: list[tuple[int, int, int, int]] = []
     n_points = 0
@@ -124,16 +137,29 @@ def make_grid(recording: Recording, poses: Poses, *, margin: int = 3) -> Grid:
 
 
 def steady(poses: Poses) -> Poses:
-    """Return the poses without those that were held by hand rather than at rest.
+    """Return the poses without those in which the sensor was not at rest.
 
-    Such a pose is several times noisier than most, in its gyroscope, and turns on average: its mean
-    rate stands out from that of the others by far.
+    A pose that was held by hand turns on average: its mean rate stands out. One that is several
+    times noisier than most, where few are, was touched or knocked.
     """
     length = np.maximum(np.diff(poses.interval, axis=1)[:, 0], 1e-3)
-    power = np.einsum("kii->k", poses.gyro_covariance) * length
+
+    def louder(covariance: FloatArray) -> BoolArray:
+        power = np.einsum("kii->k", covariance) * length
+        return np.asarray(power > LOUD * np.median(power))
+
+    gyro = louder(poses.gyro_covariance)
     off = np.linalg.norm(poses.gyro - np.median(poses.gyro, axis=0), axis=1)
-    held = (power > 9 * np.median(power)) & (off > 6 * np.median(off))
-    return poses.select(~held)
+    held = gyro & (off > 6 * np.median(off))
+    loud = gyro | louder(poses.accel_covariance)
+    return poses.select(~(loud if loud.mean() <= FEW else held))
+
+
+def one_rest(poses: Poses) -> Poses:
+    """Return all poses as one, from the first to the last."""
+    whole = poses.select(np.array([0]))
+    interval = np.array([[poses.interval[0, 0], poses.interval[-1, 1]]])
+    return replace(whole, start=poses.start[:1], stop=poses.stop[-1:], interval=interval)
 
 
 def connected(poses: Poses) -> Poses:
@@ -148,12 +174,17 @@ def connected(poses: Poses) -> Poses:
     return poses.select(near) if near.mean() >= 0.75 and not near.all() else poses
 
 
-def _cell_counts(poses: Poses, limit: int) -> IntArray:
-    """Split long rests so that their drift shows, but no more than `limit` cells in all."""
+def _cell_counts(poses: Poses, shortest: float) -> IntArray:
+    """Split long rests so that their drift shows, into no more than `CELLS` cells in all.
+
+    Where there are few rests they are all there is, and are cut finer.
+    """
     length = poses.interval[:, 1] - poses.interval[:, 0]
-    cells = np.ones(len(poses), np.int64)
-    typical = max(10.0, float(np.median(length)) * 1.5, float(length.sum()) / limit)
-    return np.maximum(cells, np.floor(length / typical).astype(np.int64))
+    few = max(1.0, 30.0 / len(poses))
+    typical = max(shortest, float(np.median(length)) * 1.5 / few, float(length.sum()) / CELLS)
+    samples = (poses.stop - poses.start) // 30
+    cells = np.minimum(np.floor(length / max(typical, 1e-12)).astype(np.int64), samples)
+    return np.asarray(np.maximum(cells, 1))
 
 
 def _fill(recording: Recording, poses: Poses, bounds: IntArray, table: IntArray) -> Grid:

@@ -77,7 +77,10 @@ def held_out(
     size = [
         _leave_out(rows, mean, residual, still, contrast, which) for mean in (fitted_before, after)
     ]
-    gain = _gain(rows, fitted_before, after, residual, levels, contrast)
+    gain, errors = _gain(rows, fitted_before, after, residual, levels, contrast)
+    if gain > 0 and size[1][0] >= size[0][0]:
+        # Small beside the jitter of single rows, but not beside the noise of all of them.
+        return HeldOut(errors[0], errors[1], 1.0, "1", "all rows, in standard errors", gain)
     return HeldOut(size[0][0], size[1][0], size[1][1], unit, label, gain)
 
 
@@ -166,10 +169,13 @@ def _gain(
     residual: FloatArray,
     levels: FloatArray,
     contrast: FloatArray,
-) -> float:
-    """Return the held-out log-likelihood gained, with the full noise model."""
+) -> tuple[float, tuple[float, float]]:
+    """Return the held-out log-likelihood gained, with the full noise model.
+
+    Beside it the RMS of the normalised prediction errors before and after.
+    """
     fold = fold_of(rows)
-    value = []
+    value, size = [], []
     for mean in (before, after):
         whitener = make_whitener(rows, levels, contrast, mean)
         left = whitener.project(residual)
@@ -177,7 +183,7 @@ def _gain(
         hidden = half @ whitener.basis
         own_scale = 1.0 / np.linalg.norm(half, axis=1)
         pull = whitener.unwhiten_transposed(left[:, None])[:, 0]
-        total = 0.0
+        total, square, number = 0.0, 0.0, 0
         for k in range(FOLDS):
             own = np.flatnonzero(fold == k)
             if not len(own):
@@ -189,8 +195,9 @@ def _gain(
             values, vectors = np.linalg.eigh(block / np.outer(scale, scale))
             good = values > 1e-6
             along = vectors.T @ (pull[own] / scale)
-            total += 0.5 * float(
-                np.log(values[good]).sum() - (np.square(along[good]) / values[good]).sum()
-            )
+            missed = float((np.square(along[good]) / values[good]).sum())
+            total += 0.5 * (float(np.log(values[good]).sum()) - missed)
+            square, number = square + missed, number + int(good.sum())
         value.append(total)
-    return value[1] - value[0]
+        size.append(float(np.sqrt(square / max(number, 1))))
+    return value[1] - value[0], (size[0], size[1])

@@ -1,0 +1,196 @@
+"""What shows in the samples themselves and not in means or closures.
+
+Clipping, coarse rounding, repeats, stuck channels, a wrong unit, swapped axes: each is seen in the
+samples by the tests of `calib.faults` and `calib.units`, whose false alarm is below 1e-6.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from calib import faults
+from calib.calibration import Quantity
+from calib.effects import get_effect
+from calib.effects.axis_error import ORDERS, signed_permutation
+from calib.mismatch.diagnosis import Finding, Interval, Unexplained
+from calib.poses import Poses
+from calib.recording import CHANNELS, Recording
+from calib.types import BoolArray, FloatArray, IntArray
+from calib.units import Closure, unit_faults
+
+_JOIN = 1.0
+"""Places closer than this are one interval, s."""
+
+_COARSE = 0.5
+"""A count larger than the noise over this: rounding is no longer hidden by noise."""
+
+
+class Samples(NamedTuple):
+    """What the samples show. ``fatal`` means that nothing else can be said until it is mended.
+
+    ``spoilt`` marks samples that no model of the sensor can explain: a turn with one is not closed.
+    """
+
+    findings: tuple[Finding, ...]
+    unexplained: tuple[Unexplained, ...]
+    spoilt: BoolArray
+    fatal: bool
+
+
+def look_at_samples(recording: Recording, poses: Poses) -> Samples:
+    """Look for what is wrong with single samples, units and axes."""
+    spoilt = np.zeros(len(recording), bool)
+    closure = Closure.of(recording, poses) if len(poses) else None
+    wrong = [*_units(recording, poses, closure), *_axes(recording, closure)]
+    if wrong:
+        return Samples(tuple(wrong), (), spoilt, fatal=True)
+    values = faults.values_of(recording)
+    findings: list[Finding] = []
+    unexplained: list[Unexplained] = []
+    clipped = np.zeros(values.shape, bool)
+    step, noise = faults.resolution(values), faults.noise_at_rest(values)
+    for first, triad, unit in ((0, "accel", "m/s²"), (3, "gyro", "rad/s")):
+        limit = 0.0
+        for c in range(first, first + 3):
+            at = faults.find_clipping(
+                values[:, c],
+                full_scale=getattr(recording.device, f"{triad}_full_scale"),
+                lsb=getattr(recording.device, f"{triad}_lsb"),
+                noise=float(max(noise[c], step[c])),
+            )
+            if at.size and len(values) >= faults.BLOCK:
+                clipped[at, c] = True
+                limit = max(limit, float(np.abs(values[at, c]).max()))
+        if limit:
+            findings.append(_saturation(recording, clipped, triad, limit, unit))
+    moving = np.ones(len(recording), bool)
+    for start, stop in zip(poses.start, poses.stop, strict=True):
+        moving[start:stop] = False
+    for c, start, stop in faults.find_stuck(
+        values, moving, interval=recording.interval, clipped=clipped
+    ):
+        spoilt[start:stop] = True
+        where = (float(recording.time[start]), float(recording.time[stop - 1]))
+        unexplained.append(
+            Unexplained((CHANNELS[c],), (where,), "nothing: it is stuck", faults.FALSE_ALARM)
+        )
+    repeats = faults.find_repeats(values)
+    if repeats.size:
+        findings.append(_repeats(recording, repeats))
+    findings += _coarse(recording, values, poses, step)
+    assert recording.lost is not None
+    spoilt |= clipped.any(axis=1) | (recording.lost > 0)
+    spoilt[repeats] = True
+    return Samples(tuple(findings), tuple(unexplained), spoilt, fatal=False)
+
+
+def _units(recording: Recording, poses: Poses, closure: Closure | None) -> list[Finding]:
+    out = []
+    for fault in unit_faults(recording, poses, closure):
+        channels = tuple(c for c in CHANNELS if c.startswith(fault.triad))
+        value = Quantity(fault.factor - 1.0, None, "1")
+        out.append(_finding("unit_error", recording, channels, {fault.triad: value}, fault.message))
+    return out
+
+
+def _axes(recording: Recording, closure: Closure | None) -> list[Finding]:
+    if closure is None or np.array_equal(closure.axes, np.eye(3)):
+        return []
+    # The closure knows what undoes the mistake; the effect states the mistake.
+    made = closure.axes.T
+    number = next((k for k in range(len(ORDERS)) if np.array_equal(signed_permutation(k), made)), 0)
+    values = {"gyro": Quantity(1.0, None, "1"), "gyro_axes": Quantity(float(number), None, "1")}
+    names = tuple(f"gyro.{a}" for a, row in zip("xyz", made - np.eye(3), strict=True) if row.any())
+    return [_finding("axis_error", recording, names, values)]
+
+
+def _saturation(
+    recording: Recording, clipped: BoolArray, triad: str, limit: float, unit: str
+) -> Finding:
+    first = 0 if triad == "accel" else 3
+    own = clipped[:, first : first + 3]
+    channels = tuple(CHANNELS[first + i] for i in range(3) if own[:, i].any())
+    values = {
+        triad: Quantity(1.0, None, "1"),
+        f"{triad}_full_scale": Quantity(limit, None, unit),
+    }
+    where = intervals_of(recording.time, np.flatnonzero(own.any(axis=1)))
+    return _finding("saturation", recording, channels, values, intervals=where)
+
+
+def _repeats(recording: Recording, repeats: IntArray) -> Finding:
+    values = {"count": Quantity(-float(repeats.size), None, "samples")}
+    values["moment"] = Quantity(float(recording.time[repeats[0]]), None, "s")
+    where = intervals_of(recording.time, repeats)
+    return _finding("dropped_samples", recording, CHANNELS, values, intervals=where)
+
+
+def _coarse(
+    recording: Recording, values: FloatArray, poses: Poses, step: FloatArray
+) -> list[Finding]:
+    """Rounding is coarse where most neighbours at rest are equal, and the others a count apart."""
+    if not len(poses):
+        return []
+    rest = np.concatenate([np.arange(a, b) for a, b in zip(poses.start, poses.stop, strict=True)])
+    inside = np.diff(rest) == 1
+    change = np.abs(np.diff(values[rest], axis=0))[inside]
+    out = []
+    for first, triad, unit in ((0, "accel", "m/s²"), (3, "gyro", "rad/s")):
+        part, lsb = change[:, first : first + 3], step[first : first + 3]
+        count = np.rint(part / np.where(lsb > 0, lsb, 1.0))
+        grid = np.abs(part - count * lsb) < 0.01 * lsb
+        # Differences of white noise have twice its variance; rounding adds a twelfth of a count².
+        noise = np.sqrt(np.maximum(np.mean(count**2, axis=0) / 2 - 1 / 12, 0.0))
+        coarse = (lsb > 0) & (noise < _COARSE) & (grid.mean(axis=0) > 0.99)
+        if coarse.any():
+            names = tuple(CHANNELS[first + i] for i in np.flatnonzero(coarse))
+            size = float(np.median(lsb[coarse]))
+            found = {
+                triad: Quantity(1.0, None, "1"),
+                f"{triad}_lsb": Quantity(size, None, unit),
+            }
+            out.append(_finding("quantization", recording, names, found))
+    return out
+
+
+def _finding(
+    slug: str,
+    recording: Recording,
+    channels: tuple[str, ...],
+    parameters: Mapping[str, Quantity],
+    note: str = "",
+    intervals: tuple[Interval, ...] = (),
+) -> Finding:
+    effect = get_effect(slug)
+    whole = ((float(recording.time[0]), float(recording.time[-1])),)
+    return Finding(
+        effect=slug,
+        title=effect.title,
+        kind=effect.kind,
+        channels=channels,
+        intervals=intervals or whole,
+        regime=effect.follows,
+        parameters=dict(parameters),
+        p_value=faults.FALSE_ALARM,
+        absorbed_by=(),
+        held_out=None,
+        held_out_reason="it is seen in the samples themselves; no equation is fitted for it",
+        rivals=(),
+        to_separate="",
+        sentence=f"{effect.sentence} ({note})" if note else effect.sentence,
+    )
+
+
+def intervals_of(time: FloatArray, index: IntArray, *, limit: int = 50) -> tuple[Interval, ...]:
+    """Return the intervals that samples fill; at most `limit`, the closest ones joined."""
+    at = time[index]
+    gap = np.diff(at)
+    cut = gap > _JOIN
+    if cut.sum() >= limit:
+        cut = gap > np.sort(gap)[-limit]
+    edges = np.flatnonzero(cut)
+    first, last = np.append(0, edges + 1), np.append(edges, len(at) - 1)
+    return tuple((float(at[a]), float(at[b])) for a, b in zip(first, last, strict=True))

@@ -1,0 +1,143 @@
+"""Lines, bursts and noise that changes, in the samples at rest.
+
+A disturbance faster than the means of the rows leaves no residual there. It shows as power: at one
+frequency above its neighbours (a line), or in some rests above the others (a burst).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.stats import chi2, f
+
+from calib.mismatch.diagnosis import Unexplained
+from calib.poses import Poses
+from calib.recording import CHANNELS, Recording
+from calib.types import FloatArray, IntArray
+
+LENGTH = 128
+"""Samples of one periodogram."""
+
+NEIGHBOURS = 12
+"""Frequencies on either side that a line is compared with."""
+
+CLAIM = 1e-4
+"""Family-wise p-value below which something is reported."""
+
+_LOUDER = 4.0
+"""A rest counts as louder only if its noise power is this many times the usual."""
+
+_SHARE = 0.25
+"""A line or a burst is reported if it holds this share of the channel's usual noise power: sensors
+and benches have many small ones, which matter to nobody."""
+
+
+def look_at_spectrum(recording: Recording, poses: Poses) -> tuple[Unexplained, ...]:
+    """Return lines and bursts of the six channels at rest."""
+    starts = [
+        np.arange(a, b - LENGTH + 1, LENGTH) for a, b in zip(poses.start, poses.stop, strict=True)
+    ]
+    pose = np.repeat(np.arange(len(poses)), [len(s) for s in starts])
+    if len(pose) < 8:
+        return ()
+    start = np.concatenate(starts)
+    # Enough for any line; a day at rest is not read whole.
+    if len(start) > 2000:
+        keep = np.linspace(0, len(start) - 1, 2000).astype(np.int64)
+        start, pose = start[keep], pose[keep]
+    out = []
+    window = np.hanning(LENGTH)[:, None, None]
+    index = start + np.arange(LENGTH)[:, None]
+    values = np.concatenate((recording.accel[index], recording.gyro[index]), axis=2)
+    at = np.arange(LENGTH) - (LENGTH - 1) / 2
+    values = values - values.mean(axis=0)
+    slope = np.einsum("n,nkc->kc", at, values) / float(at @ at)
+    values -= at[:, None, None] * slope
+    power = np.square(np.abs(np.fft.rfft(window * values, axis=0)))[2:-1]
+    for c, channel in enumerate(CHANNELS):
+        own = power[:, :, c]
+        if not np.median(own) > 0:
+            continue
+        out += _lines(recording, own, channel)
+        out += _bursts(recording, poses, own, pose, channel)
+    return tuple(_merged(out))
+
+
+def _merged(found: list[Unexplained]) -> list[Unexplained]:
+    """Return one entry for all channels of one kind."""
+    kinds: dict[str, list[Unexplained]] = {}
+    for item in found:
+        kinds.setdefault(item.follows.split(" at ")[0], []).append(item)
+    out = []
+    for items in kinds.values():
+        best = min(items, key=lambda item: item.p_value)
+        start = min(item.intervals[0][0] for item in items)
+        stop = max(item.intervals[0][1] for item in items)
+        channels = tuple(c for c in CHANNELS if any(c in item.channels for item in items))
+        follows = sorted({item.follows for item in items})
+        out.append(Unexplained(channels, ((start, stop),), ", ".join(follows), best.p_value))
+    return out
+
+
+def _lines(recording: Recording, power: FloatArray, channel: str) -> list[Unexplained]:
+    """A line: mean power over all rests, compared with that of its neighbours in frequency."""
+    bins, number = power.shape
+    mean = power.mean(axis=1)
+    padded = np.pad(mean, NEIGHBOURS, mode="reflect")
+    around = np.lib.stride_tricks.sliding_window_view(padded, 2 * NEIGHBOURS + 1)
+    floor = np.median(around, axis=1)
+    # What the floor itself scatters by, beyond what chance does, widens every test.
+    scatter = np.median(np.abs(np.log(mean / floor))) / 0.6745
+    freedom = min(2.0 * number, 2.0 / max(scatter**2, 1e-9) + 2.0)
+    p = chi2.sf(freedom * mean / floor, freedom) * bins * len(CHANNELS)
+    k = int(np.argmin(p))
+    # A Hann window spreads a line over three frequencies.
+    near = slice(max(k - 1, 0), k + 2)
+    if p[k] >= CLAIM or (mean[near] - floor[near]).sum() < _SHARE * floor.sum():
+        return []
+    frequency = (k + 2) / (LENGTH * recording.interval)
+    return [
+        Unexplained(
+            (channel,),
+            ((float(recording.time[0]), float(recording.time[-1])),),
+            f"a line at {frequency:.3g} Hz",
+            float(p[k]),
+        )
+    ]
+
+
+def _bursts(
+    recording: Recording, poses: Poses, power: FloatArray, pose: IntArray, channel: str
+) -> list[Unexplained]:
+    """A burst: some rests have more power than the others, in all or at one frequency."""
+    found = np.unique(pose)
+    if len(found) < 6:
+        return []
+    count = np.bincount(pose, minlength=len(poses))[found]
+    mean = np.stack([power[:, pose == k].mean(axis=1) for k in found], axis=1)
+    usual = np.median(mean, axis=1, keepdims=True)
+    ratio = mean / usual
+    total = ratio.mean(axis=0)
+    total /= np.median(total)
+    # Real rests differ in noise; their own scatter sets the degrees of freedom.
+    scatter = 1.4826 * float(np.median(np.abs(np.log(total))))
+    freedom = min(2.0 * len(power) * float(np.median(count)), 2.0 / max(scatter**2, 1e-9))
+    p_all = f.sf(total, freedom, freedom) * len(found) * len(CHANNELS)
+    loud = (p_all < CLAIM) & (total > _LOUDER)
+    each = chi2.sf(2.0 * count * ratio / total, 2.0 * count) * ratio.size * len(CHANNELS)
+    extra = np.where(each < CLAIM, mean - usual, 0.0).sum(axis=0) / usual.sum()
+    narrow = (each.min(axis=0) < CLAIM) & (extra > _SHARE)
+    out = []
+    for which, follows, p in (
+        (loud, "the time: noise is louder there", p_all),
+        (narrow & ~loud, "the time: power at one frequency there", each.min(axis=0)),
+    ):
+        # What most rests have is no event of some of them.
+        if not which.any() or which.mean() > 0.5:
+            continue
+        rest = found[which]
+        interval = (
+            float(poses.interval[rest[0], 0]),
+            float(poses.interval[rest[-1], 1]),
+        )
+        out.append(Unexplained((channel,), (interval,), follows, float(p[which].min())))
+    return out
