@@ -43,10 +43,10 @@ def apply(
     out corrected as soon as it has come in; other columns, comments and blank lines stay as they
     are, damaged lines are named on standard error and left out, and the exit code is then 5.
     """
-    from drivers.calibration_file import load_calibration
     from imu_cli import output
+    from imu_cli.calibration_input import load
 
-    known = load_calibration(calibration)
+    known = load(calibration)
     _say_what_is_not_applied(known)
     if [str(path) for path in log] == ["-"]:
         if json or profile is not None or imu is not None or str(out or "-") != "-":

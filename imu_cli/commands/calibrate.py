@@ -67,6 +67,7 @@ def calibrate(
     notes = _notes(note or [])
     local_gravity = _gravity(gravity, latitude, height)
     options = {} if table_rate is None else {"table_rate": _table_rate(table_rate)}
+    accel_method, gyro_method = (name.replace("-", "_") for name in (accel_method, gyro_method))
     _check_methods(accel_method, gyro_method, options)
 
     from datetime import UTC, datetime

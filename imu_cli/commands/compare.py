@@ -20,11 +20,11 @@ def compare(
     Exit code 6 means that they differ by more than their standard errors allow.
     """
     from calib.compare import compare as judge
-    from drivers.calibration_file import load_calibration
     from imu_cli import comparison_view as view
     from imu_cli import output
+    from imu_cli.calibration_input import load
 
-    answer = judge(load_calibration(first), load_calibration(second))
+    answer = judge(load(first), load(second))
     if answer.identity:
         output.warn(f"two devices? {answer.identity}")
     if json:

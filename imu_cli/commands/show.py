@@ -23,6 +23,7 @@ def show(
     are marked; those that are zero by the definition of the frame or the method are left away.
     """
     from imu_cli import output
+    from imu_cli.calibration_input import load
 
     if schema:
         from calib.document import schema as published
@@ -32,9 +33,8 @@ def show(
     if calibration is None:
         raise typer.BadParameter("name a calibration file", param_hint="CAL.JSON")
     from calib.document import to_document
-    from drivers.calibration_file import load_calibration
 
-    found = load_calibration(calibration)
+    found = load(calibration)
     if json:
         output.print_json(to_document(found))
         return

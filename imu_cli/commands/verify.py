@@ -31,16 +31,16 @@ def verify(
     means that it is not right, and the table says what has changed.
     """
     from calib.verify import verify as judge
-    from drivers.calibration_file import load_calibration
     from drivers.formats import read_recording
     from imu_cli import comparison_view as view
     from imu_cli import output
+    from imu_cli.calibration_input import load
 
     if not 0 < significance < 1:
         raise typer.BadParameter(
             f"expected between 0 and 1, got {significance:g}", param_hint="--significance"
         )
-    known = load_calibration(calibration)
+    known = load(calibration)
     recording = read_recording(log, profile=profile, imu=imu, drop_invalid=drop_invalid)
     answer = judge(known, recording, significance=significance)
     if answer.identity:
