@@ -65,7 +65,8 @@ class Arrow(Format):
         """Read whole batches up to the end mark, or up to where the file was cut."""
         name, buffer = str(source.path), source.buffer
         try:
-            reader = pa.ipc.open_stream(buffer)
+            bounded = options.batch is not None
+            reader = pa.ipc.open_stream(source.stream(0, buffer.size) if bounded else buffer)
         except (pa.ArrowInvalid, OSError) as error:
             raise RecordingFormatError(
                 f"{name} was cut or damaged before its first sample: {error}"

@@ -39,6 +39,14 @@ class Source:
                 return mapped.read_buffer()
         return pa.py_buffer(self.head)
 
+    def stream(self, start: int, size: int) -> Any:
+        """`size` bytes from `start` as a file to read once, which keeps nothing of it in memory."""
+        import pyarrow as pa
+
+        if self.regular:
+            return pa.OSFile(str(self.path)).get_stream(start, size)
+        return pa.BufferReader(self.buffer.slice(start, size))
+
 
 @dataclass(frozen=True)
 class ReadOptions:

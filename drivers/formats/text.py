@@ -76,6 +76,7 @@ class TextTable:
         """Why the file counts as cut, or nothing."""
         if stop < whole.size and whole.slice(stop).to_pybytes().strip():
             self.cut = "the last line does not end; it was left out"
+        self._start = start
         self._rows = whole.slice(start, max(stop - start, 0))
 
     def read(self, types: Mapping[str, Any], *, batch: int | None) -> Iterator[Any]:
@@ -92,9 +93,11 @@ class TextTable:
             yield self._read_whole(types)
             return
         block = max(4096, batch * ROW_BYTES)
-        rows: Any = self._rows
+        rows: Any
         if self._delimiter == " ":
-            rows = pa.PythonFile(_SingleSpaces(rows), mode="r")
+            rows = pa.PythonFile(_SingleSpaces(self._rows), mode="r")
+        else:
+            rows = self._source.stream(self._start, self._rows.size)
         try:
             with csv.open_csv(rows, **self._options(types, block)) as reader:
                 for part in reader:
