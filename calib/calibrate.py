@@ -9,6 +9,7 @@ from typing import TypeVar
 import numpy as np
 from scipy.linalg import block_diag
 
+from calib import faults
 from calib.calibration import (
     Calibration,
     Gravity,
@@ -26,7 +27,7 @@ from calib.recording import Recording
 from calib.solvers import accel_solvers, gyro_solvers
 from calib.statics import find_poses
 from calib.turns import Turns, find_turns
-from calib.types import FloatArray
+from calib.types import FloatArray, IntArray
 from calib.units import check_units
 
 T = TypeVar("T")
@@ -97,7 +98,9 @@ def calibrate(
     _check_poses(recording, poses)
 
     accel = _accel_fit(poses, accel_method, gravity=gravity.value)
-    turns, left_out = _usable_turns(recording, find_turns(recording, poses))
+    turns, left_out = find_turns(recording, poses), ()
+    if gyro_method != "rate_table":  # which needs no whole angle, and may be told a rate for each
+        turns, left_out = _usable_turns(recording, turns)
     gyro = solve_gyro(
         recording, poses, turns, accel.triad, gravity=gravity.value, options=options or {}
     )
@@ -200,20 +203,41 @@ def _check_poses(recording: Recording, poses: Poses) -> None:
 
 
 def _usable_turns(recording: Recording, turns: Turns) -> tuple[Turns, tuple[Exclusion, ...]]:
-    """Leave out turns in which samples are missing for too long to bridge."""
+    """Leave out turns whose angle is not in the samples: gaps too long to bridge, and clipping."""
     step = np.diff(recording.time)
-    limit = max(LONGEST_GAP, 3 * recording.interval)
-    gaps = np.flatnonzero(step > limit)
-    missing = np.searchsorted(gaps, turns.stop - 1) > np.searchsorted(gaps, turns.start)
-    left_out = tuple(
-        Exclusion(
-            (float(turns.interval[k, 0]), float(turns.interval[k, 1])),
-            0.0,
-            f"samples are missing for {step[turns.start[k] : turns.stop[k] - 1].max():.3g} s",
+    gaps = np.flatnonzero(step > max(LONGEST_GAP, 3 * recording.interval))
+    clipped = _clipped(recording)
+    keep = np.ones(len(turns), bool)
+    left_out = []
+    for k, (start, stop) in enumerate(zip(turns.start, turns.stop, strict=True)):
+        missing = gaps[(gaps >= start) & (gaps < stop - 1)]
+        limited = int(np.count_nonzero((clipped >= start) & (clipped < stop)))
+        if len(missing):
+            reason = f"samples are missing for {step[missing].max():.3g} s"
+        elif limited:
+            reason = f"the gyroscope is at its limit in {limited} samples"
+        else:
+            continue
+        keep[k] = False
+        low, high = turns.interval[k]
+        left_out.append(Exclusion((float(low), float(high)), 0.0, reason))
+    return (turns if keep.all() else turns.select(np.flatnonzero(keep))), tuple(left_out)
+
+
+def _clipped(recording: Recording) -> IntArray:
+    """Return the samples at which a channel of the gyroscope is at its limit."""
+    resolution = faults.resolution(recording.gyro)
+    noise = np.maximum(faults.noise_at_rest(recording.gyro), resolution)
+    found = [
+        faults.find_clipping(
+            recording.gyro[:, k],
+            full_scale=recording.device.gyro_full_scale,
+            lsb=recording.device.gyro_lsb,
+            noise=float(noise[k]),
         )
-        for k in np.flatnonzero(missing)
-    )
-    return (turns.select(np.flatnonzero(~missing)) if missing.any() else turns), left_out
+        for k in range(3)
+    ]
+    return np.unique(np.concatenate(found))
 
 
 def _merge(accel: Fit, gyro: Fit) -> tuple[tuple[str, ...], FloatArray, tuple[str, ...]]:

@@ -1,5 +1,7 @@
 """From recordings to a calibration: truth recovered, parts said, what cannot work refused."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -100,6 +102,22 @@ def test_a_turn_with_a_gap_is_left_out_and_said() -> None:
     reasons = [e for e in again.gyro.excluded if "missing" in e.reason]
     assert len(reasons) == 1
     assert reasons[0].interval[0] < gap_start < gap_stop < reasons[0].interval[1]
+    for name, sigma in again.sigmas.items():
+        assert abs(again.values[name] - found.values[name]) < 4 * sigma
+
+
+def test_a_turn_beyond_the_full_scale_is_left_out_and_said() -> None:
+    _, recording = bench(3)
+    found = calibrate(recording, gravity=GRAVITY)
+    assert found.poses is not None
+    fastest = int(np.argmax(np.abs(recording.gyro).max(axis=1)))
+    limit = 0.93 * float(np.abs(recording.gyro[fastest]).max())
+    device = replace(recording.device, gyro_full_scale=limit)
+    clipped = replace(recording, gyro=np.clip(recording.gyro, -limit, limit), device=device)
+    again = calibrate(clipped, gravity=GRAVITY)
+    assert again.gyro is not None
+    reasons = [e for e in again.gyro.excluded if "at its limit" in e.reason]
+    assert any(e.interval[0] < recording.time[fastest] < e.interval[1] for e in reasons)
     for name, sigma in again.sigmas.items():
         assert abs(again.values[name] - found.values[name]) < 4 * sigma
 
