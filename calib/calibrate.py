@@ -98,7 +98,8 @@ def calibrate(
     _check_poses(recording, poses)
 
     accel = _accel_fit(poses, accel_method, gravity=gravity.value)
-    turns, left_out = find_turns(recording, poses), ()
+    turns = find_turns(recording, poses)
+    left_out: tuple[Exclusion, ...] = ()
     if gyro_method != "rate_table":  # which needs no whole angle, and may be told a rate for each
         turns, left_out = _usable_turns(recording, turns)
     gyro = solve_gyro(
