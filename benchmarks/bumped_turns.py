@@ -139,9 +139,7 @@ def main() -> int:
         ok &= bool(mine <= WORSE * told)
         if kind == "clean":
             true_share = share <= FALSE
-    print(
-        "\nA knock about the vertical leaves no trace in gravity: it is not found, and does no harm."
-    )
+    print("\nA knock about the vertical leaves no trace in gravity: it is not found, nor harmful.")
     return 0 if ok and true_share else 1
 
 

@@ -26,6 +26,7 @@ from calib.poses import Poses
 from calib.recording import Recording
 from calib.rotation import (
     cumulative_quat_segments,
+    integrate_rate,
     mat_from_quat,
     quat_from_rotvec,
     quat_multiply,
@@ -243,18 +244,53 @@ def pose_directions(poses: Poses, accel: Triad) -> Directions:
     return Directions(force / norm, covariance / norm[..., None] ** 2)
 
 
-def closure_errors(
+def from_middles(
     recording: Recording, poses: Poses, turns: Turns, accel: Triad, gyro: Triad
+) -> tuple[Turns, Directions]:
+    """Return turns from the middle of a pose to that of the next, and directions at the middles.
+
+    A hand that holds a sensor still sways: gravity's mean direction over the pose is then not that
+    at its ends, where turns begin. Here each reading is turned back to the middle of its pose by
+    the gyroscope (``mean of R(middle, t) a(t)``, in which an error of the bias cancels to first
+    order), and turns are integrated from middle to middle.
+    """
+    middle = (poses.start + poses.stop) // 2
+    force = np.empty((len(poses), 3))
+    rate = gyro.correct(recording.gyro)
+    for k, (a, m, b) in enumerate(zip(poses.start, middle, poses.stop, strict=True)):
+        mats = mat_from_quat(integrate_rate(recording.time[a:b], rate[a:b]))
+        seen = np.einsum("nij,nj->i", mats, accel.correct(recording.accel[a:b])) / (b - a)
+        force[k] = seen @ mats[m - a]
+    up = force / np.linalg.norm(force, axis=1, keepdims=True)
+    start, stop = middle[turns.before], middle[turns.after] + 1
+    interval = np.stack([recording.time[start], recording.time[stop - 1]], axis=1)
+    return (
+        Turns(turns.before, turns.after, start, stop, interval),
+        Directions(up, pose_directions(poses, accel).covariance),
+    )
+
+
+def closure_errors(
+    recording: Recording,
+    poses: Poses,
+    turns: Turns,
+    accel: Triad,
+    gyro: Triad,
+    *,
+    held: bool = False,
 ) -> FloatArray:
     """Return the closure error of each turn as rotation vectors (m, 3), rad, at its start.
 
     It is what is left between gravity's direction before a turn and that predicted from its
     direction after the turn and the corrected rate; perpendicular to gravity, so 2 degrees of
-    freedom.
+    freedom. With `held` turns run from the middles of poses, see `from_middles`.
     """
     if not len(turns):
         return np.zeros((0, 3))
-    up = pose_directions(poses, accel).up
+    directions = pose_directions(poses, accel)
+    if held:
+        turns, directions = from_middles(recording, poses, turns, accel, gyro)
+    up = directions.up
     motion = propagate(TurnSteps.of(recording, turns), gyro.matrix, gyro.bias)
     predicted = np.einsum("mij,mj->mi", motion.mat, up[turns.after])
     return closure_residual(up[turns.before], predicted)

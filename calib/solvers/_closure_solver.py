@@ -2,9 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
-from calib.closure import Kinematics, TurnSteps, by_quaternions, pose_directions
+from calib.closure import (
+    Kinematics,
+    TurnSteps,
+    by_quaternions,
+    closure_errors,
+    from_middles,
+    pose_directions,
+)
 from calib.fit import Exclusion, Fit
 from calib.model import Triad
 from calib.poses import Poses
@@ -31,6 +40,14 @@ REASONS = {
 
 AMBIGUOUS = "the turn is so long that its angle is uncertain by more than gravity can tell apart"
 
+SWAY = 1e-3
+"""A hand sways by more than this, rad."""
+WORTH = 0.5
+"""Turns are tried from the middles of the poses if what that changes in their closure is at least
+this part of their scatter (squares),"""
+BETTER = 0.5
+"""and run that way if it divides their squared scatter by two."""
+
 
 def solve_closures(
     recording: Recording,
@@ -44,6 +61,9 @@ def solve_closures(
     kinematics: Kinematics = by_quaternions,
 ) -> Fit:
     """Solve the parameters of a model (a mask (12,)) from closures and the bias at rest.
+
+    Turns run from the end of a pose to the beginning of the next; or, where that closes clearly
+    better, from middle to middle, which follows a hand that sways (`calib.closure.from_middles`).
 
     With `static_bias_only` the bias is that of the poses, and its error is part of the closures'
     covariance; without, both kinds of equations are solved together.
@@ -66,9 +86,8 @@ def solve_closures(
         )
         turned = np.zeros(3), np.zeros(3)
     else:
-        steps = TurnSteps.of(recording, turns)
         system = ClosureSystem(
-            steps,
+            TurnSteps.of(recording, turns),
             turns,
             pose_directions(poses, accel),
             noise_growth(recording, poses),
@@ -78,8 +97,47 @@ def solve_closures(
             kinematics,
         )
         fit = fit_closures(system, static)
-        turned = visible_turning(steps, system.directions, turns, unpack(fit.values))
+        swaying = _follow_hand(system, fit, static, recording, poses, accel)
+        system, fit = (system, fit) if swaying is None else swaying
+        turned = visible_turning(system.steps, system.directions, turns, unpack(fit.values))
     return _report(poses, turns, bias, fit, model, turned, method=method)
+
+
+def _follow_hand(
+    system: ClosureSystem,
+    fit: ClosureFit,
+    static: Information,
+    recording: Recording,
+    poses: Poses,
+    accel: Triad,
+) -> tuple[ClosureSystem, ClosureFit] | None:
+    """Return the system from middle to middle and its fit, if that closes clearly better."""
+    turns, gyro = system.turns, unpack(fit.values)
+    plain = closure_errors(recording, poses, turns, accel, gyro)
+    held = closure_errors(recording, poses, turns, accel, gyro, held=True)
+    if _scatter(held - plain) < max(SWAY**2, WORTH * _scatter(plain)):
+        return None
+    for _ in range(2):  # the second time with the first's calibration
+        middle, directions = from_middles(recording, poses, turns, accel, gyro)
+        system = replace(
+            system,
+            steps=TurnSteps.of(recording, middle),
+            turns=middle,
+            directions=directions,
+            # What the rate does at rest is the hand's here, neither noise nor drift: the inflation
+            # alone will tell.
+            noise=np.zeros((3, 3)),
+            deviation=np.zeros_like(system.deviation),
+        )
+        fit = fit_closures(system, static)
+        gyro = unpack(fit.values)
+    held = closure_errors(recording, poses, turns, accel, gyro, held=True)
+    return (system, fit) if _scatter(held) < BETTER * _scatter(plain) else None
+
+
+def _scatter(errors: FloatArray) -> float:
+    """Return the median square of (m, 3) closure errors, rad²."""
+    return float(np.median((errors**2).sum(axis=1)))
 
 
 def _report(

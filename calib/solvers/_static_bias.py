@@ -5,13 +5,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import chdtri
+from scipy.special import fdtri
 
 from calib.errors import InsufficientMotionError
 from calib.fit import Exclusion
 from calib.poses import Poses
 from calib.recording import Recording
 from calib.types import FloatArray
+
+BATCH = 0.5
+"""s; the noise of the integrated rate is judged from means over this time."""
+ALONE = 1.3
+"""Variance of a reading less the median of its four neighbours, in units of that of a reading."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,18 +43,26 @@ class StaticBias:
 
 
 def noise_growth(recording: Recording, poses: Poses) -> FloatArray:
-    """Return how fast the covariance of the integrated rate grows, (3, 3) rad²/s.
+    """Return how fast the covariance of the integrated rate grows at rest, (3, 3) rad²/s.
 
-    The median over the poses of ``covariance of the mean x duration``; for white noise of standard
-    deviation sigma at interval dt that is ``sigma² dt``.
+    From the differences of means over successive half seconds, which a slow drift does not move and
+    in which noise that is correlated from sample to sample counts in full; for white noise of
+    standard deviation sigma at interval dt it is ``sigma² dt``. The median over the poses is taken.
     """
-    count = poses.stop - poses.start
-    duration = count * recording.interval
-    growth: FloatArray = np.median(poses.gyro_covariance * duration[:, None, None], axis=0)
-    # Rounding to a coarse LSB can leave no noise at all at rest.
+    step = recording.interval
+    width = max(1, round(BATCH / step)) if step else 1
+    growth = []
+    for a, b in zip(poses.start, poses.stop, strict=True):
+        count = (b - a) // width
+        if count < 2:
+            continue
+        means = recording.gyro[a : a + count * width].reshape(count, width, 3).mean(axis=1)
+        growth.append(0.5 * np.mean(np.diff(means, axis=0) ** 2, axis=0) * width * step)
     lsb = recording.device.gyro_lsb or 0.0
-    floor = max(lsb**2 / 12 * recording.interval, 1e-16)
-    return growth + floor * np.eye(3)
+    # Rounding to a coarse LSB can leave no noise at all at rest.
+    floor = max(lsb**2 / 12 * step, 1e-16)
+    typical = np.median(growth, axis=0) if growth else np.zeros(3)
+    return np.diag(np.maximum(typical, floor))
 
 
 def static_bias(recording: Recording, poses: Poses) -> StaticBias:
@@ -62,6 +75,8 @@ def static_bias(recording: Recording, poses: Poses) -> StaticBias:
     ----------
     .. [1] DerSimonian, Laird, "Meta-analysis in clinical trials", Controlled Clinical Trials 7,
        1986, eq. (8).
+    .. [2] Bayley, Hammersley, "The effective number of independent observations in an
+       autocorrelated time series", J. Royal Stat. Soc. Suppl. 8(2), 1946.
     """
     if not len(poses):
         raise InsufficientMotionError(
@@ -69,15 +84,13 @@ def static_bias(recording: Recording, poses: Poses) -> StaticBias:
             "sensor at rest for a few seconds before and after each turn"
         )
     duration = (poses.stop - poses.start) * recording.interval
-    floor = noise_growth(recording, poses) / duration[:, None, None]
-    noise = np.maximum(
-        np.diagonal(poses.gyro_covariance, axis1=1, axis2=2),
-        0.1 * np.diagonal(floor, axis1=1, axis2=2),
-    )
-    deviation2 = (poses.gyro - _running_median(poses.gyro)) ** 2
+    floor = np.diag(noise_growth(recording, poses)) / duration[:, None]
+    noise = np.maximum(np.diagonal(poses.gyro_covariance, axis1=1, axis2=2), 0.1 * floor)
+    deviation2 = (poses.gyro - _neighbours(poses.gyro)) ** 2
     # 0.455 is the median of chi-square with one degree of freedom.
-    scale2 = np.maximum(noise, np.median(deviation2, axis=0) / 0.455)
-    good = (deviation2 / scale2).sum(axis=1) <= chdtri(3, 0.01 / len(poses))
+    scale2 = np.maximum(ALONE * noise, np.median(deviation2, axis=0) / 0.455)
+    distance = (deviation2 / scale2).sum(axis=1) / 3
+    good = distance <= fdtri(3, max(len(poses) - 1, 1), 1 - 0.01 / len(poses))
     values, weight = poses.gyro[good], 1 / noise[good]
     mean = (weight * values).sum(axis=0) / weight.sum(axis=0)
     heterogeneity = (weight * (values - mean) ** 2).sum(axis=0)
@@ -86,6 +99,7 @@ def static_bias(recording: Recording, poses: Poses) -> StaticBias:
     spread2 = np.where(scale > 0, np.maximum(excess, 0) / np.where(scale > 0, scale, 1), 0.0)
     weight = 1 / (noise[good] + spread2)
     bias = (weight * values).sum(axis=0) / weight.sum(axis=0)
+    variance = 1 / weight.sum(axis=0) + spread2 * _correlation_excess(values - bias) / len(values)
     # The best guess of d_k shrinks towards 0 by the share of noise in it; between poses, and over
     # those left out, it is interpolated.
     shrunk = spread2 / np.maximum(spread2 + noise, 1e-30) * (poses.gyro - bias)
@@ -99,12 +113,29 @@ def static_bias(recording: Recording, poses: Poses) -> StaticBias:
         )
         for k in np.flatnonzero(~good)
     )
-    return StaticBias(bias, np.diag(1 / weight.sum(axis=0)), np.sqrt(spread2), deviation, excluded)
+    return StaticBias(bias, np.diag(variance), np.sqrt(spread2), deviation, excluded)
 
 
-def _running_median(values: FloatArray) -> FloatArray:
-    """Return the median over five rows around each of (k, 3) values, fewer at the ends."""
+def _correlation_excess(deviation: FloatArray) -> FloatArray:
+    """Return ``(1 + r) / (1 - r) - 1`` per axis, 0 where neighbours are not clearly alike."""
+    k = len(deviation)
+    if k < 5:
+        return np.zeros(3)
+    power = np.maximum((deviation**2).sum(axis=0), 1e-300)
+    r = (deviation[1:] * deviation[:-1]).sum(axis=0) / power
+    r = np.where(r > 2 / np.sqrt(k), np.clip(r, 0, 1 - 2 / k), 0.0)
+    excess: FloatArray = (1 + r) / (1 - r) - 1
+    return excess
+
+
+def _neighbours(values: FloatArray) -> FloatArray:
+    """Return the median of the two rows before and after each of (k, 3) values, fewer at the ends.
+
+    A single row is its own neighbour.
+    """
+    if len(values) < 2:
+        return values
     padded = np.pad(values, ((2, 2), (0, 0)), constant_values=np.nan)
     windows = np.lib.stride_tricks.sliding_window_view(padded, 5, axis=0)
-    median: FloatArray = np.nanmedian(windows, axis=-1)
+    median: FloatArray = np.nanmedian(windows[..., [0, 1, 3, 4]], axis=-1)
     return median

@@ -6,6 +6,7 @@ from gyro_motion import GRAVITY, Motion, Truth, noisy, simulate
 
 from calib.fit import Fit
 from calib.model import Triad
+from calib.rotation import mat_from_rotvec
 from calib.solvers import gyro_solvers
 from calib.turns import find_turns
 
@@ -15,13 +16,22 @@ ANGLE = np.pi / 2
 
 
 def spins() -> np.ndarray:
-    """Return turns about one axis each, both ways, level, from several poses."""
-    x, y, z = np.eye(3) * ANGLE
-    return np.array([x, x, -x, y, -x, z, -y, z, x, -z, -z, -x, y, y, -y, -y])
+    """Return 30 quarter turns, ten about each axis, each about an axis that is level then."""
+    rng, left, mat, turns = np.random.default_rng(4), np.repeat(np.arange(3), 10), np.eye(3), []
+    while len(left):
+        level = [i for i in left if abs(mat[2, i]) < 0.1]
+        if not level:  # only an axis that stands upright is left: begin again
+            left, mat, turns = np.repeat(np.arange(3), 10), np.eye(3), []
+            continue
+        axis = rng.choice(level)
+        turns.append(rng.choice([-1, 1]) * ANGLE * np.eye(3)[axis])
+        mat = mat @ mat_from_rotvec(turns[-1])
+        left = np.delete(left, np.flatnonzero(left == axis)[0])
+    return np.array(turns)
 
 
 CLEAN = simulate(
-    Motion(spins(), rate=50.0, ramp=0.1),
+    Motion(spins(), rest=2.0, rate=40.0, ramp=0.1),
     GYRO,
     rng=np.random.default_rng(0),
     gyro_noise=0.0,
@@ -47,10 +57,10 @@ def solve(method: str, truth: Truth) -> Fit:
 def test_truth_is_recovered_with_honest_errors(method: str) -> None:
     truth = np.array(list(GYRO.parameters("gyro").values()))
     nees = []
-    for seed in range(40):
+    for seed in range(30):
         fit = solve(
             method,
-            noisy(CLEAN, rng=np.random.default_rng(seed), gyro_noise=0.02, accel_noise=0.02),
+            noisy(CLEAN, rng=np.random.default_rng(seed), gyro_noise=0.005, accel_noise=0.02),
         )
         assert not fit.undetermined
         error = fit.values - truth[: len(fit.values)]
@@ -58,7 +68,7 @@ def test_truth_is_recovered_with_honest_errors(method: str) -> None:
         assert fit.method == method
         assert fit.residual_unit == "rad"
         assert len(fit.residuals) == len(fit.intervals)
-    # A mean of 40 chi-squares with 6 degrees of freedom, over 6, is 1 +- 0.09; an inflation that
+    # A mean of 30 chi-squares with 6 degrees of freedom, over 6, is 1 +- 0.11; an inflation that
     # cannot be negative, and is estimated from few segments, makes it somewhat smaller.
     assert 0.65 < np.mean(nees) < 1.3
 
@@ -76,25 +86,27 @@ def test_data_without_noise_is_solved_and_nothing_is_left_out(method: str) -> No
 @pytest.mark.parametrize("method", METHODS)
 def test_a_clean_recording_loses_nothing(method: str) -> None:
     left_out = 0
-    for seed in range(100, 120):
-        truth = noisy(CLEAN, rng=np.random.default_rng(seed), gyro_noise=0.02, accel_noise=0.02)
+    for seed in range(100, 115):
+        truth = noisy(CLEAN, rng=np.random.default_rng(seed), gyro_noise=0.005, accel_noise=0.02)
         left_out += bool(solve(method, truth).excluded)
-    # Three tests at 1 % a recording: 20 recordings make 0.6; five or more has a chance of 4e-4.
+    # Three tests at 1 % a recording: 15 recordings make 0.45; five or more has a chance of 1e-4.
     assert left_out < 5
 
 
 @pytest.mark.parametrize("method", METHODS)
 def test_a_turn_that_was_disturbed_is_found_by_time(method: str) -> None:
-    truth = noisy(CLEAN, rng=np.random.default_rng(3), gyro_noise=0.02, accel_noise=0.02)
+    truth = noisy(CLEAN, rng=np.random.default_rng(3), gyro_noise=0.005, accel_noise=0.02)
     turns = find_turns(truth.recording, truth.poses)
-    k = 1  # about x, which is level then
+    k = 7
     gyro = truth.recording.gyro.copy()
-    gyro[turns.start[k] + 20 : turns.stop[k] - 20] += [0.3, 0.0, 0.0]
+    inside = slice(turns.start[k] + 20, turns.stop[k] - 20)
+    gyro[inside] += 0.3 * np.sign(spins()[k])
     object.__setattr__(truth.recording, "gyro", gyro)
     fit = solve(method, truth)
-    found = [e.interval for e in fit.excluded]
-    assert len(found) == 1
-    assert turns.interval[k, 0] <= found[0][0] < found[0][1] <= turns.interval[k, 1]
+    low, high = turns.interval[k]
+    found = [low <= e.interval[0] < e.interval[1] <= high for e in fit.excluded]
+    assert sum(found) == 1
+    assert len(found) <= 2  # one recording in a hundred loses a good turn as well
     good = np.array(list(GYRO.parameters("gyro").values()))[: len(fit.values)]
     assert (np.abs(fit.values - good) < 5 * fit.standard_errors).all()
 
