@@ -17,6 +17,18 @@ SMALL = 48
 """Lines below which Python parses faster than a call of pyarrow takes."""
 
 
+def parse_block(
+    block: bytes, *, fields: int, places: Sequence[int], delimiter: bytes
+) -> FloatArray | None:
+    """Return the numbers at `places` of each line; None if any line is not `fields` numbers."""
+    if block.count(b"\n") <= SMALL:
+        return None
+    try:
+        return _fast(block, fields, places, delimiter)
+    except pa.ArrowInvalid:
+        return None
+
+
 def parse_numbers(
     block: bytes, *, fields: int, places: Sequence[int], delimiter: bytes
 ) -> tuple[FloatArray, BoolArray]:

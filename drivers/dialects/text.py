@@ -19,7 +19,7 @@ from calib.errors import AddressError, BadFrameError, RecordingFormatError
 from calib.types import BoolArray, FloatArray, IntArray
 from drivers.dialects.base import Dialect, Parser, Samples
 from drivers.dialects.framing import Bytes, as_bytes
-from drivers.dialects.numbers import NUMBER, parse_numbers
+from drivers.dialects.numbers import NUMBER, parse_block, parse_numbers
 from drivers.formats.profile import Column, Profile, get_profile, parse_profile
 
 LABEL = re.compile(rb"[A-Za-z_/][\w/ \[\]()]*[:=]")
@@ -61,7 +61,7 @@ class TextParser(Parser):
             start = buffer.find(b"\n") + 1  # we may have come in the middle of the first line
             self._count("incomplete_bytes", start)
         block = buffer[start:end]
-        if not block.strip():
+        if block.isspace() or not block:
             return Samples.none(), end
         if self._json is None:
             self._learn(block)
@@ -69,7 +69,10 @@ class TextParser(Parser):
             self._other(block)
             return Samples.none(), end
         values, good, lines = self._rows_of_json(block) if self._json else self._rows(block)
-        good[good] &= np.isfinite(values[good]).all(axis=1)
+        with np.errstate(over="ignore", invalid="ignore"):
+            all_finite = np.isfinite(values.sum())
+        if not all_finite:
+            good &= np.isfinite(values).all(axis=1)
         self.accepted_bytes += int(lines[good].sum())
         return self._samples(values, good), end
 
@@ -156,6 +159,12 @@ class TextParser(Parser):
         assert self._delimiter is not None
         if self._labelled or self._delimiter == b" ":
             block = self._plain(block)
+        fast = parse_block(
+            block, fields=self._fields, places=self._places, delimiter=self._delimiter
+        )
+        if fast is not None:
+            count = len(fast)
+            return fast, np.ones(count, bool), np.full(count, len(block) // count)
         data = as_bytes(block)
         ends = np.flatnonzero(data == 10) + 1
         starts = np.concatenate([[0], ends[:-1]])
@@ -224,12 +233,17 @@ class TextParser(Parser):
 
     def _samples(self, values: FloatArray, good: BoolArray) -> Samples:
         """Convert to SI and count what was damaged before each good line."""
+        if good.all() and not self._pending:
+            return self._to_si(values, np.zeros(good.size, np.int64))
         damaged = np.cumsum(~good) + self._pending
         before = damaged[good]
         lost = np.diff(before, prepend=0)
         self._pending = int(damaged[-1] - (before[-1] if before.size else 0)) if good.size else 0
         self._count("damaged_lines", int((~good).sum()))
-        profile, values = self.profile, values[good]
+        return self._to_si(values[good], lost)
+
+    def _to_si(self, values: FloatArray, lost: IntArray) -> Samples:
+        profile = self.profile
         assert profile.accel is not None
         assert profile.gyro is not None
         rest = 6

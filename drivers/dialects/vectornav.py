@@ -150,7 +150,11 @@ class VectorNavParser(Parser):
 
     def _sentences(self, data: Bytes) -> tuple[IntArray, IntArray]:
         """Return where sentences with a good checksum start and end."""
-        dollars, stars = np.flatnonzero(data == DOLLAR), np.flatnonzero(data == STAR)
+        dollars = np.flatnonzero(data[:-2] == DOLLAR)
+        dollars = dollars[(data[dollars + 1] == ord("V")) & (data[dollars + 2] == ord("N"))]
+        if not dollars.size:
+            return dollars, dollars
+        stars = np.flatnonzero(data == STAR)
         which = np.searchsorted(stars, dollars)
         dollars, which = dollars[which < stars.size], which[which < stars.size]
         stars = stars[which]
@@ -161,7 +165,6 @@ class VectorNavParser(Parser):
         xor = np.concatenate([[np.uint8(0)], np.bitwise_xor.accumulate(data)])
         want = (_HEX[data[stars + 1]].astype(np.int64) << 4) | _HEX[data[stars + 2]]
         good = (xor[stars] ^ xor[dollars + 1]) == want
-        good &= (data[dollars + 1] == ord("V")) & (data[dollars + 2] == ord("N"))
         # A XOR does not see a byte that came twice, such as two line ends.
         strange = np.concatenate([[0], np.cumsum((data < 32) | (data > 126))])
         good &= strange[stars] == strange[dollars]
@@ -226,8 +229,10 @@ class VectorNavParser(Parser):
 
     def _gaps(self, data: Bytes, starts: IntArray, ends: IntArray, used: int) -> IntArray:
         """Count the bytes before each frame that are in none; line ends do not count."""
-        stray = np.concatenate([[0], np.cumsum((data[:used] != 13) & (data[:used] != 10))])
         bounds = np.concatenate([[0], np.minimum(ends, used)])
+        if np.array_equal(np.append(starts, used), bounds):
+            return np.zeros(bounds.size, np.int64)
+        stray = np.concatenate([[0], np.cumsum((data[:used] != 13) & (data[:used] != 10))])
         gaps: IntArray = stray[np.append(starts, used)] - stray[bounds]
         if not self.accepted_bytes and gaps.size > 1:
             self._count("incomplete_bytes", int(gaps[0]))  # we came in the middle of a frame
