@@ -11,19 +11,21 @@ import typer
 if TYPE_CHECKING:
     from calib.calibration import Gravity
 
-_UNITS = {"": 1.0, "s": 1.0, "min": 60.0, "h": 3600.0, "ms": 1e-3}
+_UNITS = {"": 1.0, "ms": 1e-3, "s": 1.0, "sec": 1.0, "m": 60.0, "min": 60.0, "h": 3600.0}
 
 
 def parse_duration(text: str) -> float:
-    """Return seconds of ``90``, ``90s``, ``10min`` or ``1.5h``; ValueError otherwise."""
-    match = re.fullmatch(r"\s*([0-9.]+(?:[eE][+-]?\d+)?)\s*(ms|s|min|h|)\s*", text)
-    try:
-        value = float(match[1]) * _UNITS[match[2]] if match else 0.0
-    except ValueError:
-        value = 0.0
-    if not value > 0:
-        raise ValueError(f"{text!r} is no duration: give 90s, 10min or 1.5h")
-    return value
+    """Return seconds of ``90s``, ``10min`` or ``1.5h``; a bare number is seconds.
+
+    ValueError if it is no such thing, or not positive.
+    """
+    match = re.fullmatch(r"(\d+(?:\.\d*)?|\.\d+)\s*([a-z]*)", text.strip())
+    unit = None if match is None else _UNITS.get(match[2])
+    if match is None or unit is None or float(match[1]) <= 0:
+        raise ValueError(
+            f"{text!r} is no duration; write a positive number and a unit, as in 90s, 10min, 1h"
+        )
+    return float(match[1]) * unit
 
 
 def choose_gravity(gravity: float | None, latitude: float | None, height: float | None) -> Gravity:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import signal
 import threading
 import time
@@ -12,8 +11,6 @@ from pathlib import Path
 from types import FrameType, TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
-import typer
-
 from imu_cli import output
 
 if TYPE_CHECKING:
@@ -21,22 +18,8 @@ if TYPE_CHECKING:
 
     from drivers.record import RecordState
 
-UNITS = {"ms": 1e-3, "s": 1.0, "sec": 1.0, "m": 60.0, "min": 60.0, "h": 3600.0}
 PERIOD = 0.25
 """s between updates of the progress line."""
-
-
-def parse_duration(text: str | None) -> float | None:
-    """Return seconds from ``90s``, ``10min``, ``1.5h``; a bare number is seconds."""
-    if text is None:
-        return None
-    match = re.fullmatch(r"(\d+(?:\.\d*)?|\.\d+)\s*([a-z]*)", text.strip())
-    unit = None if match is None else UNITS.get(match[2] or "s")
-    if match is None or unit is None or float(match[1]) <= 0:
-        raise typer.BadParameter(
-            f"{text!r} is no duration; write a positive number and a unit, as in 90s, 10min, 1h"
-        )
-    return float(match[1]) * unit
 
 
 @contextmanager

@@ -108,8 +108,7 @@ class State:
     since_turn : (n,) array, s, or None
         Time since the last turn ended, on through the next turn; infinite before the first.
     mat_ns : (n, 3, 3) array or None
-        Orientation, where it is known; ``earth_rate`` needs it.
-    latitude : float, rad, or None
+        Orientation, where it is known.
     vibration : (n, 3) array, (m/s²)², or None
         Short-time variance of the specific force.
     angular_acceleration : (n, 3) array, rad/s², or None
@@ -127,7 +126,6 @@ class State:
     power_on: float = 0.0
     since_turn: FloatArray | None = None
     mat_ns: FloatArray | None = None
-    latitude: float | None = None
     vibration: FloatArray | None = None
     angular_acceleration: FloatArray | None = None
     temperature_slope: FloatArray | None = None

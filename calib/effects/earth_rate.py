@@ -4,8 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+import numpy as np
+
 from calib.effects.base import Column, Effect, Parameter, State
 from calib.recording import AXES
+
+RATE = 7.2921150e-5
+"""rad/s, relative to the stars."""
 
 
 class EarthRate(Effect):
@@ -21,7 +26,7 @@ class EarthRate(Effect):
     )
     kind = "setup"
     parameters = tuple(
-        Parameter(name, "rad/s", 5.16e-5, ("gyro.x", "gyro.y", "gyro.z"))
+        Parameter(name, "rad/s", RATE / np.sqrt(2), ("gyro.x", "gyro.y", "gyro.z"))
         for name in ("east", "north", "up")
     )
     follows = "heading and tilt at rest"
@@ -34,6 +39,10 @@ class EarthRate(Effect):
     rivals = ("gyro_g_sensitivity",)
     reads = ("mat_ns",)
 
+    def typical(self, *, span: tuple[float, float]) -> dict[str, float]:
+        """Return the Earth's rotation at 45 degrees north."""
+        return components(np.pi / 4)
+
     def columns(self, state: State, shape: Mapping[str, float]) -> dict[str, Column]:
         """Return the axes of frame n in the sensor frame; nothing where orientation is not known.
 
@@ -45,6 +54,15 @@ class EarthRate(Effect):
             name: {f"gyro.{a}": state.mat_ns[:, row, i] for i, a in enumerate(AXES)}
             for row, name in enumerate(("east", "north", "up"))
         }
+
+
+def components(latitude: float) -> dict[str, float]:
+    """Return the parameters at a latitude (rad, north positive)."""
+    return {
+        "east": 0.0,
+        "north": RATE * float(np.cos(latitude)),
+        "up": RATE * float(np.sin(latitude)),
+    }
 
 
 EFFECT = EarthRate()

@@ -116,7 +116,6 @@ class Motion:
     power_on : float, s
         When the sensor was switched on (0 or earlier).
     gravity : float, m/s²
-    latitude : float, rad, or None
     """
 
     name: str
@@ -127,7 +126,6 @@ class Motion:
     vibration: Callable[[FloatArray], FloatArray] | None = None
     power_on: float = 0.0
     gravity: float = 9.80665
-    latitude: float | None = None
 
     def intervals(self, kind: str) -> FloatArray:
         """Return (k, 2) start and stop times of the segments of one kind, s."""
@@ -167,7 +165,6 @@ class Motion:
             power_on=self.power_on,
             since_turn=self._since_turn(time),
             mat_ns=mat_ns,
-            latitude=self.latitude,
             vibration=None if self.vibration is None else self.vibration(time) ** 2,
             angular_acceleration=turning.rate_dot,
             temperature_slope=self._temperature_slope(time),

@@ -49,10 +49,15 @@ def record(
     from drivers.record import record as run
     from drivers.transports import make_driver
     from imu_cli import recording_view as view
+    from imu_cli.options import parse_duration
 
     if duration is not None and samples is not None:
         raise typer.BadParameter("give --duration or --samples, not both")
-    limits = RecordLimits(view.parse_duration(duration), samples)
+    try:
+        seconds = None if duration is None else parse_duration(duration)
+    except ValueError as error:
+        raise typer.BadParameter(str(error), param_hint="--duration") from error
+    limits = RecordLimits(seconds, samples)
     for path in (output_file, raw):
         if path is not None and path.exists() and not overwrite:
             raise typer.BadParameter(f"{path} exists; name another file, or use --overwrite")

@@ -78,7 +78,7 @@ def state() -> State:
     motion = bench_protocol(np.random.default_rng(5), poses=8, first_pose=1.0, tremor=0.1)
     state = motion.state(np.arange(0.0, motion.duration, 0.0025))
     shaken = 0.1 + 0.05 * np.sin(state.time[:, None] + np.arange(3))
-    return replace(state, vibration=shaken, latitude=0.8)
+    return replace(state, vibration=shaken)
 
 
 def shape_of(effect: Effect) -> dict[str, float]:
@@ -242,6 +242,17 @@ def test_earth_rate_at_rest_is_the_same_vector_seen_from_each_pose(state: State)
     assert state.mat_ns is not None
     in_n = np.einsum("nij,nj->ni", state.mat_ns, in_s)
     np.testing.assert_allclose(in_n, np.tile([0, 4e-5, 6e-5], (len(in_n), 1)), atol=1e-12)
+
+
+def test_earth_rate_by_latitude() -> None:
+    from calib.effects.earth_rate import components
+
+    assert components(0.0) == {"east": 0.0, "north": 7.292115e-5, "up": 0.0}
+    south = components(np.radians(-30.0))
+    assert south["up"] == pytest.approx(-0.5 * 7.292115e-5)
+    assert np.degrees(south["north"]) * 3600 == pytest.approx(15.041 * np.cos(np.pi / 6), rel=1e-4)
+    typical = get_effect("earth_rate").typical(span=(0.0, 1.0))
+    assert np.linalg.norm(list(typical.values())) == pytest.approx(7.292115e-5)
 
 
 def test_rate_of_temperature_is_fitted_through_its_noise() -> None:
