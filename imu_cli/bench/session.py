@@ -13,6 +13,7 @@ import numpy as np
 from calib.calibrate import calibrate
 from calib.calibration import Calibration, Gravity
 from calib.errors import CalibrationError, UnitError
+from calib.live_statics import LiveStatics
 from calib.planning import (
     NAMES,
     Accuracy,
@@ -37,8 +38,8 @@ from imu_cli.bench.warnings import clipping_warning, turn_warnings, warm_up_warn
 ANGLES = (np.pi / 2, np.pi)
 TURN_TIME = 2.0
 REST_TIME = 3.0
-STILL_WITHIN = 0.4
-"""s; a pose that ends no longer ago than this is going on."""
+LONG_ENOUGH = 1.5
+"""s; a rest counts as a pose from here on, and longer makes it better."""
 NOMINAL = Accuracy(pose=5e-3, static=2e-4, turn=3e-3)
 """What one equation is worth before the recording itself tells: a pose repeats to half a mg."""
 LIMIT_ROUNDS = 200
@@ -81,6 +82,9 @@ class Session:
     def __init__(self, *, targets: Mapping[str, float], gravity: Gravity) -> None:
         self.targets = dict(targets)
         self.gravity = gravity
+        self._live = LiveStatics()
+        self._rested_since: float | None = None
+        self._seen = False  # whether the present rest was taken in already
         self._parts: list[Recording] = []
         self._whole: Recording | None = None
         self._poses: Poses | None = None
@@ -98,6 +102,9 @@ class Session:
         """Take the next samples; time runs on."""
         self._parts.append(batch)
         self._clipping = clipping_warning(batch) or self._clipping
+        for event in self._live.update(batch):
+            self._rested_since = event.time if event.resting else None
+            self._seen = False
         self._whole = None
 
     @property
@@ -115,15 +122,13 @@ class Session:
         recording = self.recording
         if recording is None:
             return self._status(None, moving=False)
-        poses = find_poses(recording)
-        end = float(recording.time[-1])
-        moving = not len(poses) or end - float(poses.interval[-1, 1]) > STILL_WITHIN
-        known = 0 if self._poses is None else len(self._poses)
-        finished = poses if not moving else None
-        if len(poses) != known or (finished is not None and self._choice is None):
-            self._poses = poses
-            self._fit(recording, poses)
-        return self._status(recording, moving=moving)
+        since = self._rested_since
+        rested = since is not None and float(recording.time[-1]) - since >= LONG_ENOUGH
+        if rested and not self._seen:
+            self._seen = True
+            self._poses = find_poses(recording)
+            self._fit(recording, self._poses)
+        return self._status(recording, moving=since is None)
 
     def fixed_routine_time(self) -> float | None:
         """Return how long the usual six faces would take to meet the targets, s; None if never.

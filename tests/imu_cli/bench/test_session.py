@@ -25,6 +25,7 @@ from calib.recording import DeviceInfo, Recording
 from calib.simulate import simulate
 from calib.simulation.bench import bench_protocol
 from calib.simulation.noise import CONSUMER
+from calib.statics import find_poses
 from drivers.formats import read_recording, write_recording
 from drivers.transports import make_driver
 from imu_cli.bench.run import load_earlier, run_session, slices
@@ -131,6 +132,20 @@ def test_a_turn_about_the_vertical_is_warned_of() -> None:
     gyro[(clock > 5) & (clock < 7), 2] += np.pi / 4
     warnings = fed(Recording(clock, accel, gyro, "device"))[1].warnings
     assert any("about the vertical" in w for w in warnings)
+
+
+def test_a_bumped_pose_is_told_and_asked_for_again() -> None:
+    good = a_recording(SensorModel(), poses=14)
+    poses = find_poses(good)
+    accel = good.accel.copy()
+    accel[poses.start[10] - 20 : poses.stop[10] + 20, 0] += 0.3  # 30 mg: leaning on the table
+    asked = []
+    session = Session(targets=make_targets(()), gravity=GRAVITY)
+    for part in slices(Recording(good.time, accel, good.gyro, "device"), width=2.0):
+        session.add(part)
+        asked.append(session.status().repeat)
+    assert any("does not count" in text for text in asked)
+    assert not fed(good)[1].repeat
 
 
 def test_a_warming_sensor_is_warned_of() -> None:
