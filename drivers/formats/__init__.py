@@ -215,6 +215,11 @@ def find_format(source: Source, options: ReadOptions) -> Format:
             f"{source.path} is no {named[0].title}: {starts}, which is {what}. It is damaged, "
             "or has a wrong suffix"
         )
+    if options.profile is not None and found is not None and found.stands_alone:
+        raise RecordingFormatError(
+            f"{source.path} is an {found.title} and states its columns and units itself; leave "
+            f"--profile {options.profile.name} away"
+        )
     if options.profile is not None and options.profile.format in every:
         return every[options.profile.format]
     if found is not None:
@@ -267,7 +272,13 @@ def _groups(files: list[Path_], options: ReadOptions) -> list[list[Path_]]:
 
 def _parts(sources: list[Source], options: ReadOptions) -> Iterator[Recording]:
     if len(sources) == 1:
-        yield from find_format(sources[0], options).batches(sources[0], options)
+        form = find_format(sources[0], options)
+        if options.imu is not None and not form.several_sensors:
+            raise RecordingFormatError(
+                f"{sources[0].path} holds one sensor, and --imu {options.imu} was given; leave it "
+                "away, it is for boards with several"
+            )
+        yield from form.batches(sources[0], options)
         return
     from drivers.formats.pairs import read_pair
 
@@ -285,6 +296,12 @@ def _follow(last: Recording, part: Recording, source: Source) -> tuple[float, Re
         raise RecordingFormatError(
             f"{source.path} is of device {mine.chip} {mine.serial_number}, the file before it of "
             f"{theirs.chip} {theirs.serial_number}; expected files of one device"
+        )
+    if (part.temperature is None) != (last.temperature is None):
+        has = ("a", "none") if last.temperature is None else ("no", "one")
+        raise RecordingFormatError(
+            f"{source.path} has {has[0]} temperature, the file before it has {has[1]}; expected "
+            "all or none of them to"
         )
     end, interval = float(last.time[-1]), part.interval or last.interval
     shift = 0.0 if part.time[0] > end else end + FILE_GAP - float(part.time[0])

@@ -52,6 +52,7 @@ class Arrow(Format):
 
     name = "arrow"
     title = "Arrow IPC stream"
+    stands_alone = True
     suffixes = (".arrow", ".arrows")
     writer = ArrowWriter
 

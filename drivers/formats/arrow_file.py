@@ -33,6 +33,7 @@ class ArrowFile(Format):
 
     name = "arrow_file"
     title = "Arrow IPC file"
+    stands_alone = True
     suffixes = (".feather", ".ipc")
     writer = ArrowFileWriter
 

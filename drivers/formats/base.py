@@ -5,12 +5,14 @@ from __future__ import annotations
 import os
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, ClassVar, Self
 
+from calib.errors import RecordingWriteError
 from calib.recording import Recording
 
 if TYPE_CHECKING:
@@ -65,7 +67,7 @@ class Writer(ABC):
     """Appends batches of one recording to a file; a context manager.
 
     With ``atomic`` the file appears under its name only when the writer is closed without an error;
-    otherwise it grows in place.
+    otherwise it grows in place, and whoever records handles the operating system's errors.
     """
 
     def __init__(self, path: str | os.PathLike[str], *, atomic: bool = False) -> None:
@@ -77,7 +79,8 @@ class Writer(ABC):
     def append(self, batch: Recording) -> None:
         """Write the next samples; time runs on from those before."""
         if self._last is None:
-            self._start(batch)
+            with self._failures_named():
+                self._start(batch)
             self._last = batch  # it is open now, and must be closed even if this fails
         elif (batch.temperature is None) != (self._last.temperature is None):
             raise ValueError("`batch` must have a temperature exactly if the ones before it have")
@@ -86,7 +89,8 @@ class Writer(ABC):
                 f"`batch` must go on after {self._last.time[-1]:.9g} s, it starts at "
                 f"{batch.time[0]:.9g} s"
             )
-        self._append(batch)
+        with self._failures_named():
+            self._append(batch)
         self._last = batch
 
     def flush(self) -> None:  # noqa: B027 - formats that are written at the end have nothing to do
@@ -113,9 +117,21 @@ class Writer(ABC):
         if self._last is None:
             return
         self._last = None
-        self._finish()
-        if self.atomic:
-            os.replace(self._target, self.path)
+        with self._failures_named():
+            self._finish()
+            if self.atomic:
+                os.replace(self._target, self.path)
+
+    @contextmanager
+    def _failures_named(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError as error:
+            if not self.atomic:
+                raise
+            self._target.unlink(missing_ok=True)
+            why = os.strerror(error.errno) if error.errno else str(error)
+            raise RecordingWriteError(f"{self.path} cannot be written: {why}") from error
 
     def __enter__(self) -> Self:
         return self
@@ -130,7 +146,8 @@ class Writer(ABC):
             self.close()
         elif self._last is not None:
             self._last = None
-            self._abandon()
+            with suppress(OSError):  # the error that came first is the one to tell
+                self._abandon()
             if self.atomic:
                 self._target.unlink(missing_ok=True)
 
@@ -144,6 +161,10 @@ class Format(ABC):
     suffixes: ClassVar[tuple[str, ...]] = ()
     """Lower case, with the dot."""
     binary: ClassVar[bool] = True
+    several_sensors: ClassVar[bool] = False
+    """Whether ``--imu`` must choose one."""
+    stands_alone: ClassVar[bool] = False
+    """Whether a file states its columns and units itself, so that no profile may."""
     writer: ClassVar[type[Writer] | None] = None
 
     @abstractmethod

@@ -77,7 +77,7 @@ class TextLog:
             at += 1
         if at >= len(lines):
             raise no_samples(str(source.path))
-        delimiter = profile.delimiter or _guess_delimiter(lines[at])
+        delimiter = self._delimiter = profile.delimiter or _guess_delimiter(lines[at])
         fields = split_line(lines[at], delimiter)
         self._names = [str(number + 1) for number in range(len(fields))]
         if profile.header:
@@ -125,7 +125,8 @@ class TextLog:
             return str(column)
         raise RecordingFormatError(
             f"{self._source.path} does not fit profile {self.profile.name}: it has no column "
-            f"{column!r} among {', '.join(self._names[:12])}"
+            f"{column!r}; separated by {self._delimiter!r} its columns are "
+            f"{', '.join(self._names[:12])}"
         )
 
     def _stamp_type(self, line: str, delimiter: str) -> Any:
@@ -251,8 +252,9 @@ def _unknown(source: Source, text: str) -> str:
             "(three of the accelerometer, three of the gyroscope)"
         )
     what = f"{count} columns of numbers without names" if numbers else f"the header {first[:80]!r}"
+    which = f"--profile {' or '.join(fits)} if it is such a log, or " if numbers else ""
     return (
-        f"{source.path}: cannot tell columns and units from {what}. Say which import profile it "
-        f"has: --profile {' or '.join(fits)}, or --profile FILE.toml with your own "
-        "(columns, units and rate in a few lines; see docs, 'Import profiles')"
+        f"{source.path}: cannot tell columns and units from {what}. Say what they are: {which}"
+        "--profile FILE.toml with your own (columns, units and rate in a few lines; see Import "
+        "profiles in docs/pages/recordings.md)"
     )

@@ -126,6 +126,7 @@ class Mimu4444(Format):
 
     name = "mimu4444"
     title = "MIMU4444 byte stream"
+    several_sensors = True
 
     def sniff(self, head: bytes) -> bool:
         """Look for a whole frame with its checksum."""

@@ -35,6 +35,7 @@ class Parquet(Format):
 
     name = "parquet"
     title = "Parquet file"
+    stands_alone = True
     suffixes = (".parquet", ".pq")
     writer = ParquetWriter
 

@@ -236,7 +236,9 @@ def test_a_wrong_profile_is_refused_by_its_key(profile: str, message: str) -> No
 
 
 def test_a_profile_that_does_not_fit_the_file(tmp_path: Path) -> None:
-    with pytest.raises(RecordingFormatError, match="no column 4 among 1, 2, 3"):
+    with pytest.raises(
+        RecordingFormatError, match="no column 4; separated by ',' its columns are 1, 2, 3"
+    ):
         read(tmp_path, "1,2,3\n4,5,6\n", plain())
     with pytest.raises(RecordingFormatError, match="no import profile 'nonesuch'; shipped are"):
         get_profile("nonesuch")
