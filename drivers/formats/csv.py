@@ -128,7 +128,8 @@ def _comments(lines: list[str]) -> dict[str, str]:
             value = rest[1:] if rest.startswith(":") else rest
         else:
             key, _, value = text.partition(":")
-        out[str(key).strip()] = _unquote(value.strip())
+            key = key.strip()
+        out[str(key)] = _unquote(value.strip())
     return out
 
 
