@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -21,6 +21,7 @@ from calib.errors import (
     DriverTimeoutError,
     RecordingWriteError,
 )
+from calib.live_statics import LiveStatics
 from calib.recording import DeviceInfo, Recording
 from drivers.capture import CaptureWriter
 from drivers.driver import Driver
@@ -35,10 +36,6 @@ SILENCE = 10.0
 """s without a sample before a device counts as silent."""
 RETRY = 0.25
 """s between attempts to find a vanished device."""
-WINDOW = 0.5
-"""s of samples that the moving state is told from."""
-MOVING = 0.3
-"""Share of a window's variance that white noise explains, below which something moved."""
 HARMLESS = {"incomplete_bytes", "other_lines"}
 """Counters that are no loss: the half line in which we came and went, and text for people."""
 AWAY = (DeviceNotFoundError, DeviceLostError, DeviceBusyError, DevicePermissionError)
@@ -227,7 +224,7 @@ class Recorder:
         state.clipped += count_clipped(batch)
         if batch.temperature is not None:
             state.temperature = float(batch.temperature[-1])
-        state.moving = self.sink.moving()
+        state.moving = self.sink.moving
 
     def _place(self, batch: Recording) -> Recording:
         """Put a batch after the ones before it; after a gap, where the host's clock says."""
@@ -260,25 +257,20 @@ class Recorder:
 
 
 class _Sink:
-    """The file: gathers batches, writes them every `FLUSH` s, and knows the last few samples."""
+    """The file: gathers batches, writes them every `FLUSH` s, and tells rest from motion."""
 
     def __init__(self, path: Path, capture: CaptureWriter | None) -> None:
         self.path = path
         self._capture = capture
         self._writer = open_writer(path)
         self._pending: list[Recording] = []
-        self._recent: list[Recording] = []
+        self._statics = LiveStatics()
+        self.moving: bool | None = None
         self._flushed = time.monotonic()
         self._broken = False
 
     def append(self, batch: Recording) -> None:
         self._pending.append(batch)
-        self._recent.append(batch)
-        while self._recent[-1].time[-1] - self._recent[0].time[-1] > WINDOW:
-            self._recent.pop(0)
-
-    def moving(self) -> bool | None:
-        return is_moving(self._recent)
 
     def flush(self, *, every: float) -> None:
         if time.monotonic() - self._flushed < every:
@@ -292,12 +284,15 @@ class _Sink:
         pending, self._pending = self._pending, []
         if not pending:
             return
+        samples = join(pending)
         try:
-            self._writer.append(join(pending))
+            self._writer.append(samples)
             self._writer.flush()
         except OSError as error:
             self._broken = True
             raise self._failure(error) from error
+        self._statics.update(samples)
+        self.moving = not self._statics.resting
 
     def __enter__(self) -> _Sink:
         return self
@@ -334,19 +329,3 @@ def count_clipped(batch: Recording) -> int:
         if full is not None:
             clipped |= (np.abs(values) >= full - 1.5 * (lsb or 0.0)).any(axis=1)
     return int(clipped.sum())
-
-
-def is_moving(recent: Sequence[Recording]) -> bool | None:
-    """Return whether the sensor moves; None while there is too little to tell.
-
-    Of white noise, half the mean squared step between samples equals the variance (von Neumann's
-    ratio); of motion, which is slow, the variance is far larger.
-    """
-    if sum(map(len, recent)) < 20:
-        return None
-    values = np.hstack(
-        [np.concatenate([r.accel for r in recent]), np.concatenate([r.gyro for r in recent])]
-    )
-    steps = 0.5 * np.mean(np.diff(values, axis=0) ** 2, axis=0)
-    variance = values.var(axis=0)
-    return bool((steps < MOVING * variance).any())

@@ -16,7 +16,7 @@ from calib.recording import DeviceInfo, Recording
 from drivers import record as module
 from drivers.driver import Driver
 from drivers.formats import read_recording
-from drivers.record import RecordLimits, RecordState, count_clipped, is_moving, record
+from drivers.record import RecordLimits, RecordState, count_clipped, record
 from drivers.transports import make_driver
 
 PtyFactory = Callable[..., Any]
@@ -249,13 +249,14 @@ def test_clipping_is_counted() -> None:
     assert count_clipped(log) == 2
 
 
-def test_still_and_moving_are_told_apart() -> None:
-    generator = np.random.default_rng(0)
-    noise = generator.normal(scale=0.02, size=(2, 100, 3))
-    time_ = np.arange(100) * 0.005
-    assert is_moving([Recording(time_, *noise, "device")]) is False
-    turn = noise.copy()
-    turn[1, :, 2] += 0.3 * np.sin(2 * np.pi * time_)
-    assert is_moving([Recording(time_, *turn, "device")]) is True
-    assert is_moving([Recording(time_[:5], *noise[:, :5], "device")]) is None
-    assert is_moving([Recording(time_, np.ones((100, 3)), np.ones((100, 3)), "device")]) is False
+def test_still_and_moving_are_told_apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "FLUSH", 0.0)
+    seen: list[bool | None] = []
+    driver = make_driver("emulator://arduino?speed=0&rate=100&motion=bench&seed=1")
+    limits = RecordLimits(duration=100.0)
+    run(driver, tmp_path / "a.arrow", limits=limits, progress=lambda s: seen.append(s.moving))
+    assert {False, True} <= set(seen)
+    seen.clear()
+    driver = make_driver("emulator://arduino?speed=0&rate=100")
+    run(driver, tmp_path / "b.arrow", limits=limits, progress=lambda s: seen.append(s.moving))
+    assert seen[-1] is False
