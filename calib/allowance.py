@@ -10,6 +10,7 @@ import numpy as np
 
 from calib.calibration import Calibration
 from calib.effects import get_effect
+from calib.poses import Poses
 from calib.recording import AXES
 from calib.types import FloatArray
 
@@ -48,11 +49,11 @@ def thermal(calibration: Calibration) -> dict[str, float]:
     }
 
 
-def beyond(calibration: Calibration, temperature: FloatArray | None) -> FloatArray:
-    """Return how far temperatures (n,) are outside the calibrated range: signed, K, 0 within."""
-    span = calibration.temperature
+def beyond(calibration: Calibration, poses: Poses) -> FloatArray:
+    """Return how far poses (k,) are outside the calibrated temperatures: signed, K, 0 within."""
+    span, temperature = calibration.temperature, poses.temperature
     if span is None or temperature is None:
-        return np.zeros(1 if temperature is None else len(temperature))
+        return np.zeros(len(poses))
     return temperature - np.clip(temperature, span.low, span.high)
 
 

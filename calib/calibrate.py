@@ -101,7 +101,7 @@ def calibrate(
     turns = find_turns(recording, poses)
     left_out: tuple[Exclusion, ...] = ()
     if gyro_method != "rate_table":  # which needs no whole angle, and may be told a rate for each
-        turns, left_out = _usable_turns(recording, turns)
+        turns, left_out = usable_turns(recording, turns)
     gyro = solve_gyro(
         recording, poses, turns, accel.triad, gravity=gravity.value, options=options or {}
     )
@@ -203,7 +203,7 @@ def _check_poses(recording: Recording, poses: Poses) -> None:
         )
 
 
-def _usable_turns(recording: Recording, turns: Turns) -> tuple[Turns, tuple[Exclusion, ...]]:
+def usable_turns(recording: Recording, turns: Turns) -> tuple[Turns, tuple[Exclusion, ...]]:
     """Leave out turns whose angle is not in the samples: gaps too long to bridge, and clipping."""
     step = np.diff(recording.time)
     gaps = np.flatnonzero(step > max(LONGEST_GAP, 3 * recording.interval))

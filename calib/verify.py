@@ -21,18 +21,19 @@ from scipy.special import chdtrc
 
 from calib.allowance import beyond, thermal, wander
 from calib.apply import correct_recording
-from calib.calibrate import calibrate
+from calib.calibrate import calibrate, usable_turns
 from calib.calibration import Calibration
 from calib.closure import TurnSteps, closure_residual, horizontal_basis, pose_directions, propagate
 from calib.compare import SIGNIFICANCE, Comparison, compare, device_mismatch
 from calib.errors import InsufficientMotionError
+from calib.fit import Exclusion
 from calib.model import SensorModel, Triad
 from calib.poses import Poses, average_poses
 from calib.recording import AXES, Recording
 from calib.solvers.quadric import COLUMNS, NAMES, ROWS
 from calib.statics import find_poses
-from calib.turns import find_turns
-from calib.types import FloatArray
+from calib.turns import Turns, find_turns
+from calib.types import FloatArray, IntArray
 from calib.units import check_units
 
 UNCALIBRATED = {
@@ -129,18 +130,66 @@ def verify(
         )
     corrected = correct_recording(replace(calibration, housing=None), recording)
     still = average_poses(corrected, poses.start, poses.stop)
-    outside = beyond(calibration, still.temperature)
-    checks = [_gravity_check(calibration, still, outside), _rest_check(calibration, still, outside)]
-    turns = _turn_check(calibration, corrected, still)
-    if turns is not None:
-        checks.append(turns)
+    anew = _fit_anew(calibration, corrected, still)
+    good, steady = _at_rest(anew, still)
+    usable, left_out = usable_turns(recording, find_turns(recording, poses))
+    usable = usable.select(_sound(anew, usable, steady))
+    checks = [
+        _gravity_check(calibration, still.select(good)),
+        _rest_check(calibration, still.select(steady)),
+        _turn_check(calibration, corrected, still, usable),
+    ]
     return Verification(
-        tuple(checks),
-        _compare_anew(calibration, corrected),
+        tuple(check for check in checks if check is not None),
+        _compare_anew(calibration, anew),
         device_mismatch(calibration.provenance.device, recording.device),
-        _remarks(calibration, recording, outside),
+        (
+            *_remarks(calibration, recording, beyond(calibration, still)),
+            *_left_out(anew, left_out),
+        ),
         significance,
     )
+
+
+def _fit_anew(calibration: Calibration, corrected: Recording, still: Poses) -> Calibration | None:
+    """Calibrate the corrected recording by itself; None if it is too little for that."""
+    try:
+        return calibrate(corrected, gravity=calibration.gravity, poses=still)
+    except InsufficientMotionError:
+        return None
+
+
+def _at_rest(anew: Calibration | None, still: Poses) -> tuple[IntArray, IntArray]:
+    """Return the poses that are sound for the accelerometer, and for the gyroscope.
+
+    What is left out disagrees with the rest of the new recording, not with the calibration.
+    """
+    keep = []
+    for summary in (None, None) if anew is None else (anew.accel, anew.gyro):
+        bad = () if summary is None else tuple(e.interval for e in summary.excluded if not e.weight)
+        out = [any(np.allclose(row, interval) for interval in bad) for row in still.interval]
+        keep.append(np.flatnonzero(~np.array(out)))
+    return keep[0], keep[1]
+
+
+def _sound(anew: Calibration | None, turns: Turns, steady: IntArray) -> IntArray:
+    """Return the turns whose ends were at rest, and that agree with each other."""
+    ends = np.isin(turns.before, steady) & np.isin(turns.after, steady)
+    if anew is not None and anew.gyro is not None:
+        for item in anew.gyro.excluded:
+            ends &= ~np.all(np.isclose(turns.interval, item.interval), axis=1)
+    return np.flatnonzero(ends)
+
+
+def _left_out(anew: Calibration | None, turns: tuple[Exclusion, ...]) -> tuple[str, ...]:
+    items = list(turns)
+    for summary in (None, None) if anew is None else (anew.accel, anew.gyro):
+        items += [] if summary is None else [item for item in summary.excluded if not item.weight]
+    texts: dict[str, str] = {}
+    for item in items:
+        where = f"{item.interval[0]:.2f} to {item.interval[1]:.2f} s is left out"
+        texts.setdefault(where, item.reason)
+    return tuple(f"{where}: {reason}" for where, reason in texts.items())
 
 
 def _remarks(
@@ -164,8 +213,11 @@ def _remarks(
     return tuple(remarks)
 
 
-def _gravity_check(calibration: Calibration, still: Poses, outside: FloatArray) -> Check:
+def _gravity_check(calibration: Calibration, still: Poses) -> Check | None:
     """Judge ``|a| = g`` over the poses."""
+    if not len(still):
+        return None
+    outside = beyond(calibration, still)
     size = np.linalg.norm(still.accel, axis=1)
     residual = size - calibration.gravity.value
     up = still.accel / size[:, None]
@@ -184,8 +236,11 @@ def _gravity_check(calibration: Calibration, still: Poses, outside: FloatArray) 
     )
 
 
-def _rest_check(calibration: Calibration, still: Poses, outside: FloatArray) -> Check:
+def _rest_check(calibration: Calibration, still: Poses) -> Check | None:
     """Judge that the mean rate at rest is zero."""
+    if not len(still):
+        return None
+    outside = beyond(calibration, still)
     names = tuple(f"gyro.bias.{axis}" for axis in AXES)
     design = np.tile(np.linalg.inv(calibration.model.gyro.matrix), (len(still), 1))
     total = _spread(calibration, names, design, np.repeat(outside, 3))
@@ -196,9 +251,10 @@ def _rest_check(calibration: Calibration, still: Poses, outside: FloatArray) -> 
     return _check("rest", "rate in each pose", still.gyro, total, "rad/s", still.interval)
 
 
-def _turn_check(calibration: Calibration, corrected: Recording, still: Poses) -> Check | None:
+def _turn_check(
+    calibration: Calibration, corrected: Recording, still: Poses, turns: Turns
+) -> Check | None:
     """Judge that turns carry gravity from pose to pose, with today's bias taken off."""
-    turns = find_turns(corrected, still)
     if not len(turns) or calibration.gyro is None:
         return None
     steps = TurnSteps.of(corrected, turns)
@@ -279,7 +335,7 @@ def _spread(
     moves, coefficients = wander(calibration), thermal(calibration)
     alike = _covariance(calibration, names)
     alike += np.diag([moves.get(name, 0.0) ** 2 for name in names])
-    warmed = design * np.broadcast_to(outside, (len(design),))[:, None]
+    warmed = design * outside[:, None]
     apart = np.diag([coefficients.get(name, 0.0) ** 2 for name in names])
     return np.asarray(design @ alike @ design.T + warmed @ apart @ warmed.T, np.float64)
 
@@ -298,11 +354,9 @@ def _covariance(calibration: Calibration, names: tuple[str, ...]) -> FloatArray:
     return out
 
 
-def _compare_anew(calibration: Calibration, corrected: Recording) -> Comparison | None:
-    """Fit the corrected recording: what a right calibration leaves is no bias, scale or angle."""
-    try:
-        left = calibrate(corrected, gravity=calibration.gravity)
-    except InsufficientMotionError:
+def _compare_anew(calibration: Calibration, left: Calibration | None) -> Comparison | None:
+    """Compare with what the corrected recording says by itself: no bias, scale or angle left."""
+    if left is None:
         return None
     model = SensorModel(
         _compose(calibration.model.accel, left.model.accel),

@@ -42,11 +42,7 @@ def corrected_batches(
     waiting: list[Recording] = []
     for batch in batches:
         if corrector is None:
-            if CORRECTED in batch.notes:
-                raise RecordingError(
-                    f"this recording was corrected by {batch.notes[CORRECTED]} already; give the "
-                    "recording as it was measured"
-                )
+            refuse_corrected(batch)
             corrector = Corrector(calibration, batch.interval or _interval(calibration), coverage)
         waiting.append(batch)
         block = Block(batch.time, batch.accel, batch.gyro, batch.temperature)
@@ -82,6 +78,15 @@ def apply_file(
                     check_device(mismatch)
             writer.append(batch)
     return coverage
+
+
+def refuse_corrected(recording: Recording) -> None:
+    """Raise RecordingError if a recording was corrected before: nothing is corrected twice."""
+    if CORRECTED in recording.notes:
+        raise RecordingError(
+            f"this recording was corrected by {recording.notes[CORRECTED]} already; give the "
+            "recording as it was measured"
+        )
 
 
 def _interval(calibration: Calibration) -> float:

@@ -24,9 +24,7 @@ def apply(
     ],
     out: Annotated[
         Path | None,
-        typer.Option(
-            "-o", "--out", help="Recording to write; its suffix names the format. - is CSV out."
-        ),
+        typer.Option("-o", "--out", help="Recording to write; its suffix names the format."),
     ] = None,
     profile: Annotated[
         str | None, typer.Option(help="Import profile of a foreign log: a name, or a .toml file.")

@@ -77,10 +77,16 @@ def calibrate(
     from calib.calibrate import calibrate as solve
     from calib.calibration import Provenance
     from calib.document import to_document
+    from drivers.apply_file import CORRECTED
     from drivers.calibration_file import describe_input, save_calibration
     from drivers.formats import read_recording
 
     recording = read_recording(log, profile=profile, imu=imu, drop_invalid=drop_invalid)
+    if CORRECTED in recording.notes:
+        output.warn(
+            f"this recording was corrected by {recording.notes[CORRECTED]}: the result is what "
+            "that calibration left, and is of use on corrected streams only"
+        )
     audited = audit(recording)
     for finding in audited.findings:
         if finding.kind != "unit":

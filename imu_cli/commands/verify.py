@@ -31,6 +31,7 @@ def verify(
     means that it is not right, and the table says what has changed.
     """
     from calib.verify import verify as judge
+    from drivers.apply_file import refuse_corrected
     from drivers.formats import read_recording
     from imu_cli import comparison_view as view
     from imu_cli import output
@@ -42,6 +43,7 @@ def verify(
         )
     known = load(calibration)
     recording = read_recording(log, profile=profile, imu=imu, drop_invalid=drop_invalid)
+    refuse_corrected(recording)
     answer = judge(known, recording, significance=significance)
     if answer.identity:
         output.warn(f"another device? {answer.identity}")

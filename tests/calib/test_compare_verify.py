@@ -118,6 +118,14 @@ def test_another_temperature_is_allowed_for_and_said(
     assert not verify(calibration, new).right
 
 
+def test_without_temperature_it_says_so(known: tuple[SensorModel, Calibration]) -> None:
+    model, calibration = known
+    new = replace(record(model, np.random.default_rng(12)), temperature=None)
+    answer = verify(calibration, new)
+    assert answer.right
+    assert any("temperature is not known" in remark for remark in answer.remarks)
+
+
 def test_a_model_with_terms_is_verified_as_a_whole(
     known: tuple[SensorModel, Calibration],
 ) -> None:

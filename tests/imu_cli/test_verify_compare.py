@@ -116,6 +116,19 @@ def test_what_cannot_be_judged(cal: Path, args: tuple, code: int, message: str) 
     assert not said
 
 
+def test_a_corrected_recording_is_no_evidence(cal: Path, tmp_path: Path) -> None:
+    out = tmp_path / "corrected.arrow"
+    assert run("apply", cal, BENCH, "-o", out)[0] == 0
+    code, _, warned = run("verify", cal, out)
+    assert code == 3
+    assert "already" in warned
+    code, _, warned = run("calibrate", out, "-o", tmp_path / "again.json")
+    assert code == 0
+    assert "was corrected by bench.cal.json" in warned
+    left = load_calibration(tmp_path / "again.json")
+    assert all(abs(left.values[name]) < 1e-5 + left.sigmas[name] for name in left.names)
+
+
 def test_one_pose_only_is_enough_to_begin(cal: Path) -> None:
     code, said, _ = run("verify", cal, FIXTURES / "bad" / "one_pose.csv", "--json")
     answer = json.loads(said)
