@@ -63,7 +63,8 @@ RISE = 4.0
 SHORTEST = 4
 """Blocks that a pose has at least, once its ends have moved inwards."""
 REVERSAL = TREMOR_RATE / 4
-"""Change of the mean rate from the first half of a short rest to the second, rad/s."""
+"""Change of the mean rate from the first half of a short rest to the second, and twice its mean,
+rad/s."""
 LONG_REST = 30
 """Blocks from which on a rest cannot be the end of a swing."""
 LONGEST_RISE = 40
@@ -174,6 +175,9 @@ def _refine(
     if not whole:
         return []
     noise = [_scatter(blocks.gyro[a:b], steps[1]) for a, b in whole]
+    if units.rate is not None:  # a hand that shakes more than this is not at rest
+        most = max(TREMOR_RATE / 4 / units.rate, 2 * float(np.median(noise)))
+        noise = [min(n, most) for n in noise]
     force = [_scatter(blocks.accel[a:b], steps[0]) for a, b in whole]
     # First what the accelerometer sees, which needs no bias to be known.
     pieces = []
@@ -197,7 +201,7 @@ def _refine(
             segments = _split(segments, partial(_rate_moved, off, scale=scale, level=level))
         segments = _join(blocks, off, segments, (n_force, n_rate), units)
         found += [(*segment, ONSET * n_rate) for segment in segments]
-    return _trim(blocks.gyro, found, least, units)
+    return _trim(off, found, least, units)
 
 
 def _rate_at_rest(
@@ -318,38 +322,41 @@ def _join(
 
 
 def _trim(
-    gyro: FloatArray, segments: list[tuple[int, int, float]], least: int, units: Units
+    off: FloatArray, segments: list[tuple[int, int, float]], least: int, units: Units
 ) -> list[tuple[int, int]]:
     """Return the segments with their ends moved to where the turns beside them began."""
     found = []
-    edges = [0, *(e for segment in segments for e in segment[:2]), len(gyro)]
+    edges = [0, *(e for segment in segments for e in segment[:2]), len(off)]
     for k, (a, b, level) in enumerate(segments):
-        if b - a < least or _swings(gyro[a:b], units):
+        if b - a < least or _swings(off[a:b], units):
             continue
-        rate = gyro[edges[2 * k] : edges[2 * k + 3]] - np.median(gyro[a:b], axis=0)
+        rate = off[edges[2 * k] : edges[2 * k + 3]] - np.median(off[a:b], axis=0)
         size = np.linalg.norm(rate, axis=1)
         into, out = a - edges[2 * k], edges[2 * k + 3] - b
-        first = a + _rise(size[::-1], out + b - a, level, (b - a) // 2)
-        last = b - _rise(size, into + b - a, level, (b - a) // 2)
-        if last - first >= SHORTEST:
-            found.append((first, last))
+        begin, early = _rise(size[::-1], out + b - a, level, (b - a) // 2)
+        end, late = _rise(size, into + b - a, level, (b - a) // 2)
+        spare = b - a - begin - end - SHORTEST
+        if spare >= 0:
+            # A short rest keeps its middle: there margins share what there is.
+            share = min(1.0, spare / max(early + late, 1))
+            found.append((a + begin + int(early * share), b - end - int(late * share)))
     return found
 
 
-def _swings(gyro: FloatArray, units: Units) -> bool:
-    """Return whether the rate only passes through that of rest, as at the end of a swing."""
-    if units.rate is None or len(gyro) > LONG_REST:
+def _swings(off: FloatArray, units: Units) -> bool:
+    """Return whether the rate only passes through that of rest, or near it, as in a swing."""
+    if units.rate is None or len(off) > LONG_REST:
         return False
-    half = len(gyro) // 2
-    change = gyro[-half:].mean(axis=0) - gyro[:half].mean(axis=0)
-    second = np.square(np.diff(gyro, 2, axis=0)).sum(axis=1)
+    half = len(off) // 2
+    change = off[-half:].mean(axis=0) - off[:half].mean(axis=0)
+    second = np.square(np.diff(off, 2, axis=0)).sum(axis=1)
     noise = np.sqrt(np.median(second) / (6 * 2.366)) if len(second) else 0.0
     usual = REVERSAL / units.rate + NORM * np.sqrt(2 / half) * noise
-    return bool(np.linalg.norm(change) > usual)
+    return bool(max(np.linalg.norm(change), 2 * np.linalg.norm(off.mean(axis=0))) > usual)
 
 
-def _rise(rate: FloatArray, end: int, level: float, inside: int) -> int:
-    """Return by how many blocks the end of a segment must move inwards.
+def _rise(rate: FloatArray, end: int, level: float, inside: int) -> tuple[int, int]:
+    """Return by how many blocks the end of a segment must move inwards, and a margin to that.
 
     A rate that grows as (t - t0)² passes `level` at t1 and four times it at t2 = 2 t1 - t0. The
     level may have been passed for good up to `inside` blocks before the end.
@@ -357,14 +364,18 @@ def _rise(rate: FloatArray, end: int, level: float, inside: int) -> int:
     begin = end - min(inside, LONGEST_RISE)
     rate = rate[begin : end + 2 * LONGEST_RISE]
     if end - begin >= len(rate):
-        return 0
+        return 0, 0
     above = rate > level
     outside = np.flatnonzero(above[end - begin :])
     if not outside.size:
-        return 1
+        return 0, 1
     below = np.flatnonzero(~above[: end - begin + int(outside[0])])
     first = int(below[-1]) + 1 if below.size else 0
     high = np.flatnonzero(rate[first:] > RISE * level)
     rise = int(high[0]) if high.size else int(np.argmax(rate[first:]))
-    # A quarter more, and the two blocks in which the levels were passed.
-    return min(max(0, rise + (rise + 3) // 4 + 2 - (first - (end - begin))), LONGEST_RISE)
+    inwards = rise - (first - (end - begin))
+    # A quarter of the rise, and the two blocks in which the levels were passed.
+    margin = (rise + 3) // 4 + 2
+    if inwards < 0:
+        inwards, margin = 0, max(0, margin + inwards)
+    return min(inwards, LONGEST_RISE), margin
