@@ -12,7 +12,7 @@ from calib.calibration import Calibration
 from calib.effects import effects
 from calib.effects.base import Term
 from calib.model import SensorModel
-from calib.recording import Recording
+from calib.recording import DeviceInfo, Recording
 from calib.simulate import Sampling, digital_twin, simulate
 from calib.simulation.kinematics import Motion
 from calib.simulation.library import make_motion
@@ -43,6 +43,9 @@ class Plan:
     profile: str | None = None
     imu: int | None = None
     truth: bool = False
+    accel_range: float | None = None
+    gyro_range: float | None = None
+    bits: int = 16
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.rate) and self.rate > 0):
@@ -57,10 +60,29 @@ class Plan:
                 f"--rate and --duration give {samples:.3g} samples, more than the "
                 f"{MOST_SAMPLES:.0e} that fit in memory: simulate shorter pieces with other seeds"
             )
+        for name, value in (("accel", self.accel_range), ("gyro", self.gyro_range)):
+            if value is not None and not (np.isfinite(value) and value > 0):
+                raise ValueError(f"--{name}-range must be positive, got {value}")
+        if not 4 <= self.bits <= 32:
+            raise ValueError(f"--bits must be 4 to 32, got {self.bits}")
         if not (np.isfinite(self.noise) and self.noise >= 0):
             raise ValueError(f"--noise must not be negative, got {self.noise}")
         if self.gravity is not None and not 9.7 < self.gravity < 9.9:
             raise ValueError(f"--gravity must be in m/s², 9.7 to 9.9 on Earth, got {self.gravity}")
+
+    @property
+    def device(self) -> DeviceInfo:
+        """What clips and rounds the output: full scales in g and deg/s, cut into 2^bits counts."""
+        accel = None if self.accel_range is None else self.accel_range * G
+        gyro = None if self.gyro_range is None else float(np.radians(self.gyro_range))
+        step = 2.0 ** (1 - self.bits)
+        return DeviceInfo(
+            chip="simulated",
+            accel_full_scale=accel,
+            gyro_full_scale=gyro,
+            accel_lsb=None if accel is None else accel * step,
+            gyro_lsb=None if gyro is None else gyro * step,
+        )
 
     @property
     def span(self) -> tuple[float, float]:
@@ -114,7 +136,15 @@ def run(plan: Plan, terms: tuple[Term, ...], *, rng: np.random.Generator) -> Sim
     gravity = plan.gravity or (G if calibration is None else calibration.gravity.value)
     noise = _noise(calibration).scaled(plan.noise)
     motion = make_motion(plan.motion, rng=rng, duration=plan.duration, gravity=gravity)
-    recording = simulate(motion, model, noise, rng=rng, rate=plan.rate, sampling=plan.sampling)
+    recording = simulate(
+        motion,
+        model,
+        noise,
+        rng=rng,
+        rate=plan.rate,
+        device=plan.device,
+        sampling=plan.sampling,
+    )
     truth = None
     if plan.truth:
         truth = simulate(motion, SensorModel(), NoiseModel(), rng=rng, rate=plan.rate)

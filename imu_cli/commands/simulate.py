@@ -43,6 +43,11 @@ def simulate(
     gravity: Annotated[
         float | None, typer.Option(help="m/s². [default: 9.80665, or the calibration's]")
     ] = None,
+    accel_range: Annotated[
+        float | None, typer.Option(help="Full scale, g; without it nothing clips or rounds.")
+    ] = None,
+    gyro_range: Annotated[float | None, typer.Option(help="Full scale, deg/s.")] = None,
+    bits: Annotated[int, typer.Option(help="Of one sample, over the full scale.")] = 16,
     jitter: Annotated[float, typer.Option(help="Of the time stamps, s.")] = 0.0,
     lost: Annotated[float, typer.Option(help="Probability of a lost sample.")] = 0.0,
     truth: Annotated[
@@ -85,9 +90,12 @@ def simulate(
         raise typer.BadParameter(
             "goes with --like; to simulate this sensor give --sensor", param_hint="--calibration"
         )
-    if like is not None and (rate is not None or duration is not None):
+    if like is not None and any(
+        value is not None for value in (rate, duration, accel_range, gyro_range)
+    ):
         raise typer.BadParameter(
-            "a twin has the times of its recording: leave out --rate and --duration",
+            "a twin has the times and the ranges of its recording: leave out --rate, --duration, "
+            "--accel-range and --gyro-range",
             param_hint="--like",
         )
     try:
@@ -105,6 +113,9 @@ def simulate(
             profile=profile,
             imu=imu,
             truth=truth is not None,
+            accel_range=accel_range,
+            gyro_range=gyro_range,
+            bits=bits,
         )
         terms = tuple(parse_term(text, span=plan.span) for text in effect or ())
     except ValueError as error:

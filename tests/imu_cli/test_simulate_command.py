@@ -82,6 +82,20 @@ def test_sensor_effects_and_truth(sensor: Path, tmp_path: Path) -> None:
     np.testing.assert_allclose(left, np.where(measured.time >= 20, 0.5, 0.0), atol=1e-5)
 
 
+def test_ranges_clip_and_round(tmp_path: Path) -> None:
+    path = tmp_path / "sim.arrow"
+    result = run(
+        *("--gyro-range", 125, "--accel-range", 2, "--bits", 12, "--duration", "30s", "-o", path)
+    )
+    assert result.exit_code == 0, result.stderr
+    found = read_recording(path)
+    lsb = np.radians(125) / 2048
+    assert found.device.gyro_lsb == pytest.approx(lsb)
+    assert found.device.accel_full_scale == pytest.approx(2 * 9.80665)
+    np.testing.assert_allclose(found.gyro / lsb, np.round(found.gyro / lsb), atol=1e-6)
+    assert found.gyro.max() == pytest.approx(np.radians(125) - lsb)
+
+
 def test_twin_of_a_recording(sensor: Path, tmp_path: Path) -> None:
     log, twin = tmp_path / "log.arrow", tmp_path / "twin.arrow"
     assert run("--sensor", sensor, "--duration", "60s", "-o", log).exit_code == 0
@@ -125,6 +139,8 @@ def test_events_are_in_the_twin_of_their_own_recording_only(sensor: Path, tmp_pa
         (["--rate", "0"], "--rate"),
         (["--rate", "0.01", "--duration", "60s"], "0.6 samples"),
         (["--rate", "8000", "--duration", "24h"], "simulate shorter pieces"),
+        (["--gyro-range", "0"], "--gyro-range"),
+        (["--bits", "64"], "--bits"),
         (["--noise", "-1"], "--noise"),
         (["--gravity", "1"], "--gravity"),
         (["--lost", "2"], "lost"),
