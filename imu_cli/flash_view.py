@@ -32,6 +32,8 @@ def show_plan(plan: Plan, target: Target, calibration: Calibration, *, as_json: 
     _say_rest(plan)
     if not plan.changes:
         output.print_lines("nothing would change")
+    if target.always_stored:
+        output.warn("this device stores values as soon as they are set: it takes --yes --persist")
     output.print_lines("dry run: nothing was written; add --yes to write")
 
 

@@ -86,7 +86,7 @@ def _driver(name: str, address: Address) -> Driver:
         chip=name,
         setup=with_firmware,
         fifo=address.choice("fifo", ("on", "off"), "on") == "on",
-        clock=clock,
+        clock=None if options.speed == 1 else clock,
     )
 
 

@@ -32,6 +32,7 @@ class I2CTarget(Target):
     def __init__(self, driver: I2CDriver) -> None:
         super().__init__(driver.address)
         self._driver = driver
+        driver.background = False  # its registers are ours, and a bank is selected for one user
 
     @property
     def info(self) -> DeviceInfo:

@@ -149,7 +149,7 @@ def flash_device(
         checks = _compare(before, after, plan)
         _judge(checks)
         if persist:
-            report("storing in non-volatile memory and restarting")
+            report(f"storing in non-volatile memory and restarting{target.persist_note}")
             stored = True
             _persist(target, plan.new)
     except DriverError as error:

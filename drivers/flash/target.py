@@ -77,7 +77,7 @@ class Target(ABC):
     always_stored: ClassVar[bool] = False
     """Whether a value is stored as soon as it is set, so that flashing needs ``--persist``."""
     persist_note: ClassVar[str] = ""
-    """What the user should know before ``--persist``."""
+    """What the user should know while it stores."""
 
     def __init__(self, address: str) -> None:
         self.address = address

@@ -40,7 +40,7 @@ class VectorNavTarget(StreamTarget):
     name = "compensation registers"
     volatile = True
     can_persist = True
-    persist_note = "storing takes about half a second; keep the device still"
+    persist_note = " (keep it still for a second)"
 
     def __init__(self, driver: StreamDriver) -> None:
         super().__init__(driver)

@@ -2,15 +2,19 @@
 
 The FIFO pattern: every few milliseconds read the count, cut it to whole samples, fetch them in one
 burst, then look at the overflow bit. An overflow empties the FIFO; what it cost is reckoned from
-host time and counted in ``lost``. Opening does not reset the chip: user registers that were
-flashed since power-on stay in force.
+host time and counted in ``lost``. A thread does this, so that a consumer that stalls (on a disk,
+say) costs nothing: an MPU-6050's FIFO holds 73 samples.
+
+Opening does not reset the chip: user registers that were flashed since power-on stay in force.
 """
 
 from __future__ import annotations
 
 import math
 import re
+import threading
 import time
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -26,8 +30,9 @@ from calib.errors import (
 from calib.recording import Clock, DeviceInfo, Recording
 from drivers.address import Address
 from drivers.chips import chips, get_chip, normal_name
-from drivers.chips.base import STANDARD_GRAVITY, Bus, Chip, Device, Samples, Setup
+from drivers.chips.base import NO_SAMPLES, STANDARD_GRAVITY, Bus, Chip, Device, Samples, Setup
 from drivers.driver import Driver
+from drivers.formats import join
 from drivers.i2c_scan import ask_identity, identify
 from drivers.sample_times import DeviceTimes, SampleTimes
 from drivers.smbus import SmbusBus
@@ -62,6 +67,8 @@ class I2CDriver(Driver):
         Returns the `Setup` for a chip; ValueError if the chip cannot do it.
     fifo : bool
         Through the FIFO (the default), or one burst of the data registers per sample.
+    clock : HostClock or None
+        None is the machine's own; on another one, samples are read by whoever calls `read`.
     """
 
     def __init__(
@@ -82,6 +89,13 @@ class I2CDriver(Driver):
         self._make_setup = setup
         self._fifo = fifo
         self._clock = clock or HostClock()
+        self.background = clock is None
+        """Whether a thread reads; who uses `device` sets it to False before `open`."""
+        self._thread: threading.Thread | None = None
+        self._stop = threading.Event()
+        self._arrived = threading.Event()
+        self._queue: deque[Recording] = deque()
+        self._failure: BaseException | None = None
         self._info = DeviceInfo(chip="" if chip == "auto" else chip)
         self._device: Device | None = None
         self._chip: Chip | None = None
@@ -108,6 +122,8 @@ class I2CDriver(Driver):
         bus = self._connect()
         try:
             self._start(bus)
+            if self.background:
+                self._start_thread()
         except OSError as error:
             bus.close()
             if isinstance(error, DriverError):
@@ -145,15 +161,16 @@ class I2CDriver(Driver):
     def _begin_stream(self, device: Device, chip: Chip) -> None:
         rate = self._info.rate
         assert rate is not None
-        if self._fifo and chip.fifo_size:
+        self._uses_fifo = bool(self._fifo and chip.fifo_size)
+        if self._uses_fifo:
             chip.start_fifo(device)
         # A FIFO is read when a few samples wait, well before it is half full.
         self._pause = 1 / (4 * rate)
-        if self._fifo and chip.fifo_size:
+        if self._uses_fifo:
             depth = chip.fifo_size / chip.fifo_frame / rate
             self._pause = min(max(0.01, 8 / rate), depth / 4, 0.1)
         age = self._pause / 2
-        if self._fifo and chip.fifo_size:
+        if self._uses_fifo:
             age = 0.5 / rate
         elif chip.ready(device):
             chip.sample(device)  # of unknown age: the next one comes when it is new
@@ -193,6 +210,10 @@ class I2CDriver(Driver):
         )
 
     def _close(self) -> None:
+        self._stop.set()
+        if self._thread is not None:
+            self._thread.join(5)
+            self._thread = None
         device, chip = self._device, self._chip
         self._device = None
         if device is None or chip is None:
@@ -205,30 +226,62 @@ class I2CDriver(Driver):
             device.bus.close()
 
     def _read(self, timeout: float) -> Recording | None:
-        clock = self._clock
-        deadline = clock.now() + timeout
+        if self.background:
+            if not self._queue:
+                self._arrived.wait(timeout)
+            self._arrived.clear()
+            batches = [self._queue.popleft() for _ in range(len(self._queue))]
+            if not batches and self._failure is not None:
+                raise self._failure
+            return join(batches) if batches else None
+        deadline = self._clock.now() + timeout
         while True:
+            batch = self._next()
+            left = deadline - self._clock.now()
+            if batch is not None or left <= 0:
+                return batch
+            self._clock.sleep(min(self._pause, left))
+
+    def _start_thread(self) -> None:
+        self._stop.clear()
+        self._arrived.clear()
+        self._queue.clear()
+        self._failure = None
+        self._thread = threading.Thread(target=self._pump, name="i2c reader", daemon=True)
+        self._thread.start()
+
+    def _pump(self) -> None:
+        while not self._stop.is_set():
             try:
-                samples, now = self._fetch()
-            except OSError as error:
-                if isinstance(error, DriverError):
-                    raise
-                raise DeviceLostError(
-                    f"{self.address}: the chip stopped answering ({error.strerror}); check its "
-                    "power and cable"
-                ) from error
-            if len(samples):
-                return self._recording(samples, now)
-            left = deadline - clock.now()
-            if left <= 0:
-                return None
-            clock.sleep(min(self._pause, left))
+                batch = self._next()
+            except DriverError as error:
+                self._failure = error
+                self._arrived.set()
+                return
+            if batch is not None:
+                self._queue.append(batch)
+                self._arrived.set()
+            elif not self._uses_fifo:
+                self._stop.wait(self._pause)
+
+    def _next(self) -> Recording | None:
+        """Return what waits now, if anything."""
+        try:
+            samples, now = self._fetch()
+        except OSError as error:
+            if isinstance(error, DriverError):
+                raise
+            raise DeviceLostError(
+                f"{self.address}: the chip stopped answering ({error.strerror}); check its "
+                "power and cable"
+            ) from error
+        return self._recording(samples, now) if len(samples) else None
 
     def _fetch(self) -> tuple[Samples, float]:
         chip, device, clock = self.chip, self.device, self._clock
-        if not (self._fifo and chip.fifo_size):
+        if not self._uses_fifo:
             if not chip.ready(device):
-                return Samples(np.empty((0, 3), np.int16), np.empty((0, 3), np.int16), None), 0.0
+                return NO_SAMPLES, 0.0
             now = clock.now()
             self._lost += self._times.missing(now)
             return chip.sample(device), now

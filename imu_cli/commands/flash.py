@@ -72,8 +72,14 @@ def flash(
             _, plan = make_plan(target, calibration)
             view.show_plan(plan, target, calibration, as_json=json)
             return
+        import os
         from datetime import UTC, datetime
 
+        rest = left or path.with_name(
+            path.name.removesuffix(".json").removesuffix(".cal") + ".left.json"
+        )
+        if not os.access(rest.parent, os.W_OK):
+            raise typer.BadParameter(f"--left: {rest.parent} is no folder that can be written to")
         from drivers.flash.backup import backup_path
         from drivers.flash.procedure import flash_device
 
@@ -84,9 +90,6 @@ def flash(
             persist=persist,
             duration=measure,
             report=view.report,
-        )
-        rest = left or path.with_name(
-            path.name.removesuffix(".json").removesuffix(".cal") + ".left.json"
         )
         save_calibration(result.left, rest)
         view.show_result(result, target, rest, as_json=json)

@@ -7,6 +7,7 @@ import os
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -124,6 +125,18 @@ def test_the_driver_reads_the_fifo_at_1_khz(served: FuseBus) -> None:
             assert batch.clock == "host"
         # Nothing is lost that is not counted; a loaded machine may well overflow.
         assert (lost > 0) == (driver.counters["fifo_overflows"] > 0)
+
+
+def test_a_consumer_that_stalls_loses_nothing(served: FuseBus) -> None:
+    """A slow disk holds the recorder up for longer than the FIFO lasts (0.5 s here, 0.36 s)."""
+    with open_driver(f"i2c://{served.path}/0x68?chip=mpu6050&rate=200") as driver:
+        first = driver.read(2.0)
+        assert first is not None
+        time.sleep(0.5)
+        batch = driver.read(1.0)
+        assert batch is not None
+        assert len(batch) > 73
+        assert (batch.samples_lost > 0) == (driver.counters["fifo_overflows"] > 0)
 
 
 def test_wrong_device_and_lost_device(served: FuseBus) -> None:
