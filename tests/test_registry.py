@@ -10,6 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from calib.model import Triad
+from calib.poses import Poses
+from calib.solvers import accel_solvers
+from calib.solvers.base import AccelSolver
+from calib.solvers.quadric import NAMES, UNITS, parameters_of
 from drivers.chips import chips, get_chip, normal_name
 from drivers.chips.base import Setup
 from drivers.emulators import emulators
@@ -17,6 +22,40 @@ from drivers.emulators.chips import chip_models
 from drivers.transports import make_driver, transports
 
 TESTS = Path(__file__).parent
+
+# ---- accelerometer methods ----
+
+
+@pytest.mark.parametrize("solver", accel_solvers().values(), ids=lambda solver: solver.name)
+def test_an_accelerometer_method_recovers_the_truth_with_honest_errors(
+    solver: AccelSolver,
+) -> None:
+    # Small enough that what the published method drops is below the noise; nothing else is special.
+    true = Triad.from_matrix(
+        np.diag([1.02, 0.97, 1.01]) + 1e-3 * np.tri(3, k=-1), np.array([0.03, -0.02, 0.04])
+    )
+    truth = parameters_of(true.matrix, true.bias)
+    rng = np.random.default_rng(11)
+    sigma, gravity, found = 0.01, 9.80665, []
+    for _ in range(50):
+        direction = rng.standard_normal((40, 3))
+        direction /= np.linalg.norm(direction, axis=1)[:, None]
+        measured = true.distort(gravity * direction) + sigma * rng.standard_normal((40, 3))
+        fit = solver.solve(Poses.from_vectors(measured, sigma=sigma), gravity=gravity)
+        error = fit.values - truth
+        found.append(error @ np.linalg.solve(fit.covariance, error) / len(error))
+        # The Fit says one thing: triad, values and residuals agree.
+        assert fit.method == solver.name
+        assert (fit.names, fit.units) == (NAMES, UNITS)
+        np.testing.assert_allclose(parameters_of(fit.triad.matrix, fit.triad.bias), fit.values)
+        assert fit.residuals.shape == (40, 1)
+        assert fit.intervals.shape == (40, 2)
+        assert 0.5 * sigma < fit.residual_rms < 1.5 * sigma
+        assert 1 < fit.condition_number < 100
+        assert not fit.undetermined
+    assert 0.75 < np.mean(found) < 1.3  # 450 degrees of freedom: 0.07 is one standard deviation
+    assert solver.summary
+
 
 # ---- chips ----
 
