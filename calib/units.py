@@ -84,6 +84,8 @@ AGREE = 20 * DEGREE
 """Closure that an uncalibrated sensor reaches: 10 % of a half turn."""
 ENOUGH = 12
 """Turns."""
+MOST = 0.7
+"""Of the turns must close: two axes swapped leave turns about the third as they are."""
 FASTEST = 150.0
 """rad/s, twice the largest full scale that MEMS gyroscopes have."""
 
@@ -219,15 +221,16 @@ class Closure:
         return len(self.before)
 
     def error(self, matrix: FloatArray) -> float:
-        """Return the median angle, rad, by which gravity misses if ``matrix @ rate`` is true."""
+        """Return the angle, rad, by which most turns miss gravity if ``matrix @ rate`` is true."""
         quat = cumulative_quat_segments(quat_from_rotvec(self.angle @ matrix.T), self.first)
         mat = mat_from_quat(quat[self.first[1:] - 1])
         predicted = np.einsum("mij,mj->mi", mat, self.after)
-        return float(np.median(np.linalg.norm(closure_residual(self.before, predicted), axis=1)))
+        angle = np.linalg.norm(closure_residual(self.before, predicted), axis=1)
+        return float(np.quantile(angle, MOST))
 
     @cached_property
     def missed(self) -> float:
-        """The median angle, rad, by which gravity misses with the rate as it is."""
+        """The angle, rad, by which gravity misses in most turns with the rate as it is."""
         return self.error(np.eye(3))
 
     @cached_property
