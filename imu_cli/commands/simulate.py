@@ -7,7 +7,10 @@ from typing import Annotated
 
 import typer
 
-MOTION_HELP = "bench, hand-held, vibrating, paper, rate-table, record-player, pendulum or thermal."
+MOTION_HELP = (
+    "bench, hand-held, vibrating, paper, rate-table, record-player, pendulum or thermal. "
+    "[default: bench]"
+)
 EFFECT_HELP = (
     "Add an effect of the catalogue, in SI: slug:name=value,... (repeatable). The slug alone gives "
     "its typical size on every axis."
@@ -16,7 +19,7 @@ EFFECT_HELP = (
 
 def simulate(
     output: Annotated[Path, typer.Option("-o", "--output", help="Recording to write.")],
-    motion: Annotated[str, typer.Option(help=MOTION_HELP)] = "bench",
+    motion: Annotated[str | None, typer.Option(help=MOTION_HELP)] = None,
     like: Annotated[
         Path | None,
         typer.Option(metavar="LOG", help="Digital twin of this recording: its motion and times."),
@@ -48,8 +51,8 @@ def simulate(
     ] = None,
     gyro_range: Annotated[float | None, typer.Option(help="Full scale, deg/s.")] = None,
     bits: Annotated[int, typer.Option(help="Of one sample, over the full scale.")] = 16,
-    jitter: Annotated[float, typer.Option(help="Of the time stamps, s.")] = 0.0,
-    lost: Annotated[float, typer.Option(help="Probability of a lost sample.")] = 0.0,
+    jitter: Annotated[float | None, typer.Option(help="Of the time stamps, s.")] = None,
+    lost: Annotated[float | None, typer.Option(help="Probability of a lost sample.")] = None,
     truth: Annotated[
         Path | None,
         typer.Option(metavar="FILE", help="Write the true signals as a recording, too."),
@@ -76,7 +79,7 @@ def simulate(
     from imu_cli.options import parse_duration
     from imu_cli.simulation import Plan, describe, run
 
-    if motion not in MOTIONS:
+    if motion is not None and motion not in MOTIONS:
         raise typer.BadParameter(
             f"{motion!r} is no motion: {', '.join(MOTIONS)}", param_hint="--motion"
         )
@@ -90,23 +93,37 @@ def simulate(
         raise typer.BadParameter(
             "goes with --like; to simulate this sensor give --sensor", param_hint="--calibration"
         )
-    if like is not None and any(
-        value is not None for value in (rate, duration, accel_range, gyro_range)
-    ):
+    own = {
+        "--motion": motion,
+        "--rate": rate,
+        "--duration": duration,
+        "--accel-range": accel_range,
+        "--gyro-range": gyro_range,
+        "--jitter": jitter,
+        "--lost": lost,
+    }
+    given = [name for name, value in own.items() if value is not None]
+    if like is not None and given:
         raise typer.BadParameter(
-            "a twin has the times and the ranges of its recording: leave out --rate, --duration, "
-            "--accel-range and --gyro-range",
+            "a twin has the motion, times and ranges of its recording: leave out "
+            + ", ".join(given),
             param_hint="--like",
         )
+    inputs = [path for path in (like, calibration, sensor) if path is not None and path.exists()]
+    outputs = [path for path in (output, truth) if path is not None]
+    if any(path.exists() and path.samefile(used) for path in outputs for used in inputs):
+        raise typer.BadParameter("would overwrite what it is made from", param_hint="--output")
+    if truth is not None and truth.resolve() == output.resolve():
+        raise typer.BadParameter("is the same file as --output", param_hint="--truth")
     try:
         seconds = parse_duration(duration or "3min")
         plan = Plan(
-            motion=motion,
+            motion=motion or "bench",
             duration=seconds,
             rate=100.0 if rate is None else rate,
             gravity=gravity,
             noise=noise,
-            sampling=Sampling(jitter=jitter, lost=lost),
+            sampling=Sampling(jitter=jitter or 0.0, lost=lost or 0.0),
             sensor=sensor,
             like=like,
             calibration=calibration,
@@ -121,7 +138,7 @@ def simulate(
     except ValueError as error:
         raise typer.BadParameter(str(error)) from error
     # The suffixes are checked before the work is done.
-    writers = [open_writer(path, atomic=True) for path in (output, truth) if path is not None]
+    writers = [open_writer(path, atomic=True) for path in outputs]
     result = run(plan, terms, rng=np.random.default_rng(seed))
     for writer, recording in zip(writers, (result.recording, result.truth), strict=False):
         if recording is not None:

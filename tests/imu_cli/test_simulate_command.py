@@ -147,6 +147,7 @@ def test_events_are_in_the_twin_of_their_own_recording_only(sensor: Path, tmp_pa
         (["--like", "log.csv"], "--calibration"),
         (["--calibration", "cal.json"], "--like"),
         (["--like", "log.csv", "--calibration", "cal.json", "--rate", "50"], "--rate"),
+        (["--like", "log.csv", "--calibration", "cal.json", "--lost", "0.1"], "--lost"),
     ],
 )
 def test_wrong_arguments(arguments: list[str], said: str, tmp_path: Path) -> None:
@@ -165,6 +166,17 @@ def test_files_that_cannot_be(name: str, options: list[str], code: int, tmp_path
     assert result.exit_code == code
     assert "Traceback" not in result.stderr
     assert not list(tmp_path.iterdir())
+
+
+def test_inputs_are_not_overwritten(sensor: Path, tmp_path: Path) -> None:
+    log = tmp_path / "log.arrow"
+    assert run("--duration", "10s", "-o", log).exit_code == 0
+    before = log.read_bytes()
+    result = run("--like", log, "--calibration", sensor, "-o", log)
+    assert result.exit_code == 2
+    assert "overwrite" in result.stderr
+    assert run("-o", tmp_path / "a.csv", "--truth", tmp_path / "a.csv").exit_code == 2
+    assert log.read_bytes() == before
 
 
 def test_durations() -> None:
