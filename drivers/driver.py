@@ -97,6 +97,10 @@ class Driver(ABC):
     def _finish(self) -> Recording | None:
         return None
 
+    def why_silent(self) -> str:
+        """Return what to look at where no samples come."""
+        return "Is the device still on, and streaming?"
+
     def __enter__(self) -> Self:
         self.open()
         return self

@@ -36,8 +36,9 @@ SILENCE = 10.0
 """s without a sample before a device counts as silent."""
 RETRY = 0.25
 """s between attempts to find a vanished device."""
-HARMLESS = {"incomplete_bytes", "other_lines"}
-"""Counters that are no loss: the half line in which we came and went, and text for people."""
+HARMLESS = {"incomplete_bytes", "other_lines", "samples_without_unit"}
+"""Counters that are no loss: the half line in which we came and went, text for people, and what
+came before the device said what its unit is."""
 AWAY = (DeviceNotFoundError, DeviceLostError, DeviceBusyError, DevicePermissionError)
 """What opening a device raises while it is away or just coming back."""
 
@@ -163,7 +164,7 @@ class Recorder:
             elif time.monotonic() - heard > SILENCE:
                 raise DriverTimeoutError(
                     f"{self.driver.address}: nothing came for {SILENCE:g} s, after "
-                    f"{self.state.samples} samples. Is the device still on, and streaming?"
+                    f"{self.state.samples} samples. {self.driver.why_silent()}"
                 )
             self.sink.flush(every=FLUSH)
             self.progress(self.state)

@@ -114,6 +114,7 @@ class StreamDriver(Driver):
     def _open(self) -> None:
         self.counters.clear()
         self._clock_counters.clear()
+        self._bytes = 0
         self._timeline = None
         self.source.open()
         try:
@@ -167,21 +168,31 @@ class StreamDriver(Driver):
         while True:
             if (batch := self._emit()) is not None:
                 return batch
-            left = deadline - clock.monotonic()
-            if left < 0:
-                return None
-            data, arrival = self.source.read(left)
+            data, arrival = self.source.read(max(deadline - clock.monotonic(), 0.0))
             if data:
                 self._take(data, arrival)
             elif self.source.ended:
                 batch = self._finish()
                 self.ended = True
                 return batch
+            if clock.monotonic() >= deadline:
+                return self._emit()
 
     def _finish(self) -> Recording | None:
         assert self._parser is not None
         self._parser.finish()
         return self._emit(final=True)
+
+    def why_silent(self) -> str:
+        """Return whether bytes come, and what they are if not samples."""
+        if not self._bytes or self._parser is None or self.dialect is None:
+            return super().why_silent()
+        share = self._parser.accepted_bytes / self._bytes
+        return (
+            f"{self._bytes} bytes came, {share:.0%} of them frames or lines of "
+            f"{self.dialect.name}. Is this the right dialect and baud rate, and does the device "
+            "send both acceleration and rate?"
+        )
 
     def ask(self, request: bytes, key: str, timeout: float) -> Reply:
         """Send a command and return the answer with that key; samples meanwhile are kept.
@@ -211,6 +222,7 @@ class StreamDriver(Driver):
     def _take(self, data: bytes, arrival: float | None) -> None:
         assert self._parser is not None
         assert self._timeline is not None
+        self._bytes += len(data)
         if self.tap is not None:
             self.tap(data, arrival)
         self._timeline.add(self._parser.feed(data), arrival)

@@ -266,10 +266,13 @@ class MavlinkParser(Parser):
             damaged += np.where(going & broken, length, 0)
             place = np.where(going, place + length, place)
         skipped = found.start - place + damaged
+        between = found.start - np.concatenate([[0], found.end[:-1]])
+        explained = int((between - skipped).sum())
         if not self.accepted_bytes:
             self._count("incomplete_bytes", int(skipped[0]))
             skipped[0] = 0
         self._count("skipped_bytes", int(skipped.sum()))
+        self.accepted_bytes += explained
         if source is None:
             source = self._choose(found)
         mine = found.source == source

@@ -14,9 +14,11 @@ import pytest
 from calib.errors import DeviceLostError, DriverTimeoutError, RecordingWriteError
 from calib.recording import DeviceInfo, Recording
 from drivers import record as module
+from drivers.dialects import dialects
 from drivers.driver import Driver
 from drivers.formats import read_recording
 from drivers.record import RecordLimits, RecordState, count_clipped, record
+from drivers.stream import StreamDriver
 from drivers.transports import make_driver
 
 PtyFactory = Callable[..., Any]
@@ -202,6 +204,18 @@ def test_a_silent_device_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyP
     with pytest.raises(DriverTimeoutError, match="nothing came for"):
         run(Scripted(script), tmp_path / "a.arrow")
     assert len(read_recording(tmp_path / "a.arrow")) == 10
+
+
+def test_bytes_that_hold_no_samples_are_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "SILENCE", 0.3)
+    driver = make_driver("emulator://witmotion")
+    assert isinstance(driver, StreamDriver)
+    driver.use(dialects()["vectornav"], {})
+    with pytest.raises(DriverTimeoutError, match=r"bytes came, 0% of them .* of vectornav"):
+        run(driver, tmp_path / "a.arrow")
+    assert not (tmp_path / "a.arrow").exists()
 
 
 @pytest.mark.parametrize("suffix", [".arrow", ".csv"])

@@ -63,6 +63,7 @@ def test_reads_what_pymavlink_writes(module: object) -> None:
     assert samples.temperature is None
     assert samples.lost.sum() == 0
     assert not made.counters
+    assert DIALECT.recognise(data) == 1.0
 
 
 @pytest.mark.parametrize("firmware", [PX4_FIRMWARE, ARDUPILOT_FIRMWARE], ids=["px4", "ardupilot"])
