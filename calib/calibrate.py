@@ -95,7 +95,7 @@ def calibrate(
     solve_gyro = _choose(gyro_solvers(), "gyro_method", gyro_method).solve
     poses = find_poses(recording) if poses is None else poses
     check_units(recording, poses)
-    _check_poses(recording, poses)
+    _check_poses(recording, poses, enough=1 if gyro_method == "rate_table" else 2)
 
     accel = _accel_fit(poses, accel_method, gravity=gravity.value)
     turns = find_turns(recording, poses)
@@ -185,7 +185,7 @@ def _accel_fit(poses: Poses, method: str, *, gravity: float) -> Fit:
         )
 
 
-def _check_poses(recording: Recording, poses: Poses) -> None:
+def _check_poses(recording: Recording, poses: Poses, *, enough: int) -> None:
     advice = (
         "lay the sensor down in ten or more different poses, at rest for 3 s in each, and turn it "
         "by 90° or more from one to the next"
@@ -195,7 +195,7 @@ def _check_poses(recording: Recording, poses: Poses) -> None:
             f"no static pose in {recording.duration:.4g} s: the sensor was never at rest for a "
             f"second; {advice}"
         )
-    if distinct_poses(poses.accel) < 2:
+    if distinct_poses(poses.accel) < enough:
         raise InsufficientMotionError(
             f"one pose only in {recording.duration:.4g} s: gravity never changed direction by more "
             f"than {np.degrees(DISTINCT):.0f}°, so scale factors and bias cannot be told apart; "

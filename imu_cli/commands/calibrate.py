@@ -32,7 +32,8 @@ def calibrate(
     table_rate: Annotated[
         str | None,
         typer.Option(
-            help="Rate of the table, °/s, signed; with commas one for each turn (rate_table)."
+            help="Rate of the table, °/s, signed; with commas one for each turn; or a CSV file "
+            "start,stop,rate in s and °/s."
         ),
     ] = None,
     gravity: Annotated[
@@ -178,11 +179,18 @@ def _gravity(gravity: float | None, latitude: float | None, height: float | None
 def _table_rate(text: str) -> object:
     import math
 
+    path = Path(text)
     try:
+        if path.is_file():
+            lines = path.read_text(encoding="utf-8").splitlines()
+            rows = [line.split(",") for line in lines if line.strip() and line[0] not in "#s"]
+            return [[float(a), float(b), math.radians(float(rate))] for a, b, rate in rows]
         rates = [math.radians(float(part)) for part in text.split(",")]
-    except ValueError as error:
+    except (ValueError, OSError) as error:
         raise typer.BadParameter(
-            f"expected °/s, or several with commas, got {text!r}", param_hint="--table-rate"
+            f"expected °/s, several with commas, or a CSV file start,stop,rate; got {text!r}: "
+            f"{error}",
+            param_hint="--table-rate",
         ) from error
     return rates[0] if len(rates) == 1 else rates
 

@@ -13,6 +13,7 @@ from calib.model import SensorModel, Triad
 from calib.recording import DeviceInfo, Recording
 from calib.simulate import NoiseModel, simulate
 from calib.simulation.bench import bench_protocol
+from calib.simulation.turntable import turntable
 
 NOISE = NoiseModel(accel_noise_density=2e-3, gyro_noise_density=2e-4)
 GRAVITY = Gravity(9.80665)
@@ -159,3 +160,22 @@ def test_wrong_arguments_name_themselves(options: dict, message: str) -> None:
 def test_distinct_poses_are_counted_by_direction() -> None:
     up = np.array([[0, 0, 9.8], [0.1, 0, 9.8], [0, 9.8, 0], [0, 0, -9.8]])
     assert distinct_poses(up) == 3
+
+
+@pytest.mark.parametrize("faces", [("+z",), ("+x", "+y", "+z")])
+def test_a_rate_table_gives_the_gyroscope_in_one_pose_or_several(faces: tuple[str, ...]) -> None:
+    rng = np.random.default_rng(0)
+    gyro = Triad(rng.normal(0, 0.02, 3), rng.normal(0, 0.02, 3))
+    rates = (1.5, -1.5)
+    motion = turntable(rates, faces=faces, offset=(0.0, 0.0, 0.0))
+    recording = simulate(motion, SensorModel(gyro=gyro), NOISE, rng=rng, rate=100.0)
+    rows = [[s.start + 3, s.stop - 3, 1.5] for s in motion.segments if s.kind == "spin"]
+    found = calibrate(
+        recording, gravity=GRAVITY, gyro_method="rate_table", options={"table_rate": rows}
+    )
+    for axis in (face[1] for face in faces):
+        name = f"gyro.scale_factor_error.{axis}"
+        assert name in found.names
+        truth = gyro.parameters("gyro")[name]
+        assert abs(found.values[name] - truth) < 5 * found.sigmas[name]
+    assert "accel.misalignment.yx" in found.undetermined

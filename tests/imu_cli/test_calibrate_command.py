@@ -9,6 +9,9 @@ import pytest
 from typer.testing import CliRunner
 
 from calib.document import schema
+from calib.model import SensorModel
+from calib.simulate import NoiseModel, simulate
+from calib.simulation.turntable import turntable
 from drivers.calibration_file import load_calibration
 from drivers.formats import read_recording, write_recording
 from imu_cli.app import app
@@ -204,3 +207,29 @@ def test_wrong_usage_names_the_option(tmp_path: Path, options: list[str], messag
     assert code == 2
     assert message in warned.replace("│", " ")
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_table_rate_may_stand_in_a_file(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    motion = turntable((1.5, -1.5), faces=("+x", "+y", "+z"), offset=(0.0, 0.0, 0.0))
+    noise = NoiseModel(accel_noise_density=2e-3, gyro_noise_density=2e-4)
+    write_recording(
+        simulate(motion, SensorModel(), noise, rng=rng, rate=50.0), tmp_path / "table.arrow"
+    )
+    rows = [
+        f"{s.start + 3:.2f},{s.stop - 3:.2f},{np.degrees(1.5)}"
+        for s in motion.segments
+        if s.kind == "spin"
+    ]
+    rates = tmp_path / "rates.csv"
+    rates.write_text("start,stop,rate\n" + "\n".join(rows) + "\n", encoding="utf-8")
+    options = ["--gyro-method", "rate-table", "--table-rate", rates]
+    assert run(tmp_path / "table.arrow", *options)[0] == 5
+    found = load_calibration(tmp_path / "table.cal.json")
+    assert found.gyro is not None
+    assert found.gyro.method == "rate_table"
+    assert {f"gyro.scale_factor_error.{a}" for a in "xyz"} <= set(found.names)
+    rates.write_text("start,stop,rate\n1,2\n", encoding="utf-8")
+    code, _, warned = run(tmp_path / "table.arrow", *options)
+    assert code == 2
+    assert "start,stop,rate" in warned
