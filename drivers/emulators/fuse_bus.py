@@ -50,6 +50,7 @@ MOST_MESSAGES = 42  # I2C_RDWR_IOCTL_MAX_MSGS
 LONGEST_MESSAGE = 8192
 
 READ_SIZE = 1 << 17
+PREFIX = "imu-cal-i2c-"
 NOSUID_NODEV_NOEXEC = 2 | 4 | 8
 DETACH = 2
 
@@ -114,7 +115,8 @@ class FuseBus:
             raise DevicePermissionError(f"cannot make an emulated I2C bus: {reason}")
         if self.link is not None and os.path.lexists(self.link):
             raise DeviceBusyError(f"{self.link} exists and is not replaced; choose another number")
-        self.folder = Path(tempfile.mkdtemp(prefix="imu-cal-i2c-"))
+        _sweep()
+        self.folder = Path(tempfile.mkdtemp(prefix=PREFIX))
         self._descriptor = os.open("/dev/fuse", os.O_RDWR | os.O_CLOEXEC)
         options = f"fd={self._descriptor},rootmode=40755,user_id=0,group_id=0,allow_other"
         try:
@@ -321,6 +323,20 @@ def unavailable() -> str:
     if os.geteuid() != 0:
         return "it needs root, to mount and to reach into the caller's memory"
     return ""
+
+
+def _sweep() -> None:
+    """Remove the mounts of servers that were killed: they answer with ENOTCONN."""
+    for line in Path("/proc/mounts").read_text(encoding="utf-8").splitlines():
+        source, folder, kind, *_ = line.split()
+        if (source, kind) != ("imu-cal", "fuse.imu-cal"):
+            continue
+        try:
+            os.stat(folder)
+        except OSError as error:
+            if error.errno == errno.ENOTCONN:
+                _libc_call("umount2", os.fsencode(folder), DETACH)
+                os.rmdir(folder)
 
 
 # ---- the C library, and the caller's memory ----

@@ -11,15 +11,20 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from calib.errors import DeviceBusyError, DeviceLostError, WrongDeviceError
+from calib.calibration import Calibration, Gravity
+from calib.errors import DeviceBusyError, DeviceLostError, FlashError, WrongDeviceError
+from calib.model import SensorModel
 from drivers.driver import Driver
 from drivers.emulators import emulators
 from drivers.emulators.base import EmulatorOptions
 from drivers.emulators.fuse_bus import FuseBus, unavailable
-from drivers.emulators.i2c_bus import EmulatedBus, fail_at
+from drivers.emulators.i2c_bus import EmulatedBus, Message, fail_at
 from drivers.emulators.i2c_chips import make_model
+from drivers.flash import make_target
+from drivers.flash.procedure import flash_device
 from drivers.i2c_scan import scan_buses
 from drivers.transports import open_driver
 
@@ -196,6 +201,61 @@ def test_close_leaves_nothing_behind(served: FuseBus) -> None:
     assert not folder.exists()
     assert str(folder) not in Path("/proc/mounts").read_text(encoding="utf-8")
     served.close()
+
+
+def test_the_mount_of_a_killed_server_is_swept_away() -> None:
+    code = (
+        "import os\n"
+        "from drivers.emulators.fuse_bus import FuseBus\n"
+        "from drivers.emulators.i2c_bus import EmulatedBus\n"
+        "bus = FuseBus(EmulatedBus({}))\n"
+        "bus.open()\n"
+        "print(bus.folder, flush=True)\n"
+        "os.kill(os.getpid(), 9)\n"
+    )
+    killed = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    folder = killed.stdout.strip()
+    with pytest.raises(OSError) as error:
+        os.stat(folder)
+    assert error.value.errno == errno.ENOTCONN
+    with FuseBus(EmulatedBus({})):
+        pass
+    assert folder not in Path("/proc/mounts").read_text(encoding="utf-8")
+    assert not os.path.lexists(folder)
+
+
+def test_flashing_through_smbus2_and_a_write_that_fails(served: FuseBus, tmp_path: Path) -> None:
+    model = served.bus.models[0x68].source(200.0).model
+    bare = SensorModel(model.accel, model.gyro)
+    names = ("gyro.bias.x", "gyro.bias.y", "gyro.bias.z")
+    calibration = Calibration(bare, names, np.eye(3) * 1e-10, (), Gravity(9.80665))
+    with make_target(f"i2c://{served.path}/0x68?chip=mpu6050&rate=500") as target:
+        old = target.read()
+        writes = 0
+
+        def fault(number: int, messages: tuple[Message, ...]) -> int | None:
+            nonlocal writes
+            data = messages[0].data
+            writes += len(messages) == 1 and len(data) > 1 and 0x06 <= data[0] <= 0x18
+            return errno.EIO if writes == 7 else None
+
+        def flash(name: str) -> None:
+            flash_device(
+                target,
+                calibration,
+                backup=tmp_path / name,
+                persist=False,
+                duration=0.5,
+                report=lambda text: None,
+            )
+
+        served.bus.fault = fault
+        with pytest.raises(FlashError, match="The old values are back"):
+            flash("first.json")
+        assert target.read() == old
+        served.bus.fault = None
+        flash("second.json")
+        assert target.read() != old
 
 
 def test_emulate_serves_until_it_is_stopped() -> None:
