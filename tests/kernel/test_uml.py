@@ -1,4 +1,4 @@
-"""The driver on a real kernel's i2c-core, i2c-dev and i2c-stub, in user-mode-linux.
+"""The driver on a real kernel, in user-mode-linux: i2c-core with i2c-stub, and a CUSE device.
 
 Needs Debian's user-mode-linux package (and busybox to switch the guest off); the guest sees this
 file system read-only.
@@ -31,20 +31,27 @@ mount -t proc proc /proc
 mount -t sysfs sys /sys
 [ -e /dev/null ] || mount -t devtmpfs dev /dev
 mount -t tmpfs tmp /run
-modules=/usr/lib/uml/modules/$(uname -r)/kernel/drivers/i2c
-insmod $modules/i2c-core.ko
-insmod $modules/i2c-dev.ko
-insmod $modules/i2c-stub.ko chip_addr=0x68
+modules=/usr/lib/uml/modules/$(uname -r)/kernel
+{modules}
 cd {root}
-PYTHONDONTWRITEBYTECODE=1 PYTHONPATH={root} {python} -m tests.kernel.uml_guest 2>&1
+PYTHONDONTWRITEBYTECODE=1 PYTHONPATH={root} {python} -m tests.kernel.{guest} 2>&1
 {busybox} poweroff -f
 """
 
 
-@pytest.fixture(scope="module")
-def result(tmp_path_factory: pytest.TempPathFactory) -> dict[str, object]:
-    init = tmp_path_factory.mktemp("uml") / "init"
-    init.write_text(INIT.format(root=ROOT, python=sys.executable, busybox=BUSYBOX))
+STUB = """insmod $modules/drivers/i2c/i2c-core.ko
+insmod $modules/drivers/i2c/i2c-dev.ko
+insmod $modules/drivers/i2c/i2c-stub.ko chip_addr=0x68"""
+CUSE = """insmod $modules/fs/fuse/fuse.ko
+insmod $modules/fs/fuse/cuse.ko
+[ -e /dev/cuse ] || mknod /dev/cuse c 10 $(grep cuse /proc/misc | cut -d' ' -f1)"""
+
+
+def boot(folder: Path, guest: str, modules: str) -> dict[str, object]:
+    """Run a guest's script and return what it printed."""
+    init = folder / "init"
+    words = {"root": ROOT, "python": sys.executable, "busybox": BUSYBOX}
+    init.write_text(INIT.format(modules=modules, guest=guest, **words))
     init.chmod(0o755)
     command = [str(KERNEL), "mem=512M", "rootfstype=hostfs", "rootflags=/", "ro", f"init={init}"]
     command += ["con=null", "con0=null,fd:1", "quiet"]
@@ -55,6 +62,22 @@ def result(tmp_path_factory: pytest.TempPathFactory) -> dict[str, object]:
     assert lines, f"the guest said:\n{done.stdout[-3000:]}\n{done.stderr[-1000:]}"
     found: dict[str, object] = json.loads(lines[0].removeprefix("RESULT "))
     return found
+
+
+@pytest.fixture(scope="module")
+def result(tmp_path_factory: pytest.TempPathFactory) -> dict[str, object]:
+    return boot(tmp_path_factory.mktemp("uml"), "stub_guest", STUB)
+
+
+def test_a_character_device_does_i2c_rdwr_and_the_fifo(tmp_path: Path) -> None:
+    found = boot(tmp_path, "cuse_guest", CUSE)
+    assert found["character_device"] is True
+    assert found["identity"] == found["long"] == 0x68
+    assert found["absent"] == "EREMOTEIO"
+    assert isinstance(found["fifo"], int)
+    assert found["fifo"] >= 2000
+    # A guest on a busy machine may stall: then it is counted.
+    assert (found["lost"] == 0) == (found["overflows"] == 0)
 
 
 def test_the_adapter_has_smbus_calls_only(result: dict[str, object]) -> None:
