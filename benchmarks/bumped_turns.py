@@ -53,14 +53,16 @@ def make(rng: np.random.Generator) -> tuple[Recording, np.ndarray]:
     return recording, np.array(list(gyro.parameters("gyro").values()))
 
 
-def push(recording: Recording, poses: Poses, which: np.ndarray, rng: np.random.Generator) -> Poses:
-    """Return the poses as read with some of them pushed sideways."""
+def push(
+    recording: Recording, poses: Poses, which: np.ndarray, rng: np.random.Generator
+) -> Recording:
+    """Return the recording with some of its poses pushed sideways."""
     accel = recording.accel.copy()
     for k in which:
         side = np.cross(poses.accel[k], rng.normal(size=3))
         size = rng.uniform(5e-3, 50e-3) * GRAVITY
         accel[poses.start[k] : poses.stop[k]] += size * side / np.linalg.norm(side)
-    return average_poses(replace(recording, accel=accel), poses.start, poses.stop)
+    return replace(recording, accel=accel)
 
 
 def knock(
@@ -103,7 +105,8 @@ def main() -> int:
             disturbed, seen, good, bad = recording, poses, turns, np.zeros((0, 2))
             if kind == "pose":
                 which = rng.choice(np.arange(1, len(poses) - 1), len(poses) // 10, replace=False)
-                seen, bad = push(recording, poses, which, rng), poses.interval[which]
+                disturbed, bad = push(recording, poses, which, rng), poses.interval[which]
+                seen = average_poses(disturbed, poses.start, poses.stop)
                 good = turns.select(~np.isin(turns.before, which) & ~np.isin(turns.after, which))
             elif kind == "turn":
                 which = rng.choice(len(turns), len(turns) // 10, replace=False)

@@ -121,10 +121,12 @@ def _gauss_newton(
     lin = system.linearise(values)
     # The weights hardly change with the parameters: those of the start serve until it has settled.
     factor = np.asarray(np.linalg.cholesky(lin.total_covariance(judgement.scale)), float)
+    free = np.ones(12, bool)
     for _ in range(30):
         residual, jacobian = _whiten(lin, factor, judgement.left_out)
         information = jacobian.T @ jacobian + static.precision
-        free = determined(information, TOLERANCE).free
+        # What was given up stays so, or two that cannot be told apart would take turns.
+        free &= determined(information, TOLERANCE).free
         # What is not determined goes to its prior value, 0, with the others following.
         target = np.where(free, 0.0, -values)
         gradient = jacobian.T @ (residual + jacobian @ target)
