@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from urllib.parse import urlencode
 
-from calib.errors import BadFrameError, DriverTimeoutError
+from calib.errors import AddressError, BadFrameError, DriverTimeoutError
 from calib.recording import DeviceInfo, Recording
 from drivers.address import Address
 from drivers.clock import Timeline
@@ -157,9 +157,15 @@ class StreamDriver(Driver):
                 f"{self.address}: open, but not a byte came in {SILENCE:g} s. Check the wiring "
                 "(the device's TX to our RX), its power, and whether it must be told to start"
             )
-        dialect = recognise(b"".join(data for data, _ in heard))
+        together = b"".join(data for data, _ in heard)
+        dialect = recognise(together)
+        try:
+            self._start(dialect)
+        except AddressError as error:  # recognised, but its options are needed
+            line = together.split(b"\n")[-2:-1] or [together]
+            shown = line[0][:100].decode("ascii", "replace").strip()
+            raise AddressError(f"{self.address}: {error}. A line from it: {shown}") from error
         self.dialect = dialect
-        self._start(dialect)
         for data, arrival in heard:
             self._take(data, arrival)
 

@@ -55,14 +55,6 @@ class Samples:
             None if self.ticks is None else self.ticks[keep],
         )
 
-    def without(self, bad: BoolArray) -> Samples:
-        """Return the samples that are not bad; the bad ones count as lost before the next one.
-
-        Bad ones at the end have no next one: they are in the parser's counters only.
-        """
-        lost = self.lost + bad
-        return replace(self, lost=lost).where(~bad)
-
     @classmethod
     def join(cls, parts: Sequence[Samples]) -> Samples:
         """Return the parts as one batch; all or none of them have a temperature, and ticks."""
@@ -107,6 +99,7 @@ class Parser(ABC):
         self.replies: deque[Reply] = deque(maxlen=1000)
         self.info = DeviceInfo()
         self.accepted_bytes = 0
+        self._owed = 0  # bad samples at a batch's end, lost before the next batch's first
         self._rest = b""
 
     def feed(self, data: bytes) -> Samples:
@@ -123,6 +116,16 @@ class Parser(ABC):
         if self._rest:
             self.counters["incomplete_bytes"] += len(self._rest)
         self._rest = b""
+
+    def _without(self, samples: Samples, bad: BoolArray) -> Samples:
+        """Return the samples that are not bad; the bad ones are lost before the next good one."""
+        if not bad.any() and not self._owed:
+            return samples
+        lost = samples.lost + bad
+        lost[0] += self._owed
+        kept = replace(samples, lost=lost).where(~bad)
+        self._owed = int(lost.sum() - kept.lost.sum())
+        return kept
 
     def _count(self, name: str, number: int) -> None:
         if number:

@@ -346,7 +346,7 @@ class MavlinkParser(Parser):
         stale = (values["updated"] != 0) & (values["updated"] & 0x3F != 0x3F)
         self._count("invalid_samples", int(bad.sum()))
         self._count("stale_samples", int((stale & ~bad).sum()))
-        return samples.without(bad | stale) if bad.any() or stale.any() else samples
+        return self._without(samples, bad | stale)
 
     def _raw_scale(self, count: int) -> tuple[float, float] | None:
         if self._scale is None:

@@ -320,10 +320,8 @@ class VectorNavParser(Parser):
         good: BoolArray = np.logical_and.reduce(np.isfinite(signals), axis=1)
         if samples.temperature is not None:
             good &= np.isfinite(samples.temperature)
-        if good.all():
-            return samples
         self._count("invalid_samples", int((~good).sum()))
-        return samples.without(~good)
+        return self._without(samples, ~good)
 
 
 _HEX = np.full(256, 0xFF, np.uint8)

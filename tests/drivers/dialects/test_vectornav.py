@@ -94,9 +94,11 @@ def test_frames_that_are_not_finite_are_counted() -> None:
     good = binary(struct.pack("<6f", *range(6)), "fa01 2001")
     bad = binary(struct.pack("<6f", 0, 0, float("nan"), 0, 0, 0), "fa01 2001")
     made = parser()
-    samples = made.feed(good + bad + good)
-    assert samples.lost.tolist() == [0, 1]
-    assert made.counters == {"invalid_samples": 1}
+    assert made.feed(good + bad + good).lost.tolist() == [0, 1]
+    assert made.feed(good + bad).lost.tolist() == [0]
+    assert len(made.feed(bad)) == 0
+    assert made.feed(good).lost.tolist() == [2]
+    assert made.counters == {"invalid_samples": 3}
 
 
 def test_unknown_signal() -> None:

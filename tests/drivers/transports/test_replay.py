@@ -66,7 +66,7 @@ def test_speed_is_a_multiple_of_the_recorded(tmp_path: Path, kind: str) -> None:
     begin = time.monotonic()
     back = everything(make_driver(f"replay://{path}?speed=6"))
     assert len(back) == 300
-    assert 0.4 < time.monotonic() - begin < 1.5
+    assert 0.4 < time.monotonic() - begin < 3.0
 
 
 def test_a_capture_goes_through_the_live_parser(tmp_path: Path) -> None:
