@@ -32,6 +32,10 @@ PRIOR = np.repeat([1.0, 0.15, 0.15], 3)
 than in most parts. It is used only in directions that the poses do not determine."""
 CHUNK = 8192
 ITERATIONS = 50
+WORTH = 3.0
+"""Standard error of a direction, in parts of the prior, that is still worth having."""
+SAMPLE = 300
+"""Poses from which it is found what noise in the derivatives fakes."""
 NEAR = 0.1
 """A step, in parts of the prior, from which on the solution is near."""
 LEAST = 1e-300
@@ -119,7 +123,7 @@ def solve(poses: Poses, *, gravity: float) -> Fit:
 def _start(poses: Poses, gravity: float) -> FloatArray:
     ideal = np.zeros(9)
     equations = _linearise(poses, np.ones(len(poses), bool), ideal, 0.0, gravity, project=False)
-    if split(equations.information, equations.spurious, PRIOR).null.size:
+    if _split(equations, len(poses)).null.size:
         return ideal
     try:
         matrix, bias = ellipsoid(fit_quadric(poses.accel), gravity=gravity)
@@ -139,7 +143,7 @@ def _gauss_newton(
         # sphere they would leave the plane or cone that they lie in, and seem to determine more.
         near = rank is not None
         equations = _linearise(poses, keep, values, extra, gravity, project=near)
-        parts = split(equations.information, equations.spurious, PRIOR, rank=rank)
+        parts = _split(equations, int(keep.sum()), rank=rank)
         step = -parts.basis @ (parts.basis.T @ equations.gradient)
         # How far in standard errors; or in parts of what could be off, where there is no noise.
         far = float(step @ equations.information @ step)
@@ -157,6 +161,12 @@ def _gauss_newton(
     )
 
 
+def _split(equations: _Equations, count: int, *, rank: int | None = None) -> Determined:
+    """Return what is determined: what `count` readings' noise fakes scatters by sqrt(2 / count)."""
+    enough = 1 + 4 * np.sqrt(2 / max(count, 1))
+    return split(equations.information, equations.spurious, PRIOR, enough=enough, rank=rank)
+
+
 def _linearise(
     poses: Poses,
     keep: BoolArray,
@@ -169,10 +179,9 @@ def _linearise(
     n = len(poses)
     residual, variance = np.empty(n), np.empty(n)
     information, gradient = np.zeros((9, 9)), np.zeros(9)
-    faked = 0.0
     for begin in range(0, n, CHUNK):
         part = slice(begin, begin + CHUNK)
-        r, v, noise, jacobian = _rows(
+        r, v, jacobian = _rows(
             poses.accel[part], poses.accel_covariance[part], values, gravity, project=project
         )
         residual[part], variance[part] = r, v
@@ -180,17 +189,37 @@ def _linearise(
         weighted = jacobian * weight
         information += weighted @ jacobian.T
         gradient += weighted @ r
-        faked += float(weight @ noise)
-    # A bias column is u plus sigma / g of noise, the others f_i f_j / g plus less than sigma: in a
-    # plane of poses they fake a quarter to a half of this.
-    spurious = np.repeat([faked / gravity**2, faked, faked], 3) + PRIOR**-2.0
-    return _Equations(residual, variance, information, gradient, np.diag(spurious))
+    spurious = np.diag((WORTH * PRIOR) ** -2.0) + _faked(
+        poses, keep, values, variance + extra, gravity
+    )
+    return _Equations(residual, variance, information, gradient, spurious)
+
+
+def _faked(
+    poses: Poses, keep: BoolArray, values: FloatArray, variance: FloatArray, gravity: float
+) -> FloatArray:
+    """Return the information (9, 9) that noise in the derivatives fakes, from some of the poses."""
+    few = np.flatnonzero(keep)
+    few = few[:: max(1, len(few) // SAMPLE)]
+    triad = triad_of(values)
+    inverse = solve_triangular(triad.matrix, np.eye(3), lower=True)
+    true = triad.correct(poses.accel[few])
+    # d(row)/d(f) of the rows -K.T f / g and -(K.T f)_i f_j / g.
+    gradient = np.empty((len(few), 9, 3))
+    gradient[:, :3] = inverse.T
+    gradient[:, 3:] = true[:, COLUMNS, None] * inverse.T[list(ROWS)]
+    gradient[:, np.arange(3, 9), COLUMNS] += (true @ inverse)[:, ROWS]
+    root = np.linalg.cholesky(poses.accel_covariance[few] + LEAST * np.eye(3))
+    noisy = gradient @ (inverse @ root) / gravity
+    weight = 1.0 / np.maximum(variance[few], LEAST)
+    share = float(keep.sum()) / max(len(few), 1)
+    return np.asarray(share * np.einsum("n,npk,nqk->pq", weight, noisy, noisy), np.float64)
 
 
 def _rows(
     accel: FloatArray, covariance: FloatArray, values: FloatArray, gravity: float, *, project: bool
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return residuals, their variances, the noise per axis (n,), and J transposed (9, n)."""
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return residuals, their variances, and J transposed (9, n)."""
     triad = triad_of(values)
     inverse = solve_triangular(triad.matrix, np.eye(3), lower=True)
     true = inverse @ (accel - triad.bias).T
@@ -214,7 +243,7 @@ def _rows(
     np.negative(normal, out=jacobian[:3])
     for p, (i, j) in enumerate(zip(ROWS, COLUMNS, strict=True), start=3):
         np.multiply(jacobian[i], true[j], out=jacobian[p])
-    return residual, variance, trace / 3, jacobian
+    return residual, variance, jacobian
 
 
 def _outliers(

@@ -9,8 +9,6 @@ from scipy.linalg import eigh
 
 from calib.types import BoolArray, FloatArray
 
-ENOUGH = 0.75
-"""Information that determines a direction, as a multiple of what noise and prior alone fake."""
 OPEN = 0.1
 """A parameter is not determined if, after the data, more than this part of its prior is open."""
 
@@ -54,6 +52,7 @@ def split(
     spurious: FloatArray,
     prior: FloatArray,
     *,
+    enough: float,
     rank: int | None = None,
 ) -> Determined:
     """Split the parameter space.
@@ -66,10 +65,12 @@ def split(
         the regressors fakes, and as much as makes a direction worth the name.
     prior : (p,) array
         Standard deviations of the parameters before any data.
+    enough : float
+        Information that determines a direction, as a multiple of the spurious.
     rank : int, optional
         How many directions are determined, where that was decided before.
     """
     values, vectors = eigh(information, spurious)  # ascending
-    lost = int((values < ENOUGH).sum()) if rank is None else len(values) - rank
+    lost = int((values < enough).sum()) if rank is None else len(values) - rank
     null, _ = np.linalg.qr(vectors[:, :lost] / prior[:, None])
     return Determined(vectors[:, lost:] / np.sqrt(values[lost:]), null * prior[:, None], prior)
