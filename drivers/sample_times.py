@@ -52,10 +52,8 @@ class SampleTimes:
         return times
 
     def restart(self, now: float) -> int:
-        """Return how many samples an emptied FIFO lost between the last one and `now`."""
-        if not self._started:
-            return 0
-        elapsed = now - self._origin - self._last
+        """Return how many samples an emptied FIFO lost since the last one, or since the start."""
+        elapsed = now - self._origin - (self._last if self._started else 0.0)
         return max(1, int(elapsed / self.interval))
 
     def missing(self, now: float) -> int:
