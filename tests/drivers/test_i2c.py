@@ -8,6 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from calib.errors import (
     AddressError,
@@ -210,6 +212,24 @@ def test_bad_addresses(url: str, message: str) -> None:
 def test_missing_bus_is_named() -> None:
     with pytest.raises(DeviceNotFoundError, match=r"/dev/i2c-99.*i2c-dev"):
         open_driver("i2c://99/0x68?chip=mpu6050")
+
+
+@given(
+    st.lists(st.tuples(st.integers(1, 80), st.integers(0, 500), st.floats(-0.2, 2.0)), min_size=1),
+    st.sampled_from([50.0, 1000.0]),
+)
+def test_times_rise_whatever_the_host_does(
+    reads: list[tuple[int, int, float]], rate: float
+) -> None:
+    times = SampleTimes(rate, 0.0, age=0.5 / rate)
+    now, last = 0.0, -np.inf
+    for count, lost, late in reads:
+        now += max((count + lost) / rate + late, 0.0)
+        got = times.take(count, lost, now)
+        assert len(got) == count
+        assert got[0] > last
+        assert (np.diff(got) > 0).all()
+        last = got[-1]
 
 
 def test_a_device_clock_is_unwrapped_and_shows_what_is_missing() -> None:
