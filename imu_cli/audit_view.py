@@ -55,9 +55,9 @@ def findings_table(audit: Audit) -> Table:
     from rich.markup import escape
     from rich.table import Table
 
-    table = Table(box=None, pad_edge=False, header_style="bold", width=WIDTH)
+    table = Table(box=None, pad_edge=False, header_style="bold")
     table.add_column("finding", no_wrap=True, style="yellow")
-    table.add_column("what", overflow="fold", ratio=1)
+    table.add_column("what", overflow="fold")
     table.add_column("first at, s", justify="right", no_wrap=True)
     for finding in audit.findings:
         first = ", ".join(f"{t:.2f}" for t in finding.times[:2])

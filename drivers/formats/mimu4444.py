@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -149,12 +150,13 @@ class Mimu4444(Format):
             )
         clock = FrameClock(ticks_per_second=1 / time.factor, wraps=time.wraps or 1 << 32)
         parser, buffer = FrameParser(), source.buffer
+        _look_at_the_end(assembler, buffer)
         width = BLOCK if options.batch is None else min(BLOCK, options.batch * SIZE)
         for at in range(0, buffer.size, width):
             block = buffer.slice(at, min(width, buffer.size - at)).to_pybytes()
             frames = parser.feed(block)
-            if at + width >= buffer.size:
-                _note_the_end(assembler, parser)
+            if parser.skipped:
+                assembler.notes["skipped_bytes"] = str(parser.skipped)
             if not len(frames):
                 continue
             values = frames["imu"][:, imu - 1].astype(np.float64)
@@ -188,9 +190,10 @@ def _assembler(name: str, imu: int, profile: Profile, options: ReadOptions) -> A
     )
 
 
-def _note_the_end(assembler: Assembler, parser: FrameParser) -> None:
-    if parser.skipped:
-        assembler.notes["skipped_bytes"] = str(parser.skipped)
-    if parser.pending:
+def _look_at_the_end(assembler: Assembler, buffer: Any) -> None:
+    """Note at once whether the stream ends within a frame, for those who read it in batches."""
+    tail = FrameParser()
+    tail.feed(buffer.slice(max(0, buffer.size - BLOCK)).to_pybytes())
+    if tail.pending:
         assembler.complete = False
-        assembler.notes["cut"] = f"{parser.pending} bytes of an unfinished frame were left out"
+        assembler.notes["cut"] = f"{tail.pending} bytes of an unfinished frame were left out"

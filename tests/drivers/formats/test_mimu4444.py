@@ -110,6 +110,7 @@ def test_units_and_choice_of_the_imu(tmp_path: Path) -> None:
     assert recording.notes["cut"].startswith("2 bytes")
     parts = list(open_batches(path, imu=3, batch=7))
     np.testing.assert_array_equal(np.concatenate([p.accel for p in parts]), recording.accel)
+    assert not any(part.complete for part in parts)
     for imu in (None, 0, 9):
         with pytest.raises(RecordingFormatError, match="--imu 1 to --imu 8"):
             read_recording(path, imu=imu)
