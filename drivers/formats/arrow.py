@@ -15,7 +15,14 @@ import pyarrow as pa
 from calib.errors import RecordingFormatError
 from calib.recording import Recording
 from drivers.formats.base import Format, ReadOptions, Source, Writer
-from drivers.formats.columns import add_table, assembler_of, no_samples, schema_of, to_batch
+from drivers.formats.columns import (
+    DAMAGED,
+    add_table,
+    assembler_of,
+    no_samples,
+    schema_of,
+    to_batch,
+)
 
 CONTINUATION = b"\xff\xff\xff\xff"
 END = CONTINUATION + b"\0\0\0\0"
@@ -68,11 +75,11 @@ class Arrow(Format):
         try:
             bounded = options.batch is not None
             reader = pa.ipc.open_stream(source.stream(0, buffer.size) if bounded else buffer)
-        except (pa.ArrowInvalid, OSError) as error:
+            assembler = assembler_of(reader.schema, name=name, drop_invalid=options.drop_invalid)
+        except DAMAGED as error:
             raise RecordingFormatError(
                 f"{name} was cut or damaged before its first sample: {error}"
             ) from error
-        assembler = assembler_of(reader.schema, name=name, drop_invalid=options.drop_invalid)
         ended = buffer.slice(max(0, buffer.size - len(END))).to_pybytes() == END
         if not ended:
             assembler.complete = False
@@ -103,7 +110,7 @@ def _parts(reader: Any, name: str, *, ended: bool) -> Iterator[Any]:
             part = reader.read_next_batch()
         except StopIteration:
             return
-        except (pa.ArrowInvalid, OSError) as error:
+        except DAMAGED as error:
             if ended:
                 raise RecordingFormatError(f"{name} is damaged: {error}") from error
             return

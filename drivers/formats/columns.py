@@ -29,6 +29,9 @@ UNITS = {
     "lost": "1",
 }
 VERSION = "1"
+DAMAGED = (pa.ArrowException, OSError, UnicodeDecodeError)
+"""What pyarrow raises on files that are cut or damaged."""
+MOST_LOST = 2.0**53
 _DEVICE = {f.name: f.type for f in fields(DeviceInfo)}
 
 
@@ -166,8 +169,9 @@ def add_table(assembler: Assembler, table: Any) -> Recording | None:
     lost = None
     if "lost" in names:
         counts = column_values(table, "lost")
-        if not np.isfinite(counts).all() or counts.min(initial=0) < 0:
-            row = int(np.argmax(~np.isfinite(counts) | (counts < 0)))
+        good = (counts >= 0) & (counts < MOST_LOST)
+        if not good.all():
+            row = int(np.argmin(good))
             raise RecordingFormatError(
                 f"{assembler.name}, {assembler.row_name(assembler.rows + row)}: lost is "
                 f"{counts[row]}, expected a count"

@@ -41,9 +41,12 @@ class Hdf5(Format):
             file = h5py.File(source.path, "r")
         except OSError as error:
             raise RecordingFormatError(f"{source.path} is a damaged HDF5 file: {error}") from error
-        with file:
-            profile = options.profile or _recognise(file, source)
-            yield from _read(file, source, profile, options)
+        try:
+            with file:
+                profile = options.profile or _recognise(file, source)
+                yield from _read(file, source, profile, options)
+        except (OSError, KeyError, RuntimeError) as error:  # what h5py makes of damage
+            raise RecordingFormatError(f"{source.path} is a damaged HDF5 file: {error}") from error
 
 
 FORMAT = Hdf5()

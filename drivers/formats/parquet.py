@@ -9,7 +9,14 @@ import pyarrow as pa
 from calib.errors import RecordingFormatError
 from calib.recording import Recording
 from drivers.formats.base import Format, ReadOptions, Source, Writer
-from drivers.formats.columns import add_table, assembler_of, no_samples, schema_of, to_batch
+from drivers.formats.columns import (
+    DAMAGED,
+    add_table,
+    assembler_of,
+    no_samples,
+    schema_of,
+    to_batch,
+)
 
 MAGIC = b"PAR1"
 
@@ -61,7 +68,7 @@ class Parquet(Format):
                 recording = add_table(assembler, table)
                 if recording is not None:
                     yield recording
-        except (pa.ArrowInvalid, OSError) as error:
+        except DAMAGED as error:
             raise RecordingFormatError(
                 f"{name} is damaged, or was not closed: {error}. A Parquet file has its index at "
                 "its end; record to .arrow, which can be read up to where it was cut"

@@ -94,8 +94,8 @@ class TextTable:
             return
         block = max(4096, batch * ROW_BYTES)
         rows: Any
-        if self._delimiter == " ":
-            rows = pa.PythonFile(_SingleSpaces(self._rows), mode="r")
+        if self._delimiter == " " or self._has_comments():
+            rows = pa.PythonFile(self._cleaned(), mode="r")
         else:
             rows = self._source.stream(self._start, self._rows.size)
         try:
@@ -110,20 +110,18 @@ class TextTable:
         try:
             return csv.read_csv(self._rows, **self._options(types, BLOCK))
         except pa.ArrowInvalid as error:
-            if self._delimiter != " ":
+            if self._delimiter != " " and not self._has_comments():
                 raise self._bad_line(types, error) from error
         try:
-            squeezed = pa.py_buffer(_SingleSpaces(self._rows).read())
-            return csv.read_csv(squeezed, **self._options(types, BLOCK))
+            cleaned = pa.py_buffer(self._cleaned().read())
+            return csv.read_csv(cleaned, **self._options(types, BLOCK))
         except pa.ArrowInvalid as error:
             raise self._bad_line(types, error) from error
 
     def _options(self, types: Mapping[str, Any], block: int) -> dict[str, Any]:
         return {
             "read_options": csv.ReadOptions(column_names=self._names, block_size=block),
-            "parse_options": csv.ParseOptions(
-                delimiter=self._delimiter, invalid_row_handler=_skip_comments
-            ),
+            "parse_options": csv.ParseOptions(delimiter=self._delimiter),
             "convert_options": csv.ConvertOptions(
                 column_types=dict(types),
                 include_columns=list(types),
@@ -131,6 +129,19 @@ class TextTable:
                 decimal_point=self._decimal,
             ),
         }
+
+    def _cleaned(self) -> _CleanRows:
+        return _CleanRows(self._rows, single_spaces=self._delimiter == " ")
+
+    def _has_comments(self) -> bool:
+        """Return whether a line among the rows begins with ``#``."""
+        before = b"\n"
+        with self._source.stream(self._start, self._rows.size) as stream:
+            while block := stream.read(BLOCK):
+                if b"\n#" in before + block:
+                    return True
+                before = block[-1:]
+        return False
 
     def _lines(self) -> Iterator[tuple[int, str]]:
         """Return the line number, from 1, and the text of each row."""
@@ -167,10 +178,6 @@ class TextTable:
                         "expected a number"
                     )
         return RecordingFormatError(f"{self._source.path}: {error}")
-
-
-def _skip_comments(row: Any) -> str:
-    return "skip" if row.text.startswith("#") else "error"
 
 
 def _is_number(text: str) -> bool:
@@ -212,11 +219,15 @@ def _last_newline(buffer: Any, start: int) -> int:
     return start - 1
 
 
-class _SingleSpaces(io.RawIOBase):
-    """Rows with one space for each run of blanks, and none at the ends of lines, read as a file."""
+class _CleanRows(io.RawIOBase):
+    """Rows without comment lines, read as a file.
 
-    def __init__(self, rows: Any) -> None:
+    With `single_spaces`, also with one space for each run of blanks and none at the ends of lines.
+    """
+
+    def __init__(self, rows: Any, *, single_spaces: bool) -> None:
         self._rows = rows
+        self._single_spaces = single_spaces
         self._at = 0
 
     def readable(self) -> bool:
@@ -232,8 +243,10 @@ class _SingleSpaces(io.RawIOBase):
             if end <= self._at:
                 end = stop
             text = self._rows.slice(self._at, end - self._at).to_pybytes()
-            text = re.sub(rb"[ \t]+", b" ", text)
-            text = re.sub(rb" ?(\r?\n) ?", rb"\1", text).lstrip(b" ")
+            text = re.sub(rb"(?m)^#[^\n]*\n?", b"", text)
+            if self._single_spaces:
+                text = re.sub(rb"[ \t]+", b" ", text)
+                text = re.sub(rb" ?(\r?\n) ?", rb"\1", text).lstrip(b" ")
             self._at = end
             left = int(self._rows.size) - end
         return text

@@ -245,3 +245,23 @@ def test_the_public_logs(
     assert len(recording) == samples
     norm = np.linalg.norm(recording.accel[:300], axis=1).mean()
     assert norm == pytest.approx(gravity, rel=0.05)
+
+
+@given(st.data())
+@settings(max_examples=150, deadline=None)
+def test_damage_is_refused_or_read_but_never_a_traceback(
+    tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
+) -> None:
+    suffix = data.draw(st.sampled_from([".csv", ".arrow", ".parquet", ".feather"]))
+    path = tmp_path_factory.getbasetemp() / f"damaged{suffix}"
+    write_recording(a_recording(15), path)
+    damaged = bytearray(path.read_bytes())
+    for _ in range(data.draw(st.integers(1, 3))):
+        at = data.draw(st.integers(0, len(damaged) - 1))
+        damaged[at : at + data.draw(st.integers(0, 20))] = data.draw(st.binary(max_size=20))
+    path.write_bytes(bytes(damaged))
+    try:
+        assert np.isfinite(read_recording(path).accel).all()
+    except RecordingError as refused:
+        said = str(refused)
+        assert str(path) in said
