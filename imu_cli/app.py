@@ -111,6 +111,8 @@ def _root(
 
 def main() -> NoReturn:
     """Run the command line."""
+    # Our matrices are small: threads would cost more than they bring. Numpy is not loaded yet.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
         app()
     except KeyboardInterrupt:
