@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from calib.errors import EmptyRecordingError, RecordingFormatError
+from calib.errors import EmptyRecordingError, RecordingError, RecordingFormatError
 from calib.recording import Recording
 from calib.types import FloatArray
 from drivers.formats.assemble import Assembler
@@ -45,7 +45,10 @@ class Hdf5(Format):
             with file:
                 profile = options.profile or _recognise(file, source)
                 yield from _read(file, source, profile, options)
-        except (OSError, KeyError, RuntimeError) as error:  # what h5py makes of damage
+        except RecordingError:
+            raise
+        except (OSError, LookupError, RuntimeError, TypeError, ValueError) as error:
+            # What h5py makes of damage.
             raise RecordingFormatError(f"{source.path} is a damaged HDF5 file: {error}") from error
 
 
