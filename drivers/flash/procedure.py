@@ -27,6 +27,8 @@ BLOCKS = 10
 """Parts of a measurement whose means are compared, to see whether the device lay still."""
 STILL_ACCEL, STILL_GYRO = 0.05, np.deg2rad(0.5)
 """m/s² and rad/s that block means may wander beyond their noise before it counts as motion."""
+ACCEL_SLACK, ACCEL_FAR = 0.03, 0.25
+"""m/s² that a calibrated accelerometer's size may be off after a power cycle and warm-up."""
 SIGMAS = 5.0
 """Standard errors of a difference that are still chance, over six channels and many flashes."""
 DRIFT = 0.1
@@ -137,7 +139,7 @@ def flash_device(
     report("measuring the still device")
     before = target.measure(duration)
     _check_still(before, then="Nothing was written; lay it down, and flash again")
-    _check_applies(calibration, before)
+    _check_applies(calibration, plan, before)
     save_backup(_backup(target, old), backup)
     report(f"the old values are saved in {backup}")
     stored = target.always_stored
@@ -338,28 +340,38 @@ def _check_still(recording: Recording, *, then: str) -> None:
             )
 
 
-def _check_applies(calibration: Calibration, still: Recording) -> None:
-    """Refuse a calibration that the device does not show: of another one, or flashed already."""
-    mean = still.gyro.mean(axis=0)
+def _check_applies(calibration: Calibration, plan: Plan, still: Recording) -> None:
+    """Refuse what would make it worse: another device's calibration, or one flashed already.
+
+    At rest the gyroscope must come nearer to 0, and the size of the corrected specific force must
+    agree with gravity at least as well with the bias taken off as without.
+    """
+    again = "it was flashed already, is another device, or moves. Nothing was written; record and "
+    again += "calibrate again"
+    rate = still.gyro.mean(axis=0)
+    planned = plan.gyro(rate[None])[0]
+    slack = SIGMAS * np.array([_error(column) for column in still.gyro.T])
+    slack += still.device.gyro_lsb or 0.0
     bias = calibration.model.gyro.bias
     known = np.array([f"gyro.bias.{axis}" in calibration.names for axis in "xyz"])
-    off = np.abs(mean - bias)
     # A turn-on bias moves by tenths of a degree/s; one that is already gone differs by all of it.
-    if (known & (off > np.deg2rad(0.5) + 0.5 * np.abs(bias))).any():
+    far = np.abs(rate - bias) > np.deg2rad(0.5) + 0.5 * np.abs(bias)
+    if (known & (far | (np.abs(planned) > np.abs(rate) + slack))).any():
         raise FlashError(
-            f"the resting gyroscope reads {_dps(mean)} °/s, the calibration's bias is "
-            f"{_dps(bias)} °/s: it was flashed already, is another device, or turns. Nothing "
-            "was written; record and calibrate again"
+            f"the resting gyroscope reads {_dps(rate)} °/s, the calibration's bias is "
+            f"{_dps(bias)} °/s: {again}"
         )
-    accel = calibration.model.accel.correct(still.accel.mean(axis=0)[None])[0]
-    size, gravity = float(np.linalg.norm(accel)), calibration.gravity.value
-    known_bias = all(f"accel.bias.{axis}" in calibration.names for axis in "xyz")
-    if known_bias and abs(size - gravity) > 0.25:
-        raise FlashError(
-            f"at rest the corrected accelerometer reads {size:.3f} m/s², gravity is "
-            f"{gravity:.3f}: it was flashed already, or is another device. Nothing was written; "
-            "record and calibrate again"
-        )
+    if all(f"accel.bias.{axis}" in calibration.names for axis in "xyz"):
+        force, model = still.accel.mean(axis=0), calibration.model.accel
+        gravity = calibration.gravity.value
+        with_bias = float(np.linalg.norm(model.correct(force[None])))
+        without = float(np.linalg.norm(np.linalg.solve(model.matrix, force)))
+        worse = abs(with_bias - gravity) > abs(without - gravity) + ACCEL_SLACK
+        if worse or abs(with_bias - gravity) > ACCEL_FAR:
+            raise FlashError(
+                f"at rest the corrected accelerometer reads {with_bias:.3f} m/s², gravity is "
+                f"{gravity:.3f}, and without the bias it reads {without:.3f}: {again}"
+            )
 
 
 def _dps(values: FloatArray) -> str:

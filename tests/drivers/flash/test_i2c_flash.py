@@ -20,6 +20,7 @@ from calib.errors import (
 from calib.model import SensorModel
 from calib.recording import DeviceInfo
 from drivers.chips import chips, get_chip, normal_name
+from drivers.emulators.base import EmulatedSensor
 from drivers.emulators.chips.base import ChipModel
 from drivers.emulators.i2c_bus import Message, fail_at
 from drivers.flash import make_target
@@ -209,6 +210,30 @@ def test_flashing_twice_is_refused(tmp_path: Path) -> None:
         with pytest.raises(FlashError, match=r"flashed already.*Nothing\s+was written"):
             flash(target, calibration, tmp_path / "again")
         assert target.read() == held
+
+
+def test_a_small_bias_is_not_corrected_twice_either(tmp_path: Path) -> None:
+    with target_for("mpu6050") as target:
+        names = ["gyro.bias.x"]
+        bias = 0.004  # rad/s, 0.23 °/s
+        source = model_of(target).source
+        model_of(target).source = lambda rate: _small(source(rate), bias)
+        model_of(target)._sensor = None
+        gyro = model_of(target).source(200.0).model.gyro
+        calibration = Calibration(
+            SensorModel(gyro=gyro), tuple(names), np.eye(1) * 1e-10, (), Gravity(9.80665)
+        )
+        flash(target, calibration, tmp_path)
+        (tmp_path / "backup.json").unlink()
+        with pytest.raises(FlashError, match="flashed already"):
+            flash(target, calibration, tmp_path)
+
+
+def _small(sensor: EmulatedSensor, bias: float) -> EmulatedSensor:
+    gyro = sensor.model.gyro
+    gyro = type(gyro)(np.array([bias, 0, 0]), gyro.scale_factor_error, gyro.misalignment)
+    sensor.model = SensorModel(sensor.model.accel, gyro)
+    return sensor
 
 
 def test_a_moving_device_is_refused(tmp_path: Path) -> None:
