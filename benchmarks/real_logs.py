@@ -41,6 +41,8 @@ GRAVITY = 9.80665
 ACCEL, GYRO, DIAGONAL = "maximum_likelihood", "rotation_segment_3x3", "quaternion"
 LONGEST = 60.0
 """s; poses after a longer gap are not of the static part."""
+REST = 2.0
+"""s; a shorter rest is a pause in the hand between two motions, not a pose of these protocols."""
 NO_DATA = 2
 
 
@@ -143,6 +145,7 @@ def alternate_turns(
 def measure(recording: Recording) -> Row:
     begin = time.process_time()
     poses = find_poses(recording)
+    poses = poses.select(poses.interval[:, 1] - poses.interval[:, 0] >= REST)
     gap = poses.interval[1:, 0] - poses.interval[:-1, 1]
     poses = poses.select(np.cumsum(np.concatenate([[0.0], gap]) > LONGEST) == 0)
     turns = find_turns(recording, poses)
