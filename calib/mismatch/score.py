@@ -7,7 +7,7 @@ residual y alone its Bayes factor is
     log B(s) = -1/2 log det(I + s² Z'Z) + 1/2 y'Z (I/s² + Z'Z)^-1 Z'y.
 
 Averaged over scales, places and shapes with weights that sum to one it has expectation at most one
-where nothing was left out, so that P(B > 100) < 1 %: the price of all looks is in the weights.
+where nothing was left out, so that P(B > 30) < 1 / 30: the price of all looks is in the weights.
 
 References
 ----------
@@ -26,8 +26,10 @@ from scipy import sparse
 from calib.mismatch.noise import Whitener
 from calib.types import FloatArray, IntArray
 
-SCALES = np.geomspace(0.01, 3.0, 8)
-"""Sizes that are tried, relative to the typical one."""
+SCALES = np.append(np.geomspace(0.01, 3.0, 8), [10.0, 100.0, 1000.0])
+"""Sizes that are tried, relative to the typical one; the last for what is far beyond typical."""
+
+_SHARES = np.log(np.append(np.full(8, 0.94 / 8), [0.02, 0.02, 0.02]))
 
 _LOST = 1e-8
 
@@ -140,7 +142,7 @@ class Stack:
             power, along = _singles(index, projected, match, total)
             strength = np.square(SCALES)[:, None] * power
             gain = 0.5 * np.square(along) / np.maximum(power, 1e-300) * strength / (1 + strength)
-            out[single] = _average(gain - 0.5 * np.log1p(strength))
+            out[single] = _average(gain - 0.5 * np.log1p(strength) + _SHARES[:, None])
         for i in which:
             if not self.candidates[i].is_single:
                 own = place[self.candidates[i].index]
@@ -171,11 +173,11 @@ def _joint(columns: FloatArray, match: FloatArray) -> float:
     square = np.square(SCALES)[:, None]
     strength = square * values
     gain = 0.5 * (along * square / (1 + strength)).sum(axis=1)
-    return float(_average(gain - 0.5 * np.log1p(strength).sum(axis=1)))
+    return float(_average(gain - 0.5 * np.log1p(strength).sum(axis=1) + _SHARES))
 
 
 def _average(log_factors: FloatArray) -> FloatArray:
-    """Return the logarithm of the mean over the first axis."""
+    """Return the logarithm of the sum over the first axis of factors that hold their shares."""
     top = log_factors.max(axis=0)
-    mean: FloatArray = top + np.log(np.exp(log_factors - top).mean(axis=0))
+    mean: FloatArray = top + np.log(np.exp(log_factors - top).sum(axis=0))
     return mean
