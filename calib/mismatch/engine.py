@@ -20,6 +20,11 @@ from calib.recording import Recording
 from calib.statics import find_poses
 from calib.types import BoolArray, FloatArray
 
+UNKNOWN_DRIFT = 4.0
+"""Spread of the prior of drift where seconds are not known."""
+
+_CLOCKED = ("_warm_up", "_bias_step", "_settling")
+
 LEAST_TURNS = 3
 """Turns below which nothing that shows in motion alone is named."""
 
@@ -69,10 +74,15 @@ def diagnose_recording(
     shortest = 0.0 if recording.clock == "invalid" else SHORTEST_CELL
     grid = make_grid(recording, poses, shortest_cell=shortest)
     full = model is not None and bool(model.gyro.misalignment.any())
-    problem = SelfProblem(grid, model, gravity=gravity, full_gyro=full)
+    timeless = recording.clock == "invalid"
+    problem = SelfProblem(
+        grid, model, gravity=gravity, full_gyro=full, spread=UNKNOWN_DRIFT if timeless else None
+    )
     problem.drop = _spoilt_turns(grid, recording, seen.spoilt)
     before = problem.rows()
     skip: tuple[str, ...] = ("gyro_misalignment",) if full else ()
+    if timeless:
+        skip += ("time", *(k for k in effects() if k.endswith(_CLOCKED)))
     if (~grid.is_rest).sum() < LEAST_TURNS:
         # Delays and filters show in motion only.
         skip += tuple(k for k, e in effects().items() if isinstance(e, TransformEffect))

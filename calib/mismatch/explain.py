@@ -118,6 +118,15 @@ def explain(
         if effect.kind == "event" and proof.gain <= 0:
             reason = "it happened once: no other pose or turn shows it"
         useless = proof.gain <= 0 or proof.after >= proof.before
+        # Samples come whole: a part of one is something else that happened in this turn.
+        broken = any(q.unit == "samples" and abs(q.value) < 0.7 for q in parameters.values())
+        if broken:
+            moment = a.candidate.shape["moment"]
+            turn = rows.interval[np.searchsorted(rows.interval[:, 0], moment, side="right") - 1]
+            where = ((float(turn[0]), float(turn[1])),)
+            left = _unexplained(rows, a, rivals)
+            unexplained.append(replace(left, intervals=where, follows="this one turn"))
+            continue
         if useless and effect.kind != "event":
             unexplained.append(
                 replace(

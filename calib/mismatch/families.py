@@ -10,7 +10,7 @@ import numpy as np
 
 from calib.effects import effects
 from calib.effects.base import Effect, ShapeParameter, TransformEffect
-from calib.mismatch.rows import Rows
+from calib.mismatch.rows import Kind, Rows
 from calib.mismatch.score import Candidate, Stack
 from calib.types import FloatArray
 
@@ -76,6 +76,10 @@ def effect_columns(
     for name, signals in effect.columns(rows.state, shape).items():
         if name in sizes:
             values = rows.column(signals) * sizes[name]
+            if isinstance(effect, TransformEffect):
+                # A delay or a filter changes nothing at rest; the grid thins rests, so that what
+                # spills into them from a turn is not to scale.
+                values[(rows.kind <= Kind.CONTRAST) & rows.is_rest[rows.segment]] = 0.0
             if np.abs(values).max() > 0:
                 out[name] = values
     return out

@@ -292,7 +292,15 @@ def _vibration(
     a, b = bounds[first, 0], bounds[last - 1, 1]
     level = (sums[b] - sums[a]) / (b - a)[:, None]
     resting = rest[first]
-    if resting.any():
-        level = np.maximum(level - np.median(level[resting], axis=0), 0.0)
+    quiet = np.median(level[resting], axis=0) if resting.any() else np.inf
+    # Half of the noise again is vibration. A hand's motion is none: a turn counts as shaken only
+    # as much as the quieter of the rests beside it.
+    level = np.where(level > 1.5 * quiet, level - quiet, 0.0)
+    at = np.flatnonzero(resting)
+    if len(at):
+        before = np.maximum(np.searchsorted(at, np.arange(len(level)), side="right") - 1, 0)
+        after = np.minimum(before + 1, len(at) - 1)
+        beside = np.minimum(level[at[before]], level[at[after]])
+        level = np.where(resting[:, None], level, beside)
     out[:] = np.repeat(level, last - first, axis=0)
     return out

@@ -38,11 +38,15 @@ _KINDS = {
 }
 
 
-def add_rivals(stack: Stack, rows: Rows) -> None:
-    """Add every rival that these rows can show, with weights that sum to at most `RIVAL`."""
+def add_rivals(stack: Stack, rows: Rows, *, skip: tuple[str, ...] = ()) -> None:
+    """Add every rival that these rows can show, with weights that sum to at most `RIVAL`.
+
+    ``skip`` names those that are not tried (``time`` where the clock is wrong).
+    """
     found: list[Candidate] = []
     for c in range(len(CHANNELS)):
         found += _of_channel(stack, rows, c, typical_size(CHANNELS[c].split(".")[0]))
+    found = [c for c in found if c.name not in skip]
     number = Counter(c.name for c in found)
     stack.candidates += [replace(c, weight=RIVAL * _KINDS[c.name] / number[c.name]) for c in found]
 

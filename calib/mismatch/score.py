@@ -26,10 +26,10 @@ from scipy import sparse
 from calib.mismatch.noise import Whitener
 from calib.types import FloatArray, IntArray
 
-SCALES = np.append(np.geomspace(0.01, 3.0, 8), [10.0, 100.0, 1000.0])
+SCALES = np.append(np.geomspace(0.01, 3.0, 8), [10.0, 30.0])
 """Sizes that are tried, relative to the typical one; the last for what is far beyond typical."""
 
-_SHARES = np.log(np.append(np.full(8, 0.94 / 8), [0.02, 0.02, 0.02]))
+_SHARES = np.log(np.append(np.full(8, 0.12), [0.02, 0.02]))
 
 _LOST = 1e-8
 

@@ -33,7 +33,7 @@ from calib.types import FloatArray
 
 CLAIM = 30.0
 """E-value at which something is claimed to be left. Markov's inequality alone bounds the share of
-clean recordings that reach it by 3 %; measured, it is below 0.5 % (``benchmarks/concealed.py``)."""
+clean recordings that reach it by 3 %; ``benchmarks/concealed.py`` measures less than 0.5 %."""
 
 TIE = 0.05
 """Posterior probability above which another name is reported as a rival."""
@@ -48,7 +48,7 @@ KEEP = 0.0
 """Log evidence below which an earlier finding is dropped, given the later ones."""
 
 ROUNDS = 8
-"""At most so many findings."""
+"""At most so many findings are tried."""
 
 
 class Problem(Protocol):
@@ -124,17 +124,17 @@ def search(problem: Problem, *, skip: tuple[str, ...] = ()) -> Outcome:
         accepted.append(_accept(rows, stack, ranking.pair[1], float(np.exp(ranking.pair[0]))))
         rows, stack, accepted = _refit(problem, rows, accepted, ranking.levels, skip)
         ranking = rank(rows, stack, accepted, ranking.levels)
-    while ranking.total >= np.log(CLAIM) and len(accepted) < ROUNDS:
+    for _ in range(ROUNDS):
+        if ranking.total < np.log(CLAIM):
+            break
         chosen = choose(rows, ranking, accepted)
         if chosen is None:
             break
         accepted.append(_accept(rows, stack, chosen, float(np.exp(min(ranking.total, 700)))))
         rows, stack, accepted = _refit(problem, rows, accepted, ranking.levels, skip)
-        while (extra := _superfluous(rows, accepted, ranking.levels)) is not None:
+        extra = _superfluous(rows, accepted, ranking.levels)
+        if extra is not None:
             accepted = [a for a in accepted if a is not extra]
-            if extra.in_model:
-                column = extra.columns @ (extra.values / extra.typical)
-                rows = replace(rows, residual=rows.residual + column)
             rows, stack, accepted = _refit(problem, rows, accepted, ranking.levels, skip)
         ranking = rank(rows, stack, accepted, ranking.levels)
     contrast = contrast_variance(rows)
@@ -150,7 +150,7 @@ def make_stack(rows: Rows, *, skip: tuple[str, ...], reference: bool) -> Stack:
     """Return every candidate: the catalogue and its rivals."""
     stack = Stack(len(rows.residual))
     add_catalogue(stack, rows, skip=skip, reference=reference)
-    add_rivals(stack, rows)
+    add_rivals(stack, rows, skip=skip)
     return stack
 
 
@@ -408,19 +408,20 @@ def _refine(
 
 
 def _superfluous(rows: Rows, accepted: list[Accepted], levels: FloatArray) -> Accepted | None:
-    """Return the finding that the others have made least needed, if any is worth nothing."""
+    """Return the rival or transform that later findings have made worthless, if there is one."""
     contrast = contrast_variance(rows)
+    # With all findings in the mean: drift must not take up again what they explained.
+    levels = estimate_levels(rows, fitted(rows, accepted)[: rows.n_dense], levels).values
     worst: tuple[float, Accepted | None] = (KEEP, None)
     for a in accepted[:-1]:
+        if a.in_model:
+            continue
         others = [b for b in accepted if b is not a]
         whitener = make_whitener(rows, levels, contrast, fitted(rows, others))
-        residual = rows.residual
-        if a.in_model:
-            residual = residual + a.columns @ (a.values / a.typical)
         own = Stack(len(rows.residual))
         index = own.add(a.columns)
         own.candidates.append(replace(a.candidate, index=index, summed=False))
-        value = own.log_bayes_factors(whitener, whitener.project(residual))[0]
+        value = own.log_bayes_factors(whitener, whitener.project(rows.residual))[0]
         value += np.log(a.candidate.weight)
         if value < worst[0]:
             worst = (float(value), a)

@@ -21,10 +21,17 @@ class SelfProblem:
     reference = False
 
     def __init__(
-        self, grid: Grid, model: SensorModel | None, *, gravity: float, full_gyro: bool
+        self,
+        grid: Grid,
+        model: SensorModel | None,
+        *,
+        gravity: float,
+        full_gyro: bool,
+        spread: float | None = None,
     ) -> None:
         self.grid = grid
         self.noise = sample_noise(grid)
+        self.spread = spread
         self.start = start_twin(grid, model, gravity=gravity, full_gyro=full_gyro)
         self.twin: Twin = fit_twin(grid, self.start, self.noise)
         self.given = () if model is None else model.terms
@@ -32,7 +39,7 @@ class SelfProblem:
 
     def rows(self) -> Rows:
         """Return recording minus twin."""
-        rows = build_rows(self.grid, self.twin, self.noise)
+        rows = build_rows(self.grid, self.twin, self.noise, spread=self.spread)
         return rows if self.drop is None else rows.without(self.drop[rows.segment])
 
     def move(

@@ -162,7 +162,7 @@ def _pose_means(grid: Grid) -> FloatArray:
     return out
 
 
-def build_rows(grid: Grid, twin: Twin, noise: FloatArray) -> Rows:
+def build_rows(grid: Grid, twin: Twin, noise: FloatArray, *, spread: float | None = None) -> Rows:
     """Return recording minus twin as rows, linearised at the twin.
 
     Parameters
@@ -170,6 +170,8 @@ def build_rows(grid: Grid, twin: Twin, noise: FloatArray) -> Rows:
     grid, twin : Grid, Twin
     noise : (n, 6) array
         Variance of each point's mean on each channel, white part.
+    spread : float, optional
+        How uncertain the size of drift is beforehand, in place of `SPREAD`.
     """
     state = true_state(grid, twin)
     measured = np.hstack((grid.accel, grid.gyro))
@@ -263,7 +265,15 @@ def build_rows(grid: Grid, twin: Twin, noise: FloatArray) -> Rows:
         diagonal += np.asarray(f[dense:].power(2) @ noise[:, c]).ravel()
     pieces = tuple((f @ member).tocsr() for f in functional)
     components = _components(
-        grid, pieces, kind[:dense], segment[:dense], white, noise, angle, effort
+        grid,
+        pieces,
+        kind[:dense],
+        segment[:dense],
+        white,
+        noise,
+        angle,
+        effort,
+        SPREAD if spread is None else spread,
     )
     return Rows(
         residual=residual,
@@ -338,6 +348,7 @@ def _components(
     noise: FloatArray,
     angle: FloatArray,
     effort: FloatArray,
+    spread: float,
 ) -> tuple[Component, ...]:
     """Return the unknown variances: per channel a jitter and a random walk; the closures' own."""
     dense = len(kind)
@@ -359,7 +370,7 @@ def _components(
             ("flicker", response @ flicker @ response.T, 1.0),
             ("walk", response @ walk @ response.T, 1.0),
         ):
-            out.append(Component(f"{name} {label}", matrix, share * drift, SPREAD, triad))
+            out.append(Component(f"{name} {label}", matrix, share * drift, spread, triad))
     for label, which, scale in (
         ("attitude", Kind.ATTITUDE, None),
         ("attitude by angle", Kind.ATTITUDE, angle),
