@@ -24,7 +24,7 @@ def apply(
     ],
     out: Annotated[
         Path | None,
-        typer.Option("-o", "--out", help="Recording to write; its suffix names the format."),
+        typer.Option("-o", "--output", help="Recording to write; its suffix names the format."),
     ] = None,
     profile: Annotated[
         str | None, typer.Option(help="Import profile of a foreign log: a name, or a .toml file.")
@@ -56,9 +56,9 @@ def apply(
         _filter(known)
         return
     if out is None:
-        raise typer.BadParameter("name the recording to write", param_hint="--out")
+        raise typer.BadParameter("name the recording to write", param_hint="--output")
     if any(out.resolve() == path.resolve() for path in log):
-        raise typer.BadParameter(f"{out} is the recording itself", param_hint="--out")
+        raise typer.BadParameter(f"{out} is the recording itself", param_hint="--output")
     from drivers.apply_file import apply_file
 
     coverage = apply_file(

@@ -21,7 +21,7 @@ def calibrate(
     log: Annotated[list[Path], typer.Argument(metavar="LOG...", help="Recordings of one device.")],
     out: Annotated[
         Path | None,
-        typer.Option("-o", "--out", help="Calibration to write  [default: LOG.cal.json]"),
+        typer.Option("-o", "--output", help="Calibration to write  [default: LOG.cal.json]"),
     ] = None,
     profile: Annotated[
         str | None, typer.Option(help="Import profile of a foreign log: a name, or a .toml file.")
@@ -133,10 +133,12 @@ def _destination(log: list[Path], out: Path | None) -> Path:
     destination = out or log[0].with_suffix(".cal.json")
     for path in log:
         if destination.resolve() == path.resolve():
-            raise typer.BadParameter(f"{destination} is the recording itself", param_hint="--out")
+            raise typer.BadParameter(
+                f"{destination} is the recording itself", param_hint="--output"
+            )
     if destination.is_dir() or not destination.parent.is_dir():
         raise typer.BadParameter(
-            f"{destination}: expected a file in a folder that is there", param_hint="--out"
+            f"{destination}: expected a file in a folder that is there", param_hint="--output"
         )
     return destination
 

@@ -11,7 +11,7 @@ import typer
 def convert(
     log: Annotated[list[Path], typer.Argument(metavar="LOG...", help="Recordings of one device.")],
     out: Annotated[
-        Path, typer.Option("-o", "--out", help="Recording to write; its suffix is the format.")
+        Path, typer.Option("-o", "--output", help="Recording to write; its suffix is the format.")
     ],
     profile: Annotated[
         str | None, typer.Option(help="Import profile of a foreign log: a name, or a .toml file.")
@@ -31,7 +31,7 @@ def convert(
     from imu_cli import output
 
     if any(path.exists() and out.exists() and path.samefile(out) for path in log):
-        raise typer.BadParameter(f"{out} is the recording itself", param_hint="--out")
+        raise typer.BadParameter(f"{out} is the recording itself", param_hint="--output")
     samples = lost = dropped = 0
     cut = ""
     with open_writer(out, atomic=True) as writer:

@@ -12,7 +12,7 @@ def plot(
     source: Annotated[Path, typer.Argument(help="Calibration, diagnosis (JSON), or a recording.")],
     out: Annotated[
         Path | None,
-        typer.Option("-o", "--out", help="PNG or SVG; by default the source's name with .png."),
+        typer.Option("-o", "--output", help="PNG or SVG; by default the source's name with .png."),
     ] = None,
     profile: Annotated[
         str | None, typer.Option("--profile", help="Import profile of a foreign log.")
@@ -26,7 +26,7 @@ def plot(
 
     picture = out or source.with_suffix(".png")
     if picture.suffix.lower() not in SUFFIXES:
-        raise typer.BadParameter(f"{picture} must end in .png or .svg", param_hint="--out")
+        raise typer.BadParameter(f"{picture} must end in .png or .svg", param_hint="--output")
     content = load_report(source, profile=profile, imu=imu)
     try:
         write_picture(content, picture)

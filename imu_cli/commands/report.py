@@ -12,7 +12,7 @@ def report(
     source: Annotated[Path, typer.Argument(help="Calibration, diagnosis (JSON), or a recording.")],
     out: Annotated[
         Path | None,
-        typer.Option("-o", "--out", help="The page; by default the source's name with .html."),
+        typer.Option("-o", "--output", help="The page; by default the source's name with .html."),
     ] = None,
     profile: Annotated[
         str | None, typer.Option("--profile", help="Import profile of a foreign log.")
