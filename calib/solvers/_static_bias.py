@@ -57,7 +57,10 @@ def noise_growth(recording: Recording, poses: Poses) -> FloatArray:
         if count < 2:
             continue
         means = recording.gyro[a : a + count * width].reshape(count, width, 3).mean(axis=1)
-        growth.append(0.5 * np.mean(np.diff(means, axis=0) ** 2, axis=0) * width * step)
+        square = 0.5 * np.mean(np.diff(means, axis=0) ** 2, axis=0) * width * step
+        # Successive differences have two thirds as many degrees of freedom as there are of them;
+        # the median of chi-square with v of them is v (1 - 2 / 9v)³ (Wilson and Hilferty).
+        growth.append(square / (1 - 1 / (3 * (count - 1))) ** 3)
     lsb = recording.device.gyro_lsb or 0.0
     # Rounding to a coarse LSB can leave no noise at all at rest.
     floor = max(lsb**2 / 12 * step, 1e-16)
