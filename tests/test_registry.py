@@ -5,16 +5,29 @@ Each registry has its section; add yours below.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from calib.model import Triad
+from calib.effects import effects
+from calib.effects.base import Effect, TransformEffect
+from calib.mismatch.grid import make_grid
+from calib.mismatch.noise import contrast_variance, expected_levels, make_whitener
+from calib.mismatch.rows import Rows
+from calib.mismatch.score import Stack
+from calib.mismatch.search import CLAIM, TWIN, Ranking, make_stack, rank
+from calib.mismatch.selfmode import SelfProblem
+from calib.model import SensorModel, Triad
 from calib.poses import Poses
+from calib.simulate import simulate
+from calib.simulation.bench import bench_protocol
+from calib.simulation.noise import CONSUMER
 from calib.solvers import accel_solvers
 from calib.solvers.base import AccelSolver
 from calib.solvers.quadric import NAMES, UNITS, parameters_of
+from calib.statics import find_poses
 from drivers.chips import chips, get_chip, normal_name
 from drivers.chips.base import Setup
 from drivers.emulators import emulators
@@ -122,3 +135,60 @@ def test_an_emulator_gives_samples_of_a_resting_sensor(name: str) -> None:
     # At rest but for a consumer part's errors: 40 mg and 2 °/s, five times over.
     assert np.linalg.norm(accel.mean(axis=0)) == pytest.approx(9.81, abs=2.0)
     assert np.abs(gyro.mean(axis=0)).max() < np.deg2rad(10)
+
+
+# ---- effects ----
+
+# At rest, and in turns by hand, a sensor shows these by itself; the others need a reference, a
+# vibration, the samples themselves (their own tests), or two of a kind.
+ELSEWHERE = {"earth_rate", "clock_scale", "bandwidth", "dropped_samples"}
+
+
+def _shows_by_itself(effect: Effect) -> bool:
+    readout = isinstance(effect, TransformEffect) and effect.stage == "readout"
+    alone = any(not p.reference_only for p in effect.parameters)
+    return alone and not readout and effect.slug not in ELSEWHERE and "vibration" not in effect.slug
+
+
+@pytest.fixture(scope="module")
+def bench_problem() -> SelfProblem:
+    rng = np.random.default_rng(21)
+    motion = bench_protocol(rng, poses=24, first_pose=2.0, pose_duration=(3.0, 4.0))
+    model = SensorModel(
+        Triad(rng.normal(0, 0.2, 3), rng.normal(0, 0.01, 3)), Triad(rng.normal(0, 0.01, 3))
+    )
+    recording = simulate(motion, model, CONSUMER, rng=rng, rate=50.0)
+    grid = make_grid(recording, find_poses(recording))
+    return SelfProblem(grid, None, gravity=9.80665, full_gyro=False)
+
+
+@pytest.fixture(scope="module")
+def clean_rank(bench_problem: SelfProblem) -> tuple[Rows, Stack, Ranking]:
+    rows = bench_problem.rows()
+    stack = make_stack(rows, skip=(), reference=False)
+    return rows, stack, rank(rows, stack, [], expected_levels(rows))
+
+
+@pytest.mark.parametrize(
+    "effect", [e for e in effects().values() if _shows_by_itself(e)], ids=lambda e: e.slug
+)
+def test_an_effect_is_found_when_injected_silent_when_absent_and_not_blamed_on_another(
+    effect: Effect, clean_rank: tuple[Rows, Stack, Ranking]
+) -> None:
+    rows, stack, clean = clean_rank
+    assert clean.groups[effect.slug] < np.log(CLAIM)
+    assert clean.total < np.log(CLAIM)
+    single = [c for c in stack.candidates if c.name == effect.slug and len(c.index) == 1]
+    # The middle shape of the first parameter.
+    first = [c for c in single if c.parameters == single[0].parameters]
+    own = first[len(first) // 2]
+    mean = np.hstack((rows.baseline, rows.nuisance))
+    whitener = make_whitener(rows, clean.levels, contrast_variance(rows), mean)
+    column = stack.of(own) @ np.ones(len(own.index))
+    size = np.sqrt(400.0 / np.square(whitener.project(column)).sum())
+    injected = replace(rows, residual=rows.residual + size * column)
+    found = rank(injected, stack, [], clean.levels)
+    assert found.total > np.log(CLAIM)
+    share = {g: np.exp(v - max(found.groups.values())) for g, v in found.groups.items()}
+    # It leads, or is among those that a recording like this cannot tell from the leader.
+    assert share[effect.slug] > TWIN, sorted(share.items(), key=lambda kv: -kv[1])[:4]

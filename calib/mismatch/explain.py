@@ -23,7 +23,7 @@ from calib.mismatch.families import effect_columns
 from calib.mismatch.heldout import HeldOut, held_out
 from calib.mismatch.noise import make_whitener, range_basis
 from calib.mismatch.rows import Kind, Rows
-from calib.mismatch.search import TIE, Accepted, Outcome, fitted
+from calib.mismatch.search import TIE, TWIN, Accepted, Outcome, fitted
 from calib.model import SensorModel
 from calib.recording import CHANNELS
 from calib.types import FloatArray
@@ -119,7 +119,7 @@ def explain(
             reason = "it happened once: no other pose or turn shows it"
         useless = proof.gain <= 0 or proof.after >= proof.before
         # Samples come whole: a part of one is something else that happened in this turn.
-        broken = any(q.unit == "samples" and abs(q.value) < 0.7 for q in parameters.values())
+        broken = any(q.unit == "samples" and not _is_whole(q) for q in parameters.values())
         if broken:
             moment = a.candidate.shape["moment"]
             turn = rows.interval[np.searchsorted(rows.interval[:, 0], moment, side="right") - 1]
@@ -163,6 +163,12 @@ def explain(
     return findings, unexplained, (tuple(known), covariance)
 
 
+def _is_whole(q: Quantity) -> bool:
+    """Whether a count is a whole number other than zero, within its standard error."""
+    near = round(q.value)
+    return near != 0 and abs(q.value - near) < 4.0 * (q.sigma or 0.0) + 0.05
+
+
 def _rivals(a: Accepted) -> tuple[Rival, ...]:
     own = a.posterior.get(a.candidate.group, 0.0)
     if own <= 0:
@@ -170,7 +176,7 @@ def _rivals(a: Accepted) -> tuple[Rival, ...]:
     found = [
         Rival(name, value / own)
         for name, value in a.posterior.items()
-        if name != a.candidate.group and value > TIE
+        if name != a.candidate.group and value > (TWIN if name in effects() else TIE)
     ]
     return tuple(sorted(found, key=lambda r: -r.odds))
 

@@ -47,6 +47,10 @@ LEADERS = 5
 KEEP = 0.0
 """Log evidence below which an earlier finding is dropped, given the later ones."""
 
+TWIN = 0.01
+"""The same for another effect of the catalogue: what sizes are typical is a weak argument between
+two that a recording cannot tell apart."""
+
 ROUNDS = 8
 """At most so many findings are tried."""
 

@@ -1,0 +1,50 @@
+"""One short bench recording for the tests of the diagnosis."""
+
+from functools import cache
+
+import numpy as np
+
+from calib.effects.base import Term
+from calib.mismatch.grid import Grid, make_grid
+from calib.mismatch.selfmode import SelfProblem
+from calib.model import SensorModel, Triad
+from calib.recording import Recording
+from calib.simulate import simulate
+from calib.simulation.bench import bench_protocol
+from calib.simulation.noise import CONSUMER
+from calib.statics import find_poses
+
+GRAVITY = 9.80665
+
+
+def recording(
+    *terms: Term, seed: int = 3, poses: int = 18, rate: float = 50.0, drift: float = 1.0
+) -> Recording:
+    rng = np.random.default_rng(seed)
+    motion = bench_protocol(rng, poses=poses, first_pose=2.0, pose_duration=(3.0, 4.0))
+    model = SensorModel(
+        Triad(
+            rng.normal(0, 0.2, 3), rng.normal(0, 0.01, 3), np.tril(rng.normal(0, 0.01, (3, 3)), -1)
+        ),
+        Triad(rng.normal(0, 0.01, 3), rng.normal(0, 0.01, 3)),
+        terms,
+        reference_temperature=30.0,
+    )
+    slow = CONSUMER.scaled(drift)
+    noise = type(CONSUMER)(
+        accel_noise_density=CONSUMER.accel_noise_density,
+        gyro_noise_density=CONSUMER.gyro_noise_density,
+        accel_bias_instability=slow.accel_bias_instability,
+        gyro_bias_instability=slow.gyro_bias_instability,
+        accel_random_walk=slow.accel_random_walk,
+        gyro_random_walk=slow.gyro_random_walk,
+        temperature=CONSUMER.temperature,
+    )
+    return simulate(motion, model, noise, rng=rng, rate=rate)
+
+
+@cache
+def problem(seed: int = 3) -> tuple[Grid, SelfProblem]:
+    real = recording(seed=seed)
+    grid = make_grid(real, find_poses(real))
+    return grid, SelfProblem(grid, None, gravity=GRAVITY, full_gyro=False)

@@ -1,0 +1,118 @@
+"""Whole recordings through the diagnosis: silence, names, proof, verdicts, the document."""
+
+import json
+
+import numpy as np
+import pytest
+
+from calib.calibration import Gravity
+from calib.document import from_document, to_document
+from calib.effects.base import Term
+from calib.errors import InsufficientMotionError
+from calib.mismatch import diagnose_recording
+from calib.recording import Recording
+
+from .bench import GRAVITY, recording
+
+
+@pytest.mark.parametrize(("seed", "drift"), [(11, 1.0), (12, 3.0), (13, 6.0)])
+def test_nothing_is_found_in_clean_recordings(seed, drift):
+    found = diagnose_recording(recording(seed=seed, drift=drift), gravity=GRAVITY)
+    assert found.verdict == "consistent"
+    assert not found.findings
+    assert not found.unexplained
+
+
+def test_two_effects_are_found_and_proven_and_become_a_calibration():
+    truth = {
+        "gyro_misalignment": {"mxy": 0.02, "myz": -0.015},
+        "gyro_g_sensitivity": {"gxz": 2e-4},
+    }
+    real = recording(*(Term(k, v) for k, v in truth.items()))
+    found = diagnose_recording(real, gravity=GRAVITY)
+    assert found.verdict == "explained"
+    assert {f.effect for f in found.findings} == set(truth)
+    for item in found.findings:
+        for name, q in item.parameters.items():
+            assert q.sigma is not None
+            assert abs(q.value - truth[item.effect].get(name, 0.0)) < 4 * q.sigma, name
+        assert item.held_out is not None
+        assert item.held_out.after < item.held_out.before
+        assert item.p_value < 0.01
+    document = found.to_json()
+    assert json.loads(json.dumps(document, allow_nan=False)) == document
+    assert document["format"] == "imu-cal/diagnosis"
+    wanted = {"effect", "channels", "intervals", "regime", "parameters", "p_value"}
+    wanted |= {"absorbed_by", "held_out", "rivals", "to_separate"}
+    assert wanted <= set(document["findings"][0])
+    made = found.calibration(real, gravity=Gravity(GRAVITY, "given"))
+    again = from_document(to_document(made))
+    assert {t.effect for t in again.model.terms} == set(truth)
+
+
+def test_an_event_is_kept_apart_from_the_sensor():
+    real = recording(Term("gyro_bias_step", {"by": 0.004, "moment": 45.0}))
+    found = diagnose_recording(real, gravity=GRAVITY)
+    step = next(f for f in found.findings if f.effect == "gyro_bias_step")
+    assert step.channels == ("gyro.y",)
+    assert abs(step.intervals[0][0] - 45.0) < 4.0
+    made = found.calibration(real, gravity=Gravity(GRAVITY, "given"))
+    assert not made.model.terms
+    assert [e.effect for e in made.events] == ["gyro_bias_step"]
+
+
+def test_a_window_of_interference_gets_no_physical_name():
+    real = recording()
+    inside = (real.time > 30) & (real.time < 50)
+    gyro = real.gyro.copy()
+    gyro[:, 2] += 0.004 * inside * np.sign(np.sin(2 * np.pi * real.time / 9.0))
+    odd = Recording(real.time, real.accel, gyro, "device", temperature=real.temperature)
+    found = diagnose_recording(odd, gravity=GRAVITY)
+    assert found.verdict == "unexplained"
+    left = found.unexplained[0]
+    assert "gyro.z" in left.channels
+    start, stop = left.intervals[0]
+    assert min(stop, 50) - max(start, 30) > 0.5 * (max(stop, 50) - min(start, 30))
+
+
+def test_clipping_is_seen_in_the_samples():
+    real = recording()
+    limit = float(np.quantile(np.abs(real.gyro[:, 0]), 0.995))
+    gyro = np.clip(real.gyro, -limit, limit)
+    found = diagnose_recording(Recording(real.time, real.accel, gyro, "device"), gravity=GRAVITY)
+    item = next(f for f in found.findings if f.effect == "saturation")
+    assert "gyro.x" in item.channels
+    np.testing.assert_allclose(item.parameters["gyro_full_scale"].value, limit, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("accel", "gyro", "name"),
+    [
+        (1.0, np.degrees(1.0) * np.eye(3), "unit_error"),
+        (1.0 / GRAVITY, np.eye(3), "unit_error"),
+        (1.0, np.eye(3)[[1, 0, 2]], "axis_error"),
+    ],
+)
+def test_wrong_units_and_axes_are_named_alone(accel, gyro, name):
+    real = recording()
+    wrong = Recording(real.time, accel * real.accel, real.gyro @ gyro.T, "device")
+    found = diagnose_recording(wrong, gravity=GRAVITY)
+    assert [f.effect for f in found.findings] == [name]
+
+
+def test_one_pose_cannot_tell():
+    real = recording(poses=1)
+    found = diagnose_recording(real, gravity=GRAVITY)
+    assert found.verdict == "undetermined"
+    assert any("pose" in text for text in found.missing)
+
+
+def test_a_recording_that_only_moves_is_refused():
+    time = np.arange(0, 20, 0.02)
+    rng = np.random.default_rng(0)
+    gyro = 3 * np.sin(2 * np.pi * time[:, None] * [0.9, 1.1, 1.3]) + rng.normal(0, 0.01, (1000, 3))
+    accel = 9.8 * np.cos(2 * np.pi * time[:, None] * [0.7, 1.2, 0.8]) + rng.normal(
+        0, 0.1, (1000, 3)
+    )
+    with pytest.raises(InsufficientMotionError, match="rest"):
+        diagnose_recording(Recording(time, accel, gyro, "device"), gravity=GRAVITY)

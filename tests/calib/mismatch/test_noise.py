@@ -1,0 +1,72 @@
+"""The noise model: levels are recovered, and the closed forms agree with brute force."""
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.stats import multivariate_normal
+
+from calib.mismatch.noise import (
+    contrast_variance,
+    covariance,
+    estimate_levels,
+    expected_levels,
+    make_whitener,
+)
+from calib.mismatch.score import SCALES, Candidate, Stack
+
+from .bench import problem
+
+
+def test_levels_are_recovered():
+    _, self_mode = problem()
+    rows = self_mode.rows()
+    levels = expected_levels(rows)
+    names = [c.name for c in rows.components]
+    true = 30.0
+    for axis in "xyz":
+        levels[names.index(f"gyro.{axis} flicker")] *= true
+    factor = np.linalg.cholesky(covariance(rows, levels))
+    mean = np.hstack((rows.baseline, rows.nuisance))[: rows.n_dense]
+    rng = np.random.default_rng(1)
+    found = []
+    for _ in range(6):
+        residual = np.concatenate(
+            (factor @ rng.normal(size=rows.n_dense), np.zeros(len(rows.residual) - rows.n_dense))
+        )
+        fit = estimate_levels(replace(rows, residual=residual), mean, expected_levels(rows))
+        found += [
+            fit.values[names.index(f"gyro.{a} flicker")]
+            / rows.components[names.index(f"gyro.{a} flicker")].expected
+            for a in "xyz"
+        ]
+    # The prior pulls towards 1 by a known amount; half of the logarithm must come back.
+    assert np.median(found) > np.sqrt(true)
+    assert np.median(found) < 2 * true
+
+
+def test_bayes_factors_agree_with_the_densities():
+    _, self_mode = problem()
+    rows = self_mode.rows()
+    levels = expected_levels(rows)
+    empty = np.zeros((len(rows.residual), 0))
+    whitener = make_whitener(rows, levels, contrast_variance(rows), empty)
+    y = whitener.project(rows.residual)[:30]
+    whole = np.zeros(len(rows.residual))
+    whole[:30] = y
+    z = np.random.default_rng(2).normal(size=(len(rows.residual), 2))
+    z[30:] = 0.0
+    stack = Stack(len(z))
+    unit = type("Unit", (), {"whiten": staticmethod(lambda v: v), "basis": empty})()
+    index = stack.add(z)
+    stack.candidates.append(Candidate("both", index, 1.0, True, ("accel.x",)))
+    stack.candidates.append(Candidate("first", index[:1], 1.0, True, ("accel.x",)))
+    found = stack.log_bayes_factors(unit, whole)
+    shares = np.append(np.full(8, 0.12), [0.02, 0.02])
+    null = multivariate_normal(np.zeros(30), np.eye(30)).logpdf(y)
+    for value, columns in zip(found, (z[:30], z[:30, :1]), strict=True):
+        each = [
+            multivariate_normal(np.zeros(30), np.eye(30) + s**2 * columns @ columns.T).logpdf(y)
+            for s in SCALES
+        ]
+        expected = np.log(np.sum(shares * np.exp(np.array(each) - null)))
+        np.testing.assert_allclose(value, expected, rtol=1e-8)

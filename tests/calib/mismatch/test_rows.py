@@ -1,0 +1,78 @@
+"""Rows are what they claim: their derivatives agree with differences of the rows themselves."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from calib.mismatch.grid import make_grid
+from calib.mismatch.rows import Kind
+from calib.mismatch.twin import build_rows
+from calib.statics import find_poses
+
+from .bench import problem, recording
+
+STEP = 1e-6
+
+
+def test_functional_is_the_derivative_by_the_signals():
+    grid, self_mode = problem()
+    rows = self_mode.rows()
+    change = np.random.default_rng(0).normal(size=(len(grid.time), 6))
+    moved = replace(
+        grid, accel=grid.accel + STEP * change[:, :3], gyro=grid.gyro + STEP * change[:, 3:]
+    )
+    seen = build_rows(moved, self_mode.twin, self_mode.noise).residual - rows.residual
+    expected = sum(f @ change[:, c] for c, f in enumerate(rows.functional))
+    np.testing.assert_allclose(seen / STEP, expected, atol=2e-3 * np.abs(expected).max())
+
+
+def test_baseline_columns_are_derivatives_by_the_parameters():
+    grid, self_mode = problem()
+    rows = self_mode.rows()
+    still = np.zeros((grid.n_poses, 2))
+    for j, name in enumerate(rows.names):
+        twin = self_mode.twin.moved({name: STEP}, still)
+        seen = (build_rows(grid, twin, self_mode.noise).residual - rows.residual) / STEP
+        scale = np.abs(rows.baseline[:, j]).max()
+        np.testing.assert_allclose(seen, -rows.baseline[:, j], atol=1e-2 * scale, err_msg=name)
+
+
+def test_nuisance_columns_are_derivatives_by_the_attitudes():
+    grid, self_mode = problem()
+    rows = self_mode.rows()
+    for j in range(4):
+        angles = np.zeros((grid.n_poses, 2))
+        angles.ravel()[j] = STEP
+        twin = self_mode.twin.moved({}, angles)
+        seen = (build_rows(grid, twin, self_mode.noise).residual - rows.residual) / STEP
+        scale = np.abs(rows.nuisance[:, j]).max()
+        np.testing.assert_allclose(seen, -rows.nuisance[:, j], atol=1e-4 * scale)
+
+
+def test_rows_without_some_segments_keep_their_own():
+    _, self_mode = problem()
+    rows = self_mode.rows()
+    drop = rows.segment == rows.segment[rows.kind == Kind.ATTITUDE][0]
+    fewer = rows.without(drop)
+    assert len(fewer.residual) == len(rows.residual) - drop.sum()
+    assert fewer.white.shape == (fewer.n_dense, fewer.n_dense)
+    np.testing.assert_array_equal(fewer.residual, rows.residual[~drop])
+
+
+def test_a_common_lever_arm_drops_out_of_the_velocity_closure():
+    from calib.effects import get_effect
+
+    _, self_mode = problem()
+    rows = self_mode.rows()
+    columns = get_effect("accel_lever_arm").columns(rows.state, {})
+    arm = rows.column(columns["rx"])[rows.kind == Kind.VELOCITY]
+    size = rows.column({"accel.x": columns["rx"]["accel.x"]})[rows.kind == Kind.VELOCITY]
+    assert np.abs(arm).max() < 0.03 * np.abs(size).max()
+
+
+def test_long_recordings_are_thinned():
+    real = recording(poses=6)
+    grid = make_grid(real, find_poses(real))
+    assert grid.count.sum() <= len(real)
+    assert (grid.count > 5).any()
+    assert (np.diff(grid.time) > 0).all()
