@@ -264,6 +264,12 @@ def sized_term(effect: Effect, rows: Rows, whitener, power: float, rng) -> Term:
         weights = {n: typical[n] * float(rng.choice([-1.0, 1.0])) for n in used}
     total = sum(w * rows.column(columns[n]) for n, w in weights.items())
     scale = float(np.sqrt(power / np.square(whitener.project(total)).sum()))
+    if any(p.unit == "samples" for p in effect.parameters):
+        # Samples are lost whole: the nearest number to the power that was asked for.
+        weights = {
+            n: float(np.sign(w)) * max(1.0, round(abs(scale * w))) for n, w in weights.items()
+        }
+        scale = 1.0
     if chosen is not None:
         # A presence is 1: its size is the shape itself. Keep the sign and let power be what it is.
         return Term(effect.slug, {**dict.fromkeys(used, 1.0), **shape})

@@ -17,7 +17,7 @@ from calib.mismatch.grid import make_grid
 from calib.mismatch.noise import contrast_variance, expected_levels, make_whitener
 from calib.mismatch.rows import Rows
 from calib.mismatch.score import Stack
-from calib.mismatch.search import CLAIM, TWIN, Ranking, make_stack, rank
+from calib.mismatch.search import CLAIM, Ranking, make_stack, rank
 from calib.mismatch.selfmode import SelfProblem
 from calib.model import SensorModel, Triad
 from calib.poses import Poses
@@ -190,5 +190,6 @@ def test_an_effect_is_found_when_injected_silent_when_absent_and_not_blamed_on_a
     found = rank(injected, stack, [], clean.levels)
     assert found.total > np.log(CLAIM)
     share = {g: np.exp(v - max(found.groups.values())) for g, v in found.groups.items()}
-    # It leads, or is among those that a recording like this cannot tell from the leader.
-    assert share[effect.slug] > TWIN, sorted(share.items(), key=lambda kv: -kv[1])[:4]
+    # It leads, or is among those that a recording like this cannot tell from the leader, where only
+    # what sizes are typical decides.
+    assert share[effect.slug] > 1e-3, sorted(share.items(), key=lambda kv: -kv[1])[:4]

@@ -392,8 +392,7 @@ def _refine(
     best = last
 
     def gain(a: Accepted) -> float:
-        z = whitener.project(a.columns)
-        return float(np.square(z @ np.linalg.lstsq(z, y, rcond=1e-9)[0]).sum())
+        return _gain(whitener.project(a.columns), y)
 
     value = gain(best)
     for shape in neighbours(effect, rows, last.candidate.shape):
@@ -445,6 +444,22 @@ def _posterior(
         residual = residual + own.columns @ (own.values / own.typical)
     scores = stack.log_bayes_factors(whitener, whitener.project(residual))
     evidence = scores + np.log(np.array([c.weight for c in stack.candidates]))
-    _, groups = _grouped(stack, evidence)
+    best, groups = _grouped(stack, evidence)
     total = logsumexp(list(groups.values()))
-    return {g: float(np.exp(v - total)) for g, v in groups.items() if v - total > np.log(1e-3)}
+    out = {g: float(np.exp(v - total)) for g, v in groups.items() if v - total > np.log(1e-3)}
+    if own.candidate.physical:
+        y = whitener.project(residual)
+        reached = _gain(whitener.project(own.columns), y)
+        for g, candidate in best.items():
+            # A twin fits as well with no more parameters, whatever size it then has.
+            few = len(candidate.index) <= own.columns.shape[1]
+            small = candidate.physical and few and out.get(g, 0.0) < 2 * TWIN
+            if small and _gain(whitener.project(stack.of(candidate)), y) > reached - 2.0:
+                out[g] = 2 * TWIN
+    return out
+
+
+def _gain(columns: FloatArray, y: FloatArray) -> float:
+    """Return the log-likelihood that whitened columns gain at their best fit."""
+    fit = columns @ np.linalg.lstsq(columns, y, rcond=1e-9)[0]
+    return 0.5 * float(fit @ fit)
