@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from calib.effects import get_effect
 from calib.effects.base import Term
 from calib.mismatch.grid import Grid
 from calib.mismatch.rows import Rows
@@ -38,13 +39,25 @@ class SelfProblem:
         self.drop: BoolArray | None = None
 
     def rows(self) -> Rows:
-        """Return recording minus twin."""
+        """Return recording minus twin; the given model's own terms are fitted along with it."""
         rows = build_rows(self.grid, self.twin, self.noise, spread=self.spread)
+        known = [
+            rows.column(signals)
+            for term in self.given
+            for signals in get_effect(term.effect).columns(rows.state, _shape(term)).values()
+        ]
+        if known:
+            rows = replace(rows, nuisance=np.column_stack((rows.nuisance, *known)))
         return rows if self.drop is None else rows.without(self.drop[rows.segment])
 
     def move(
         self, baseline: Mapping[str, float], nuisance: FloatArray, terms: tuple[Term, ...]
     ) -> None:
         """Move the twin."""
-        twin = self.twin.moved(baseline, np.asarray(nuisance).reshape(-1, 2))
+        twin = self.twin.moved(baseline, nuisance[: 2 * self.grid.n_poses].reshape(-1, 2))
         self.twin = replace(twin, model=replace(twin.model, terms=(*self.given, *terms)))
+
+
+def _shape(term: Term) -> dict[str, float]:
+    names = [item.name for item in get_effect(term.effect).shape]
+    return {n: term.parameters[n] for n in names if n in term.parameters}
