@@ -129,11 +129,14 @@ class Stack:
         used = np.unique(np.concatenate([self.candidates[i].index for i in which]))
         place = np.zeros(self._count, np.int64)
         place[used] = np.arange(len(used))
-        white = whitener.whiten(self.columns[:, used])
+        projected = np.empty((self._rows, len(used)))
+        # In parts: whitening needs copies.
+        for part in np.array_split(np.arange(len(used)), 1 + len(used) // 256):
+            projected[:, part] = whitener.whiten(self.columns[:, used[part]])
+        total = np.einsum("ij,ij->j", projected, projected)
         basis = whitener.basis
-        projected = white - basis @ (basis.T @ white)
-        total = np.square(white).sum(axis=0)
-        projected[:, np.square(projected).sum(axis=0) < _LOST * total] = 0.0
+        projected -= basis @ (basis.T @ projected)
+        projected[:, np.einsum("ij,ij->j", projected, projected) < _LOST * total] = 0.0
         match = y @ projected
         out = np.full(len(self.candidates), -np.inf)
         single = [i for i in which if self.candidates[i].is_single]

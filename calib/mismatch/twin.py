@@ -424,8 +424,7 @@ def fit_twin(grid: Grid, twin: Twin, noise: FloatArray, *, iterations: int = 8) 
     """
     loose = np.array([_LOOSE[n.split(".")[1]] for n in twin.names])
     for _ in range(iterations):
-        rows = build_rows(grid, twin, noise)
-        twin, size = _step(rows, twin, loose)
+        twin, size = _step(build_rows(grid, twin, noise), twin, loose)
         if size < 1e-7:
             break
     return twin
