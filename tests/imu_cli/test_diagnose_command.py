@@ -1,0 +1,54 @@
+"""``imu-cal diagnose`` as a user meets it: JSON alone on stdout, a model written, clear refusals."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from calib.effects.base import Term
+from calib.model import SensorModel, Triad
+from calib.simulate import simulate
+from calib.simulation.bench import bench_protocol
+from calib.simulation.noise import CONSUMER
+from drivers.calibration_file import load_calibration
+from drivers.formats import write_recording
+from imu_cli.app import app
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    rng = np.random.default_rng(5)
+    motion = bench_protocol(rng, poses=14, first_pose=2.0, pose_duration=(3.0, 4.0))
+    term = Term("gyro_misalignment", {"mxy": 0.03})
+    model = SensorModel(Triad(), Triad(), (term,))
+    path = tmp_path_factory.mktemp("diagnose") / "log.arrow"
+    write_recording(simulate(motion, model, CONSUMER, rng=rng, rate=50.0), path)
+    return path
+
+
+def test_json_is_alone_on_stdout_and_the_model_is_written(log: Path, tmp_path: Path) -> None:
+    out = tmp_path / "model.json"
+    result = CliRunner().invoke(app, ["diagnose", str(log), "--json", "-o", str(out)])
+    assert result.exit_code == 0, result.stderr
+    document = json.loads(result.stdout)
+    assert document["format"] == "imu-cal/diagnosis"
+    assert document["verdict"] == "explained"
+    assert document["findings"][0]["effect"] == "gyro_misalignment"
+    terms = load_calibration(out).model.terms
+    assert abs(terms[0].parameters["mxy"] - 0.03) < 0.003
+
+
+def test_the_screen_says_what_where_and_how_sure(log: Path) -> None:
+    result = CliRunner().invoke(app, ["diagnose", str(log)])
+    assert result.exit_code == 0
+    for words in ("Explained", "gyro misalignment", "Where:", "How sure:", "held-out"):
+        assert words in result.stdout
+
+
+def test_a_missing_file_and_a_wrong_gravity_are_refused(log: Path, tmp_path: Path) -> None:
+    assert CliRunner().invoke(app, ["diagnose", str(tmp_path / "no.csv")]).exit_code == 3
+    wrong = CliRunner().invoke(app, ["diagnose", str(log), "--gravity", "32.2"])
+    assert wrong.exit_code == 2
+    assert "m/s²" in wrong.output
