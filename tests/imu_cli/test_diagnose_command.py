@@ -20,7 +20,7 @@ from imu_cli.app import app
 @pytest.fixture(scope="module")
 def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     rng = np.random.default_rng(5)
-    motion = bench_protocol(rng, poses=14, first_pose=2.0, pose_duration=(3.0, 4.0))
+    motion = bench_protocol(rng, poses=12, first_pose=2.0, pose_duration=(3.0, 4.0))
     term = Term("gyro_misalignment", {"mxy": 0.03})
     model = SensorModel(Triad(), Triad(), (term,))
     path = tmp_path_factory.mktemp("diagnose") / "log.arrow"
