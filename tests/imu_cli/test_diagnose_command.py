@@ -1,4 +1,4 @@
-"""``imu-cal diagnose`` as a user meets it: JSON alone on stdout, a model written, clear refusals."""
+"""``imu-cal diagnose`` as a user meets it: JSON alone on stdout, a model, clear refusals."""
 
 import json
 from pathlib import Path
