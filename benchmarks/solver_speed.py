@@ -10,9 +10,12 @@ numeric derivatives, as most scripts do it. Speed figures do not fail the run; r
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 import time
 from collections.abc import Callable
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # what the commands set, too
 
 import numpy as np
 from scipy.optimize import least_squares
