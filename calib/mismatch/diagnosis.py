@@ -18,6 +18,7 @@ from calib.calibration import (
 )
 from calib.effects import get_effect
 from calib.effects.base import Term
+from calib.mismatch.evidence import Evidence
 from calib.mismatch.heldout import HeldOut
 from calib.model import SensorModel
 from calib.recording import Recording
@@ -69,6 +70,7 @@ class Finding:
     rivals: tuple[Rival, ...]
     to_separate: str
     sentence: str
+    evidence: Evidence | None = None
 
     def term(self) -> Term:
         """Return the finding as a term of a sensor model."""
@@ -108,6 +110,7 @@ class Finding:
             "rivals": [{"effect": r.effect, "odds": r.odds} for r in self.rivals],
             "to_separate": self.to_separate,
             "sentence": self.sentence,
+            "evidence": None if self.evidence is None else self.evidence.to_json(),
         }
 
 

@@ -19,6 +19,7 @@ from calib.mismatch.diagnosis import (
     Unexplained,
     Verdict,
 )
+from calib.mismatch.evidence import gather
 from calib.mismatch.families import effect_columns
 from calib.mismatch.heldout import HeldOut, held_out
 from calib.mismatch.noise import make_whitener, range_basis
@@ -37,6 +38,7 @@ class Estimate:
     covariance: FloatArray
     at: tuple[int, ...]
     extra: int
+    left: FloatArray
 
 
 def estimate(outcome: Outcome, *, reference: bool) -> Estimate:
@@ -57,7 +59,7 @@ def estimate(outcome: Outcome, *, reference: bool) -> Estimate:
     at = [start]
     for a in outcome.accepted:
         at.append(at[-1] + a.columns.shape[1])
-    return Estimate(step, half @ half.T, tuple(at), at[-1])
+    return Estimate(step, half @ half.T, tuple(at), at[-1], rows.residual - full @ step)
 
 
 def _shape_columns(rows: Rows, a: Accepted, *, reference: bool) -> FloatArray:
@@ -113,7 +115,8 @@ def explain(
             elif item.unit == "s" and item.low is None:
                 spread = _moment_sigma(rows, here)
             parameters[item.name] = Quantity(float(here), spread, item.unit)
-        absorbed, proof = _proof(outcome, fit, i, names)
+        absorbed, proof, before = _proof(outcome, fit, i, names)
+        predicted = a.columns @ (a.values / a.typical + fit.step[part])
         reason = ""
         if effect.kind == "event" and proof.gain <= 0:
             reason = "it happened once: no other pose or turn shows it"
@@ -151,6 +154,7 @@ def explain(
                 rivals=rivals,
                 to_separate=_to_separate(effect, rivals),
                 sentence=effect.sentence,
+                evidence=gather(rows, effect, predicted, before, fit.left),
             )
         )
         if effect.kind == "sensor":
@@ -224,8 +228,8 @@ def _moment_sigma(rows: Rows, moment: float) -> float:
 
 def _proof(
     outcome: Outcome, fit: Estimate, which: int, names: tuple[str, ...]
-) -> tuple[tuple[Absorbed, ...], HeldOut]:
-    """Return which baseline parameters had absorbed a finding, and its held-out worth."""
+) -> tuple[tuple[Absorbed, ...], HeldOut, FloatArray]:
+    """Return what had absorbed a finding, its held-out worth, and the residuals without it."""
     rows = outcome.rows
     own = outcome.accepted[which]
     others = [a for i, a in enumerate(outcome.accepted) if i != which]
@@ -253,7 +257,8 @@ def _proof(
         contrast=outcome.contrast,
         channels=own.candidate.channels,
     )
-    return tuple(absorbed[:8]), proof
+    left = residual - (mean / scale) @ without[0]
+    return tuple(absorbed[:8]), proof, left
 
 
 _CLOCK_LIKE = ("warm_up", "bias_step")

@@ -25,6 +25,10 @@ def diagnose(
         Path | None,
         typer.Option("-o", "--output", help="Write the sensor model that was found."),
     ] = None,
+    report: Annotated[
+        Path | None,
+        typer.Option("--report", help="Write a page with the plots that convinced (HTML)."),
+    ] = None,
     json: Annotated[bool, typer.Option("--json", help="Print one JSON document.")] = False,
 ) -> None:
     """Find the physics that a simulation of this recording leaves out.
@@ -52,6 +56,12 @@ def diagnose(
     if output is not None:
         made = found.calibration(real, gravity=Gravity(gravity, "given"))
         save_calibration(_signed(made, recording), output)
+    if report is not None:
+        from drivers.calibration_file import write_atomic
+        from imu_cli.report.diagnosis import diagnosis_report
+        from imu_cli.report.page import render_page
+
+        write_atomic(report, render_page(diagnosis_report(found.to_json())))
     if json:
         print_json(found.to_json())
     else:
