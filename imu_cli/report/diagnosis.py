@@ -80,7 +80,7 @@ def _overview(findings: list[Mapping[str, Any]]) -> Table:
             (
                 finding["effect"],
                 ", ".join(finding["channels"]),
-                f"{finding['p_value']:.1g}",
+                _chance(finding["p_value"]),
                 gain,
                 ", ".join(r["effect"] for r in finding["rivals"]) or "-",
             )
@@ -134,13 +134,14 @@ def _absorbed(item: Any) -> str:
 
 def _evidence(number: int, effect: str, evidence: Mapping[str, Any]) -> Plot:
     unit, factor = people_unit(evidence["unit"])
+    x_name, x_factor = people_unit(evidence["x_unit"])
     series = []
     for item in evidence["series"]:
-        x = np.asarray(item["x"], np.float64)
+        x = np.asarray(item["x"], np.float64) * x_factor
         for label in ("before", "after"):
             y = np.asarray(item[label], np.float64) * factor
             series.append(Series(f"{item['channel']} {label}", x, y))
-    x_unit = f", {evidence['x_unit']}" if evidence["x_unit"] else ""
+    x_unit = f", {x_name}" if x_name else ""
     return Plot(
         f"{number}. {effect}: residual against {evidence['follows']}",
         f"{evidence['follows']}{x_unit}",
@@ -150,13 +151,18 @@ def _evidence(number: int, effect: str, evidence: Mapping[str, Any]) -> Plot:
     )
 
 
+def _chance(p_value: float) -> str:
+    """Write a p-value; below a millionth the noise model is not to be trusted to the digit."""
+    return "< 1e-6" if p_value < 1e-6 else f"{p_value:.1g}"
+
+
 def _unexplained(items: list[Mapping[str, Any]]) -> Table:
     rows = tuple(
         (
             ", ".join(item["channels"]),
             "; ".join(f"{a:.1f} to {b:.1f} s" for a, b in item["intervals"]),
             item["follows"],
-            f"{item['p_value']:.1g}",
+            _chance(item["p_value"]),
         )
         for item in items
     )
