@@ -9,6 +9,7 @@
     │   ├── EmptyRecordingError         no samples in it
     │   ├── InvalidSampleError          NaN, infinite, time not increasing
     │   ├── UnitError                   values do not have the declared unit
+    │   ├── NoCommonMotionError         two recordings do not show one motion
     │   └── RecordingWriteError         disk full, no such folder, not allowed
     ├── CalibrationError                no (whole) answer from this data   exit 4
     │   ├── InsufficientMotionError     the poses or turns do not determine it
@@ -71,6 +72,10 @@ class InvalidSampleError(RecordingError, ValueError):
 
 class UnitError(RecordingError, ValueError):
     """The values do not have the unit that was declared."""
+
+
+class NoCommonMotionError(RecordingError, ValueError):
+    """Two recordings, or a recording and a reference, do not show the same motion."""
 
 
 class RecordingWriteError(RecordingError, OSError):

@@ -315,10 +315,11 @@ def changes(outcome: Outcome, rows_before: Rows) -> tuple[tuple[Change, ...], tu
 
 
 def _row_kinds(rows: Rows) -> list[tuple[str, str, FloatArray]]:
+    where = "at rest" if rows.is_rest.any() else "over windows"
     out = []
     for label, unit, own in (
-        ("accel at rest", "m/s²", (rows.kind <= Kind.CONTRAST) & (rows.channel // 3 == 0)),
-        ("gyro at rest", "rad/s", (rows.kind <= Kind.CONTRAST) & (rows.channel // 3 == 1)),
+        (f"accel {where}", "m/s²", (rows.kind <= Kind.CONTRAST) & (rows.channel // 3 == 0)),
+        (f"gyro {where}", "rad/s", (rows.kind <= Kind.CONTRAST) & (rows.channel // 3 == 1)),
         ("attitude after turns", "rad", rows.kind == Kind.ATTITUDE),
         ("velocity after turns", "m/s", rows.kind == Kind.VELOCITY),
     ):

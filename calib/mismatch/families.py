@@ -74,7 +74,7 @@ def effect_columns(
     sizes = {p.name: p.typical for p in effect.parameters if reference or not p.reference_only}
     out = {}
     for name, signals in effect.columns(rows.state, shape).items():
-        if name in sizes:
+        if name in sizes and f"{effect.slug}.{name}" not in rows.aligned:
             values = rows.column(signals) * sizes[name]
             if isinstance(effect, TransformEffect):
                 # A delay or a filter changes nothing at rest; the grid thins rests, so that what

@@ -108,7 +108,8 @@ def _telling_rows(
             label = kind.name.lower()
             if kind in (Kind.MEAN, Kind.CONTRAST):
                 own &= touched & (rows.channel // 3 == (0 if triad == "accel" else 1))
-                label = f"{triad} {'means' if kind == Kind.MEAN else 'changes'} at rest"
+                where = "at rest" if rows.is_rest.any() else "over windows"
+                label = f"{triad} {'means' if kind == Kind.MEAN else 'changes'} {where}"
             else:
                 unit = _UNITS[kind]
                 label = f"{label} closure of turns"

@@ -76,6 +76,8 @@ class Rows:
     is_rest : (s,) array of bool
     pieces : six sparse (m, s) matrices
         Response to a constant on each channel in each segment (functional times indicator).
+    aligned : tuple of str
+        Parameters (``effect.name``) that `nuisance` fits: an alignment in time, a rotation.
     """
 
     residual: FloatArray
@@ -95,6 +97,7 @@ class Rows:
     interval: FloatArray
     is_rest: BoolArray
     pieces: tuple[Any, ...] = field(default=())
+    aligned: tuple[str, ...] = ()
 
     @property
     def n_dense(self) -> int:

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from calib.effects import get_effect
-from calib.effects.base import Term, TransformEffect
+from calib.effects.base import PRESENCE, Term, TransformEffect
 from calib.mismatch.families import add_catalogue, effect_columns, neighbours
 from calib.mismatch.noise import (
     contrast_variance,
@@ -59,6 +59,7 @@ class Problem(Protocol):
     """Where rows come from: a recording and its twin, a simulation, or a reference."""
 
     reference: bool
+    moves_signals: bool
 
     def rows(self) -> Rows:
         """Return recording minus model, linearised where the model stands."""
@@ -337,7 +338,7 @@ def _refit(
         k = a.columns.shape[1]
         change = step[at : at + k] * a.typical
         at += k
-        if _movable(a.candidate):
+        if _movable(a.candidate, signals=problem.moves_signals):
             a = replace(a, values=a.values + change, in_model=True)
             values = dict(zip(a.candidate.parameters, a.values, strict=True))
             terms.append(Term(a.candidate.name, {**values, **a.candidate.shape}))
@@ -349,8 +350,17 @@ def _refit(
     return rows, stack, [_renew(a, rows, reference=problem.reference) for a in moved]
 
 
-def _movable(candidate: Candidate) -> bool:
-    return candidate.physical and not isinstance(get_effect(candidate.name), TransformEffect)
+def _movable(candidate: Candidate, *, signals: bool) -> bool:
+    """Return whether a model can take up a finding.
+
+    What is added always; what acts on the signals where the model predicts them, in proportion.
+    """
+    if not candidate.physical:
+        return False
+    effect = get_effect(candidate.name)
+    if not isinstance(effect, TransformEffect):
+        return True
+    return signals and all(p.unit != PRESENCE for p in effect.parameters)
 
 
 def _renew(a: Accepted, rows: Rows, *, reference: bool) -> Accepted:

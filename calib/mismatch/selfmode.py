@@ -20,6 +20,7 @@ class SelfProblem:
     """Rows of a recording against its twin under a model whose baseline is fitted to it."""
 
     reference = False
+    moves_signals = False
 
     def __init__(
         self,

@@ -18,6 +18,12 @@ def diagnose(
         Path | None,
         typer.Option(help="Compare with the twin under this calibration, not the paper's model."),
     ] = None,
+    against: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="SIM", help="Compare with this simulation; rate and start time may differ."
+        ),
+    ] = None,
     profile: Annotated[str | None, typer.Option(help="Import profile of a foreign log.")] = None,
     imu: Annotated[int | None, typer.Option(help="Which sensor of a board, from 1.")] = None,
     gravity: Annotated[float, typer.Option(help="Local gravity, m/s².")] = 9.80665,
@@ -34,14 +40,15 @@ def diagnose(
     """Find the physics that a simulation of this recording leaves out.
 
     The simulation is the recording's own twin: its rests and turns, under the paper's sensor model
-    (or the one given) fitted to it. Every verdict ends with exit code 0.
+    (or the one given) fitted to it. With --against it is your own simulation, whose motion is taken
+    as the truth. Every verdict ends with exit code 0.
     """
     import os
 
     # Matrices of a few hundred rows: more threads only cost CPU.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from calib.calibration import Gravity
-    from calib.mismatch import diagnose_recording
+    from calib.mismatch import diagnose_against, diagnose_recording
     from drivers.calibration_file import load_calibration, save_calibration
     from drivers.formats import read_recording
     from imu_cli.output import print_json
@@ -52,7 +59,12 @@ def diagnose(
         )
     known = None if calibration is None else load_calibration(calibration)
     real = read_recording(recording, profile=profile, imu=imu)
-    found = diagnose_recording(real, gravity=gravity, model=None if known is None else known.model)
+    model = None if known is None else known.model
+    if against is not None:
+        simulated = read_recording(against)
+        found = diagnose_against(real, simulated, gravity=gravity, model=model)
+    else:
+        found = diagnose_recording(real, gravity=gravity, model=model)
     if output is not None:
         made = found.calibration(real, gravity=Gravity(gravity, "given"))
         save_calibration(_signed(made, recording), output)
@@ -147,7 +159,7 @@ def _show_finding(number: int, item: Finding) -> None:
     if item.held_out is not None:
         h = item.held_out
         out.print(
-            f"   On held-out poses and turns, {h.rows}: {h.before:.3g} -> {h.after:.3g} {h.unit} "
+            f"   On held-out blocks, {h.rows}: {h.before:.3g} -> {h.after:.3g} {h.unit} "
             f"(noise floor {h.noise_floor:.3g}).",
             soft_wrap=True,
         )

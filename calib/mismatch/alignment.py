@@ -1,0 +1,197 @@
+"""Where one recording lies in the time of another, from the rotation that both saw.
+
+The size of the angular rate needs no common frame, so it is what is correlated. The offset of the
+best normalised correlation is refined by the same correlation in parts of the recording: a line
+through the parts' offsets is the offset and the rate of one clock against the other.
+
+References
+----------
+.. [1] J. P. Lewis, "Fast normalized cross-correlation", Vision Interface, 1995, eq. (2): the energy
+   under every lag from running sums.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import fft
+
+from calib.errors import NoCommonMotionError
+from calib.types import FloatArray
+
+LEAST_CORRELATION = 0.5
+"""Of the sizes of the rates: below it the two did not see the same motion. Noise and unlike motion
+of some length reach 0.3."""
+
+LEAST_OVERLAP = 5.0
+"""s that the two must have in common."""
+
+STEP = 0.01
+"""s between the samples that are correlated (the recordings' own where they are slower)."""
+
+MOVING = 0.05
+"""rad/s: root-mean-square change of rate below which there is no motion to align by."""
+
+PART = 20.0
+"""s of a part whose own offset is measured."""
+
+REACH = 0.5
+"""s by which a part's offset may differ from its neighbour's."""
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """``t_ref = t + offset + stretch * (t - middle)``."""
+
+    offset: float
+    stretch: float
+    middle: float
+    correlation: float = 1.0
+
+    def times(self, time: FloatArray) -> FloatArray:
+        """Return the reference's times at the recording's times."""
+        return np.asarray(time + self.offset + self.stretch * (time - self.middle))
+
+    def moved(self, offset: float, stretch: float) -> Alignment:
+        """Return the alignment with both changed."""
+        return Alignment(
+            self.offset + offset, self.stretch + stretch, self.middle, self.correlation
+        )
+
+
+def align(
+    time: FloatArray, rate: FloatArray, ref_time: FloatArray, ref_rate: FloatArray
+) -> Alignment:
+    """Find the reference's time at each of a recording's.
+
+    Parameters
+    ----------
+    time, ref_time : (n,), (m,) arrays, s
+    rate, ref_rate : (n, 3), (m, 3) arrays, rad/s
+        In any two frames.
+
+    Raises
+    ------
+    NoCommonMotionError
+        If either is at rest all along, or they do not show the same motion.
+    """
+    step = max(STEP, _interval(time), _interval(ref_time))
+    a, b = _even(time, rate, step), _even(ref_time, ref_rate, step)
+    for name, values in (("the recording", a), ("the reference", b)):
+        if len(values) * step < LEAST_OVERLAP:
+            raise NoCommonMotionError(
+                f"{name} lasts {len(values) * step:.1f} s; at least {LEAST_OVERLAP:g} s of common "
+                "motion are needed to align the two in time"
+            )
+        if values.std() < MOVING:
+            raise NoCommonMotionError(
+                f"{name} does not turn (its rate changes by {np.degrees(values.std()):.2f} dps): "
+                "there is no motion to align the two in time by"
+            )
+    value, lag = _best_lag(a, b, round(LEAST_OVERLAP / step))
+    if value < LEAST_CORRELATION:
+        raise NoCommonMotionError(
+            f"the two do not show the same motion: the correlation of their rates is {value:.2f} "
+            f"at best, expected at least {LEAST_CORRELATION:g}; check that they belong together"
+        )
+    # a[k] = b[k + lag]
+    offset = float(ref_time[0] - time[0]) + lag * step
+    middle = 0.5 * float(time[0] + time[-1])
+    found = _parts(a, b, lag, step)
+    stretch = 0.0
+    if len(found) >= 3:
+        at, shift, weight = np.array(found).T
+        design = np.stack((np.ones(len(at)), at + time[0] - middle), axis=1)
+        for _ in range(5):
+            root = np.sqrt(weight)
+            line = np.linalg.lstsq(design * root[:, None], shift * root, rcond=None)[0]
+            left = np.abs(shift - design @ line)
+            weight = np.array(found)[:, 2] / (1 + np.square(left / max(np.median(left), 1e-4)))
+        offset += float(line[0])
+        stretch = float(line[1])
+    elif found:
+        offset += float(found[0][1])
+    return Alignment(offset, stretch, middle, value)
+
+
+def _interval(time: FloatArray) -> float:
+    return float(np.median(np.diff(time))) if len(time) > 1 else 0.0
+
+
+def _even(time: FloatArray, rate: FloatArray, step: float) -> FloatArray:
+    """Return the size of the rate on even times."""
+    at = np.arange(time[0], time[-1], step)
+    size = np.linalg.norm(rate - np.median(rate, axis=0), axis=1)
+    sums = np.concatenate(([0.0], np.cumsum(0.5 * (size[1:] + size[:-1]) * np.diff(time))))
+    # Means over a step about each time: no aliases where the recording is faster.
+    edges = np.interp(np.append(at - 0.5 * step, at[-1:] + 0.5 * step), time, sums)
+    out: FloatArray = np.diff(edges) / step
+    return out
+
+
+def _best_lag(a: FloatArray, b: FloatArray, least: int) -> tuple[float, int]:
+    """Return the largest correlation of ``a[k]`` with ``b[k + lag]``, and its lag."""
+    a, b = a - a.mean(), b - b.mean()
+    size = fft.next_fast_len(len(a) + len(b))
+    product = fft.irfft(np.conj(fft.rfft(a, size)) * fft.rfft(b, size), size)
+    lag = np.arange(-(len(a) - 1), len(b))
+    first, last = np.maximum(-lag, 0), np.minimum(len(a), len(b) - lag)
+    sums_a = np.concatenate(([0.0], np.cumsum(a * a)))
+    sums_b = np.concatenate(([0.0], np.cumsum(b * b)))
+    energy = (sums_a[last] - sums_a[first]) * (sums_b[last + lag] - sums_b[first + lag])
+    least = min(least, len(a) // 2, len(b) // 2)
+    # Short overlaps agree by chance, and so do stretches with little motion in either.
+    floor = 0.02 * sums_a[-1] * sums_b[-1]
+    usable = (last - first >= least) & (energy > floor)
+    value = np.where(usable, product[lag] / np.sqrt(np.maximum(energy, floor)), -1.0)
+    best = int(np.argmax(value))
+    return float(value[best]), int(lag[best])
+
+
+def _parts(a: FloatArray, b: FloatArray, lag: int, step: float) -> list[tuple[float, float, float]]:
+    """Return (time, offset against `lag`, weight) of each part, outwards from the most lively.
+
+    Each part is searched about its neighbour's offset, so that clocks may drift apart by far.
+    """
+    width, reach = round(PART / step), round(REACH / step)
+    starts = np.arange(max(0, -lag), min(len(a), len(b) - lag) - width + 1, width)
+    if not len(starts):
+        return []
+    power = np.array([a[s : s + width].var() for s in starts])
+    seed = int(np.argmax(power))
+    out: list[tuple[float, float, float]] = []
+    for order in (range(seed, len(starts)), range(seed - 1, -1, -1)):
+        here = 0.0 if not out else out[0][1]
+        for k in order:
+            if power[k] < 0.05 * power[seed]:
+                continue
+            found = _part(a, b, int(starts[k]), width, lag + round(here / step), reach)
+            if found is None:
+                continue
+            here = (found - lag) * step
+            out.append(((starts[k] + 0.5 * width) * step, here, float(power[k])))
+    return out
+
+
+def _part(
+    a: FloatArray, b: FloatArray, start: int, width: int, lag: int, reach: int
+) -> float | None:
+    own = a[start : start + width]
+    low, high = start + lag - reach, start + lag + reach + width
+    if low < 0 or high > len(b):
+        low, high = max(low, 0), min(high, len(b))
+        if high - low < width + 3:
+            return None
+    windows = np.lib.stride_tricks.sliding_window_view(b[low:high], width)
+    centred = own - own.mean()
+    match = windows @ centred
+    spread = np.sqrt(np.maximum(width * windows.var(axis=1) * (centred @ centred), 1e-300))
+    value = match / spread
+    k = int(np.argmax(value))
+    if value[k] < LEAST_CORRELATION or not 0 < k < len(value) - 1:
+        return None
+    below, here, above = value[k - 1 : k + 2]
+    bend = below - 2 * here + above
+    fine = 0.5 * (below - above) / bend if bend < 0 else 0.0
+    return low + k + fine - start

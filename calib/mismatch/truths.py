@@ -1,0 +1,92 @@
+"""Truths that a recording is compared with: another recording's signals, or a motion."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.interpolate import BSpline, make_interp_spline
+
+from calib.effects.base import State
+from calib.recording import Recording
+from calib.simulation.kinematics import Motion
+from calib.types import BoolArray, FloatArray
+
+DEGREE = 7
+"""Of the interpolating spline: a sinusoid at a fifth of the rate is off by 5e-6; by a cubic one 0.3
+%, which would show in the differences as a bandwidth."""
+
+GAP = 3.5
+"""Sample intervals over which a truth is interpolated; beyond, it is not known."""
+
+
+def near(known: FloatArray, time: FloatArray) -> BoolArray:
+    """Return where times lie between known ones that are no gap apart, (n,) bool."""
+    limit = GAP * float(np.median(np.diff(known))) if len(known) > 1 else 0.0
+    after = np.clip(np.searchsorted(known, time), 1, len(known) - 1)
+    inside = (time >= known[0]) & (time <= known[-1])
+    return np.asarray(inside & (known[after] - known[after - 1] <= limit))
+
+
+@dataclass(frozen=True, eq=False)
+class RecordingTruth:
+    """The signals of another recording: of a simulated sensor, or of one on the same body.
+
+    ``spoilt`` marks samples that are not to be believed (clipped).
+    """
+
+    recording: Recording
+    gravity: float
+    spoilt: BoolArray | None = None
+    _good: FloatArray = field(init=False)
+    _spline: BSpline = field(init=False)
+
+    def __post_init__(self) -> None:
+        r = self.recording
+        good = np.ones(len(r), bool) if self.spoilt is None else ~self.spoilt
+        signals = np.hstack((r.accel, r.gyro))[good]
+        object.__setattr__(self, "_good", r.time[good])
+        object.__setattr__(self, "_spline", make_interp_spline(r.time[good], signals, k=DEGREE))
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """First and last time, s."""
+        return float(self.recording.time[0]), float(self.recording.time[-1])
+
+    def covers(self, time: FloatArray) -> BoolArray:
+        """Return where the recording has samples on either side, (n,) bool."""
+        return near(self._good, time)
+
+    def state(self, time: FloatArray) -> State:
+        """Return what was measured as the true state, its angular acceleration by spline."""
+        inside = np.clip(time, *self.span)
+        values = self._spline(inside)
+        return State(
+            time,
+            values[:, :3],
+            values[:, 3:],
+            angular_acceleration=self._spline(inside, nu=1)[:, 3:],
+            gravity=self.gravity,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class MotionTruth:
+    """A motion, known at some times of a clock that reads ``start`` at its time 0."""
+
+    motion: Motion
+    known: FloatArray
+    start: float = 0.0
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """First and last time, s."""
+        return float(self.known[0]), float(self.known[-1])
+
+    def covers(self, time: FloatArray) -> BoolArray:
+        """Return where the motion was measured on either side, (n,) bool."""
+        return near(self.known, time)
+
+    def state(self, time: FloatArray) -> State:
+        """Return the true state."""
+        return self.motion.state(np.clip(time, *self.span) - self.start)

@@ -1,0 +1,116 @@
+"""A recording against the user's own simulation: unequal rates, unequal start times."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from calib.effects.base import Term
+from calib.errors import NoCommonMotionError
+from calib.mismatch import diagnose_against
+from calib.mismatch.alignment import align
+from calib.model import SensorModel, Triad
+from calib.recording import Recording
+from calib.simulate import IDEAL, Sampling, simulate
+from calib.simulation.bench import bench_protocol
+from calib.simulation.kinematics import Motion
+from calib.simulation.noise import CONSUMER, NoiseModel
+
+GRAVITY = 9.80665
+SHOWN = 30.0
+"""What the simulation's clock shows at the true time 0, s."""
+
+
+@cache
+def motion(seed: int = 1) -> Motion:
+    rng = np.random.default_rng(seed)
+    return bench_protocol(rng, poses=8, first_pose=1.0, pose_duration=(2.0, 3.0))
+
+
+@cache
+def simulation() -> Recording:
+    rng = np.random.default_rng(5)
+    sampling = Sampling(clock_offset=SHOWN)
+    whole = simulate(motion(), SensorModel(), NoiseModel(), rng=rng, rate=80.0, sampling=sampling)
+    return whole.slice(100, len(whole))
+
+
+def recorded(*terms: Term, seed: int = 2, sampling: Sampling = IDEAL) -> Recording:
+    rng = np.random.default_rng(seed)
+    model = SensorModel(
+        Triad(
+            rng.normal(0, 0.1, 3), rng.normal(0, 0.01, 3), np.tril(rng.normal(0, 0.01, (3, 3)), -1)
+        ),
+        Triad(rng.normal(0, 0.02, 3), rng.normal(0, 0.01, 3)),
+        terms,
+    )
+    return simulate(motion(), model, CONSUMER, rng=rng, rate=50.0, sampling=sampling)
+
+
+def test_nothing_but_baseline_noise_and_another_start_is_consistent():
+    found = diagnose_against(recorded(), simulation(), gravity=GRAVITY)
+    assert found.verdict == "consistent"
+    assert found.summary["alignment"]["offset"] == pytest.approx(SHOWN, abs=1e-4)
+
+
+def test_baseline_is_found_with_honest_errors():
+    found = diagnose_against(recorded(), simulation(), gravity=GRAVITY)
+    rng = np.random.default_rng(2)
+    bias = rng.normal(0, 0.1, 3)
+    sigma = np.sqrt(np.diag(found.covariance))
+    off = [
+        (found.model.accel.bias[i] - bias[i]) / sigma[found.names.index(f"accel.bias.{a}")]
+        for i, a in enumerate("xyz")
+    ]
+    assert np.abs(off).max() < 4
+
+
+@pytest.mark.parametrize(
+    ("slug", "values"),
+    [
+        ("accel_lever_arm", {"rx": 0.01, "ry": -0.02, "rz": 0.005}),
+        ("gyro_misalignment", {"mxy": 0.005, "mzx": -0.004}),
+        ("gyro_bias_step", {"bx": 0.003, "moment": 20.0}),
+        ("time_offset", {"gyro_delay": 0.003}),
+    ],
+)
+def test_one_effect_is_found_and_nothing_else(slug, values):
+    found = diagnose_against(recorded(Term(slug, values)), simulation(), gravity=GRAVITY)
+    assert [item.effect for item in found.findings] == [slug]
+    assert not found.unexplained
+    held = found.findings[0].held_out
+    assert held is None or held.after < held.before
+    for name, value in values.items():
+        q = found.findings[0].parameters[name]
+        assert q.value == pytest.approx(value, abs=5 * q.sigma + 0.02 * abs(value))
+
+
+def test_a_clock_that_runs_fast_is_found_beside_another_start():
+    fast = recorded(sampling=Sampling(clock_offset=100.0, clock_scale=2e-3))
+    found = diagnose_against(fast, simulation(), gravity=GRAVITY)
+    assert [item.effect for item in found.findings] == ["clock_scale"]
+    scale = found.findings[0].parameters["scale"]
+    assert scale.value == pytest.approx(2e-3, abs=max(5 * scale.sigma, 2e-6))
+
+
+def test_alignment_finds_offset_and_stretch():
+    real, sim = recorded(sampling=Sampling(clock_offset=-7.0, clock_scale=-1e-3)), simulation()
+    found = align(real.time, real.gyro, sim.time, sim.gyro)
+    expected = SHOWN + (real.time + 7.0) / (1 - 1e-3)
+    assert np.abs(found.times(real.time) - expected).max() < 0.03
+
+
+def test_another_motion_is_an_error_that_says_so():
+    rng = np.random.default_rng(8)
+    other = simulate(motion(9), SensorModel(), NoiseModel(), rng=rng, rate=80.0)
+    with pytest.raises(NoCommonMotionError, match="same motion"):
+        diagnose_against(recorded(), other, gravity=GRAVITY)
+
+
+def test_a_simulation_at_rest_leaves_it_undetermined():
+    sim = simulation()
+    still = replace(sim, accel=np.tile([0.0, 0.0, GRAVITY], (len(sim), 1)), gyro=0 * sim.gyro)
+    found = diagnose_against(recorded(), still, gravity=GRAVITY)
+    assert found.verdict == "undetermined"
+    assert "motion" in found.missing[0]
