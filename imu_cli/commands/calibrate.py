@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from calib.calibration import Calibration, Gravity
+    from calib.calibration import Calibration
 
 ACCEL_METHODS = "maximum_likelihood, exact, published"
 GYRO_METHODS = "rotation_segment_3x3, rotation_segment, euler, quaternion, rate_table"
@@ -63,10 +63,11 @@ def calibrate(
     more between them. What it does not determine is marked in the file, and the exit code is 5.
     """
     from imu_cli import output
+    from imu_cli.options import choose_gravity
 
     destination = _destination(log, out)
     notes = _notes(note or [])
-    local_gravity = _gravity(gravity, latitude, height)
+    local_gravity = choose_gravity(gravity, latitude, height)
     options = {} if table_rate is None else {"table_rate": _table_rate(table_rate)}
     accel_method, gyro_method = (name.replace("-", "_") for name in (accel_method, gyro_method))
     _check_methods(accel_method, gyro_method, options)
@@ -151,31 +152,6 @@ def _notes(pairs: list[str]) -> dict[str, str]:
             raise typer.BadParameter(f"expected KEY=VALUE, got {pair!r}", param_hint="--note")
         notes[key.strip()] = value.strip()
     return notes
-
-
-def _gravity(gravity: float | None, latitude: float | None, height: float | None) -> Gravity:
-    import math
-
-    from calib.calibration import Gravity
-    from calib.gravity import ANOMALY, STANDARD_GRAVITY, normal_gravity
-
-    if gravity is not None:
-        if latitude is not None or height is not None:
-            raise typer.BadParameter("give --gravity, or --latitude and --height, not both")
-        if not 9.7 < gravity < 9.9:
-            raise typer.BadParameter(
-                f"expected m/s² between 9.7 and 9.9, got {gravity:g}", param_hint="--gravity"
-            )
-        return Gravity(gravity, "given")
-    if latitude is None:
-        if height is not None:
-            raise typer.BadParameter("needs --latitude beside it", param_hint="--height")
-        return Gravity(STANDARD_GRAVITY, "standard gravity")
-    try:
-        value = normal_gravity(math.radians(latitude), height or 0.0)
-    except ValueError as error:
-        raise typer.BadParameter(str(error), param_hint="--latitude, --height") from error
-    return Gravity(value, f"normal gravity at {latitude:g}°, {height or 0:g} m", ANOMALY)
 
 
 def _table_rate(text: str) -> object:

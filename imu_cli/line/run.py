@@ -26,7 +26,7 @@ from calib.units import check_units
 from calib.verify import verify
 from drivers.calibration_file import describe_input, save_calibration, write_atomic
 from drivers.formats import read_recording
-from drivers.record import RecordLimits, record
+from drivers.record import RecordLimits, RecordState, record
 from drivers.transports import make_driver
 from imu_cli.line.limits import Check, Measured
 from imu_cli.line.station import Station
@@ -198,10 +198,19 @@ def _record(
     station: Station, work: _Work, entry: dict[str, Any], *, stop: threading.Event
 ) -> Recording:
     path = work.folder / "recording.arrow"
+    state = _acquire(station, path, station.duration, stop=stop)
+    work.artefacts["recording"] = path
+    entry |= {"samples": state.samples, "lost": state.lost, "ended_by": state.ended_by}
+    return read_recording(path)
+
+
+def _acquire(
+    station: Station, path: Path, duration: float, *, stop: threading.Event
+) -> RecordState:
     state = record(
         make_driver(station.address),
         path,
-        limits=RecordLimits(station.duration, None),
+        limits=RecordLimits(duration, None),
         raw=None,
         reconnect=False,
         stop=stop,
@@ -209,9 +218,7 @@ def _record(
     )
     if stop.is_set():
         raise AbortedError
-    work.artefacts["recording"] = path
-    entry |= {"samples": state.samples, "lost": state.lost, "ended_by": state.ended_by}
-    return read_recording(path)
+    return state
 
 
 def _calibrate(station: Station, run: Run, work: _Work, recording: Recording) -> Calibration:
@@ -306,17 +313,8 @@ def _verify(
     stop: threading.Event,
 ) -> list[str]:
     path = work.folder / "verify.arrow"
-    record(
-        make_driver(station.address),
-        path,
-        limits=RecordLimits(station.verify_duration, None),
-        raw=None,
-        reconnect=False,
-        stop=stop,
-        progress=lambda state: None,
-    )
-    if stop.is_set():
-        raise AbortedError
+    assert station.verify_duration is not None
+    _acquire(station, path, station.verify_duration, stop=stop)
     work.artefacts["verify"] = path
     result = verify(left, read_recording(path))
     entry["right"] = result.right
