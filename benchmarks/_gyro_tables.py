@@ -11,13 +11,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calib.closure import TurnSteps, pose_directions
 from calib.fit import Fit
 from calib.model import Triad
-from calib.poses import average_poses
+from calib.poses import Poses, average_poses
 from calib.recording import Recording
 from calib.rotation import mat_from_rotvec
 from calib.solvers import gyro_solvers
-from calib.solvers._closure_solver import solve_closures
+from calib.solvers._closure_system import ClosureSystem
 from calib.solvers.gyro_quaternion import DIAGONAL
 from calib.turns import Turns, find_turns
 
@@ -127,34 +128,72 @@ def solve(method: str, recording: Recording, protocol: Protocol) -> tuple[Fit, f
 def limit(method: str, protocol: Protocol, gyro: Triad) -> np.ndarray:
     """Return the Cramér-Rao limit (6,) of bias and scale for the data and model of a method.
 
-    The information matrix at the truth: the solver's own, on data without noise whose covariances
-    are those of the noise. For ``euler`` and ``quaternion`` bias and scale are free together in it.
+    The inverse of the information at the truth, from the known white noise: nothing is sampled.
+    Each method has the mean rate at rest, and its own equations of the turns. For ``euler`` and
+    ``quaternion`` bias and scale are free together.
     """
     clean = record(protocol, gyro, np.random.default_rng(0), 0.0)
     poses = average_poses(clean, protocol.start, protocol.stop)
-    count = (protocol.stop - protocol.start)[:, None, None]
-    object.__setattr__(poses, "accel_covariance", np.eye(3) * NOISE**2 / count)
-    object.__setattr__(poses, "gyro_covariance", np.eye(3) * NOISE**2 / count)
-    # The solvers read the noise of the rate from the samples at rest: give them that.
-    gyro_read, rng = clean.gyro.copy(), np.random.default_rng(1)
-    for begin, end in zip(protocol.start, protocol.stop, strict=True):
-        gyro_read[begin + 1 : end - 1] += rng.normal(0, NOISE, (end - begin - 2, 3))
-    clean = replace(clean, gyro=gyro_read)
     turns = find_turns(clean, poses)
-    if method in ("euler", "quaternion"):
-        fit = solve_closures(
-            clean, poses, turns, Triad(), method=method, model=DIAGONAL, static_bias_only=False
-        )
-    else:
-        fit = gyro_solvers()[method].solve(
-            clean,
-            poses,
-            turns,
-            Triad(),
-            gravity=GRAVITY,
-            options={"table_rate": profile(turns)},
-        )
-    return np.diag(fit.covariance)[:6]
+    count = protocol.stop - protocol.start
+    growth = NOISE**2 / SAMPLE_RATE  # of the variance of the integrated rate, rad²/s
+    rest = np.sum(count) / NOISE**2
+    scale = 1 + gyro.scale_factor_error
+    if method not in ("rate_table", "rotation_segment"):
+        return _closure_limit(method, clean, poses, turns, growth, rest, gyro)
+
+    total = TurnSteps.of(clean, turns)
+    angle = (total.total(total.angle) - gyro.bias * total.duration[:, None]) / scale
+    axis = np.argmax(np.abs(angle), axis=1)
+    answer = np.empty(6)
+    for i in range(3):
+        mine = axis == i
+        if method == "rate_table":
+            # |w| = s^-1 |mean - b|, over the samples of the plateau.
+            rows = profile(turns)[mine]
+            inside = np.array([((clean.time >= a) & (clean.time <= b)).sum() for a, b, _ in rows])
+            variance = growth / (inside / SAMPLE_RATE) / scale[i] ** 2
+            jacobian = np.stack([np.sign(angle[mine, i]), np.full(mine.sum(), TABLE_RATE)], axis=1)
+        else:
+            # alpha = (integral - b T) / s, seen between two poses at which the axis is level.
+            duration = total.duration[mine]
+            seen = (NOISE / GRAVITY) ** 2 * (1 / count[turns.before] + 1 / count[turns.after])
+            variance = seen[mine] + growth * duration / scale[i] ** 2
+            jacobian = np.stack([duration, angle[mine, i]], axis=1)
+        jacobian = jacobian / scale[i]
+        information = jacobian.T @ (jacobian / variance[:, None])
+        if method == "rate_table":
+            information[0, 0] += rest
+        answer[[i, 3 + i]] = np.diag(np.linalg.inv(information))
+    return answer
+
+
+def _closure_limit(
+    method: str,
+    clean: Recording,
+    poses: Poses,
+    turns: Turns,
+    growth: float,
+    rest: float,
+    gyro: Triad,
+) -> np.ndarray:
+    """Return the limit (6,) of bias and scale from attitude closures and the rate at rest."""
+    count = (poses.stop - poses.start)[:, None, None]
+    known = replace(poses, accel_covariance=np.eye(3) * NOISE**2 / count)
+    model = np.ones(12, bool) if method == DEFAULT else DIAGONAL
+    system = ClosureSystem(
+        TurnSteps.of(clean, turns),
+        turns,
+        pose_directions(known, Triad()),
+        growth * np.eye(3),
+        np.zeros((len(turns), 3)),
+        model,
+        np.zeros((3, 3)),
+    )
+    lin = system.linearise(np.array(list(gyro.parameters("gyro").values())))
+    information = lin.jacobian.T @ np.linalg.solve(lin.covariance, lin.jacobian)
+    information[range(3), range(3)] += rest
+    return np.diag(np.linalg.inv(information[np.ix_(model, model)]))[:6]
 
 
 def run(gyro: Triad, protocol: Protocol, runs: int, seed: int) -> tuple[dict, dict]:

@@ -26,10 +26,10 @@ from calib.poses import Poses
 from calib.recording import Recording
 from calib.rotation import (
     cumulative_quat_segments,
-    integrate_rate,
     mat_from_quat,
     quat_from_rotvec,
     quat_multiply,
+    rate_increments,
 )
 from calib.turns import Turns
 from calib.types import BoolArray, FloatArray, IntArray
@@ -255,12 +255,17 @@ def from_middles(
     order), and turns are integrated from middle to middle.
     """
     middle = (poses.start + poses.stop) // 2
-    force = np.empty((len(poses), 3))
-    rate = gyro.correct(recording.gyro)
-    for k, (a, m, b) in enumerate(zip(poses.start, middle, poses.stop, strict=True)):
-        mats = mat_from_quat(integrate_rate(recording.time[a:b], rate[a:b]))
-        seen = np.einsum("nij,nj->i", mats, accel.correct(recording.accel[a:b])) / (b - a)
-        force[k] = seen @ mats[m - a]
+    count = poses.stop - poses.start
+    first = np.concatenate([[0], np.cumsum(count)])
+    held = np.arange(first[-1]) + np.repeat(poses.start - first[:-1], count)
+    quat = np.empty((first[-1], 4))
+    rate = gyro.correct(recording.gyro[held])
+    quat[1:] = quat_from_rotvec(rate_increments(recording.time[held], rate))
+    quat[first[:-1]] = [1.0, 0.0, 0.0, 0.0]
+    mats = mat_from_quat(cumulative_quat_segments(quat, first))
+    seen = np.einsum("nij,nj->ni", mats, accel.correct(recording.accel[held]))
+    mean = np.add.reduceat(seen, first[:-1], axis=0) / count[:, None]
+    force = np.einsum("ki,kij->kj", mean, mats[first[:-1] + middle - poses.start])
     up = force / np.linalg.norm(force, axis=1, keepdims=True)
     start, stop = middle[turns.before], middle[turns.after] + 1
     interval = np.stack([recording.time[start], recording.time[stop - 1]], axis=1)
