@@ -18,7 +18,7 @@ from calib.effects.base import State
 from calib.mismatch.rows import Rows
 from calib.mismatch.score import Candidate, Stack
 from calib.recording import CHANNELS
-from calib.types import FloatArray, IntArray
+from calib.types import FloatArray
 
 RIVAL = 0.4
 """Prior probability of all rivals together."""
@@ -27,15 +27,31 @@ FAST = 3.0
 """A brisk turn by hand, rad/s: what rates are scaled by."""
 
 _KINDS = {
-    "bias in a window": 0.25,
+    "bias in a window": 0.2,
     "gain in a window": 0.1,
     "jumps in a window": 0.15,
-    "time": 0.1,
+    "wave in a window": 0.15,
+    "time": 0.05,
     "temperature": 0.1,
-    "direction of gravity": 0.1,
-    "speed of rotation": 0.1,
-    "its own rate": 0.1,
+    "direction of gravity": 0.15,
+    "speed of rotation": 0.05,
+    "its own rate": 0.05,
 }
+
+WINDOWED = ("bias in a window", "gain in a window")
+"""Rivals that are one column in a window, whose ends can be moved."""
+
+JUMPS = (4, 64)
+"""Segments in a window of jumps, fewest and most: each of its segments has a bias of its own."""
+
+WAVES = 8
+"""Segments in a window with a wave, fewest: a wave has a mean, an amplitude and a phase."""
+
+CYCLES = 16.0
+"""Periods of a wave within a window, at most; and never less than four segments to a period."""
+
+RIPPLES = (2.0, 3.5, 5.0)
+"""How fast a function of one component of gravity's direction varies, rad per unit."""
 
 
 def add_rivals(stack: Stack, rows: Rows, *, skip: tuple[str, ...] = ()) -> None:
@@ -43,12 +59,17 @@ def add_rivals(stack: Stack, rows: Rows, *, skip: tuple[str, ...] = ()) -> None:
 
     ``skip`` names those that are not tried (``time`` where the clock is wrong).
     """
-    found: list[Candidate] = []
+    found: list[tuple[str, Candidate]] = []
     for c in range(len(CHANNELS)):
         found += _of_channel(stack, rows, c, typical_size(CHANNELS[c].split(".")[0]))
-    found = [c for c in found if c.name not in skip]
-    number = Counter(c.name for c in found)
-    stack.candidates += [replace(c, weight=RIVAL * _KINDS[c.name] / number[c.name]) for c in found]
+    found = [(part, c) for part, c in found if c.name not in skip]
+    # Every kind has its share, each of its parts (one length of window, say) the same of that.
+    number = Counter((c.name, part) for part, c in found)
+    parts = Counter(name for name, _ in number)
+    stack.candidates += [
+        replace(c, weight=RIVAL * _KINDS[c.name] / parts[c.name] / number[c.name, part])
+        for part, c in found
+    ]
 
 
 def typical_size(triad: str) -> float:
@@ -59,7 +80,8 @@ def typical_size(triad: str) -> float:
     return 0.02 if triad == "accel" else float(np.radians(0.05))
 
 
-def _of_channel(stack: Stack, rows: Rows, c: int, size: float) -> Iterator[Candidate]:
+def _of_channel(stack: Stack, rows: Rows, c: int, size: float) -> Iterator[tuple[str, Candidate]]:
+    """Yield candidates of a channel, each with the part of its kind that it belongs to."""
     state = rows.state
     own = (state.force if c < 3 else state.rate)[:, c % 3]
     member = sparse.csr_matrix(
@@ -68,22 +90,71 @@ def _of_channel(stack: Stack, rows: Rows, c: int, size: float) -> Iterator[Candi
     )
     pieces = stack.add(size * rows.pieces[c].toarray())
     gains = stack.add(size * (rows.functional[c] @ member).toarray())
-
-    def make(name: str, index: IntArray, *, summed: bool = False) -> Candidate:
-        return Candidate(name, index, 0.0, False, (CHANNELS[c],), summed)
-
+    blank = Candidate("", pieces, 0.0, False, (CHANNELS[c],))
     for a, b in windows(len(rows.interval)):
         interval = (float(rows.interval[a, 0]), float(rows.interval[b - 1, 1]))
-        found = [
-            make("bias in a window", pieces[a:b], summed=True),
-            make("gain in a window", gains[a:b], summed=True),
-        ]
-        # Jumps: every segment of the window has a bias of its own.
-        if 2 <= b - a <= 16:
-            found.append(make("jumps in a window", pieces[a:b]))
-        yield from (replace(item, interval=interval) for item in found)
+        window = replace(blank, interval=interval)
+        length = f"{b - a} segments"
+        yield (
+            length,
+            replace(window, name="bias in a window", index=pieces[a:b], summed=True),
+        )
+        yield length, replace(window, name="gain in a window", index=gains[a:b], summed=True)
+        if JUMPS[0] <= b - a <= JUMPS[1] and (b - a).bit_count() == 1:
+            yield length, replace(window, name="jumps in a window", index=pieces[a:b])
+        if b - a >= WAVES:
+            for mixing in _waves(rows.interval, a, b):
+                yield length, replace(window, name="wave in a window", mixing=mixing)
     for name, values in _smooth(state, c):
-        yield make(name, stack.add(size * rows.columns(c, values)))
+        index = stack.add(size * rows.columns(c, values))
+        yield "smooth", replace(blank, name=name, index=index)
+        if name == "direction of gravity":
+            # Harmonics come in the order of their degree: 3 + 6 of degrees 1 and 2.
+            yield "quadratic", replace(blank, name=name, index=index[:9])
+    for mixing in _ripples(rows):
+        yield "ripple", replace(blank, name="direction of gravity", mixing=mixing)
+
+
+def window_columns(
+    rows: Rows, candidate: Candidate, intervals: list[tuple[float, float]]
+) -> FloatArray:
+    """Return the (m, k) columns of a bias or a gain in each of k intervals."""
+    c = CHANNELS.index(candidate.channels[0])
+    state, size = rows.state, typical_size(candidate.channels[0].split(".")[0])
+    values = np.full(len(state.time), size)
+    if candidate.name == "gain in a window":
+        own = (state.force if c < 3 else state.rate)[:, c % 3]
+        values = size * own / (state.gravity if c < 3 else FAST)
+    start, stop = np.array(intervals).T
+    inside = (state.time[:, None] >= start) & (state.time[:, None] <= stop)
+    return rows.columns(c, values[:, None] * inside)
+
+
+def _waves(interval: FloatArray, a: int, b: int) -> Iterator[FloatArray]:
+    """Yield (segments, 3) weights of a mean and a wave in the window ``[a, b)``."""
+    middle = interval[a:b].mean(axis=1)
+    turns = (middle - interval[a, 0]) / (interval[b - 1, 1] - interval[a, 0])
+    for cycles in np.arange(1.0, min(CYCLES, (b - a) / 4) + 0.25, 0.5):
+        phase = 2 * np.pi * cycles * turns
+        mixing = np.zeros((len(interval), 3))
+        mixing[a:b] = np.stack((np.ones(b - a), np.cos(phase), np.sin(phase)), axis=1)
+        yield mixing
+
+
+def _ripples(rows: Rows) -> Iterator[FloatArray]:
+    """Yield (segments, 2) weights of waves over one component of gravity's direction."""
+    count = np.bincount(rows.point_segment, minlength=len(rows.interval))
+    up = np.stack(
+        [np.bincount(rows.point_segment, f, len(rows.interval)) for f in rows.state.force.T], axis=1
+    ) / (rows.state.gravity * np.maximum(count, 1)[:, None])
+    # Half a sphere of directions, a Fibonacci spiral of about 25 degrees' spacing.
+    turn = np.pi * (3.0 - np.sqrt(5.0)) * np.arange(32)
+    z = (np.arange(32) + 0.5) / 32
+    axes = np.stack((np.sqrt(1 - z**2) * np.cos(turn), np.sqrt(1 - z**2) * np.sin(turn), z), axis=1)
+    for axis in axes:
+        for ripple in RIPPLES:
+            phase = ripple * (up @ axis)
+            yield np.stack((np.cos(phase), np.sin(phase)), axis=1)
 
 
 def _smooth(state: State, c: int) -> Iterator[tuple[str, FloatArray]]:
@@ -104,13 +175,11 @@ def _smooth(state: State, c: int) -> Iterator[tuple[str, FloatArray]]:
 
 
 def windows(segments: int) -> Iterator[tuple[int, int]]:
-    """Yield ``[a, b)`` of dyadic length, at every half length: 1, 2, 4 ... segments."""
-    length = 1
-    while length <= segments // 2:
-        step = max(1, length // 2)
-        for a in range(0, segments - length + 1, step):
+    """Yield ``[a, b)`` of 1, 2, 3, 4, 6, 8, 12 ... segments, at every quarter of their length."""
+    lengths = {1} | {n << k for n in (2, 3) for k in range(segments.bit_length())}
+    for length in sorted(n for n in lengths if n <= max(segments // 2, 1)):
+        for a in range(0, segments - length + 1, max(1, length // 4)):
             yield a, a + length
-        length *= 2
 
 
 def _harmonics(direction: FloatArray) -> FloatArray:

@@ -46,6 +46,8 @@ class Candidate:
         Which columns of the stack.
     summed : bool
         Whether those columns make one (a window) or have a coefficient each.
+    mixing : (len(index), k) array, optional
+        The k columns of the hypothesis as combinations of those of the stack.
     weight : float
         Prior probability; all candidates together sum to at most one.
     physical : bool
@@ -68,11 +70,12 @@ class Candidate:
     parameters: tuple[str, ...] = ()
     shape: Mapping[str, float] = field(default_factory=dict)
     interval: tuple[float, float] | None = None
+    mixing: FloatArray | None = None
 
     @property
     def is_single(self) -> bool:
         """Whether it has one coefficient."""
-        return self.summed or len(self.index) == 1
+        return self.mixing is None and (self.summed or len(self.index) == 1)
 
     @property
     def group(self) -> str:
@@ -108,6 +111,8 @@ class Stack:
     def of(self, candidate: Candidate) -> FloatArray:
         """Return the (m, k) columns of one candidate."""
         own = self.columns[:, candidate.index]
+        if candidate.mixing is not None:
+            return np.asarray(own @ candidate.mixing)
         return own.sum(axis=1, keepdims=True) if candidate.summed else own
 
     def log_bayes_factors(
@@ -146,10 +151,22 @@ class Stack:
             strength = np.square(SCALES)[:, None] * power
             gain = 0.5 * np.square(along) / np.maximum(power, 1e-300) * strength / (1 + strength)
             out[single] = _average(gain - 0.5 * np.log1p(strength) + _SHARES[:, None])
+        mixed: dict[tuple[int, int, int], list[int]] = {}
         for i in which:
-            if not self.candidates[i].is_single:
-                own = place[self.candidates[i].index]
-                out[i] = _joint(projected[:, own], match[own])
+            c = self.candidates[i]
+            if c.mixing is not None:
+                # Those of one channel share all columns, and so their Gram matrix.
+                mixed.setdefault((int(c.index[0]), *c.mixing.shape), []).append(i)
+            elif not c.is_single:
+                own = place[c.index]
+                out[i] = _joint((projected[:, own].T @ projected[:, own])[None], match[own][None])[
+                    0
+                ]
+        for items in mixed.values():
+            own = place[self.candidates[items[0]].index]
+            gram = projected[:, own].T @ projected[:, own]
+            mixing = np.stack([np.asarray(self.candidates[i].mixing) for i in items])
+            out[items] = _joint(np.swapaxes(mixing, 1, 2) @ (gram @ mixing), match[own] @ mixing)
         return out
 
 
@@ -169,14 +186,15 @@ def _singles(
     return power, np.where(lost, 0.0, pick.T @ match)
 
 
-def _joint(columns: FloatArray, match: FloatArray) -> float:
-    values, vectors = np.linalg.eigh(columns.T @ columns)
+def _joint(gram: FloatArray, match: FloatArray) -> FloatArray:
+    """Return log B of n hypotheses with Gram matrices (n, k, k) and matches (n, k)."""
+    values, vectors = np.linalg.eigh(gram)
     values = np.maximum(values, 0.0)
-    along = np.square(vectors.T @ match)
-    square = np.square(SCALES)[:, None]
+    along = np.square(np.einsum("nij,ni->nj", vectors, match))
+    square = np.square(SCALES)[:, None, None]
     strength = square * values
-    gain = 0.5 * (along * square / (1 + strength)).sum(axis=1)
-    return float(_average(gain - 0.5 * np.log1p(strength).sum(axis=1) + _SHARES))
+    gain = 0.5 * (along * square / (1 + strength)).sum(axis=2)
+    return _average(gain - 0.5 * np.log1p(strength).sum(axis=2) + _SHARES[:, None])
 
 
 def _average(log_factors: FloatArray) -> FloatArray:

@@ -18,6 +18,7 @@ from calib.effects import get_effect
 from calib.effects.base import PRESENCE, Term, TransformEffect
 from calib.mismatch.families import add_catalogue, effect_columns, neighbours
 from calib.mismatch.noise import (
+    Whitener,
     contrast_variance,
     estimate_levels,
     expected_levels,
@@ -25,7 +26,7 @@ from calib.mismatch.noise import (
     make_whitener,
     range_basis,
 )
-from calib.mismatch.rivals import add_rivals
+from calib.mismatch.rivals import WINDOWED, add_rivals, window_columns
 from calib.mismatch.rows import Rows
 from calib.mismatch.score import Candidate, Stack
 from calib.recording import CHANNELS
@@ -284,8 +285,12 @@ def _physics(stack: Stack) -> FloatArray:
 
 
 def choose(rows: Rows, ranking: Ranking, accepted: list[Accepted]) -> Candidate | None:
-    """Return what explains most: physics, unless the rivals together are more probable."""
-    best, groups = ranking.best, ranking.groups
+    """Return what explains most: physics, unless the rivals together are more probable.
+
+    An event where something is unexplained already is part of that, and gets no name of its own.
+    """
+    best = ranking.best
+    groups = {g: v for g, v in ranking.groups.items() if not _within(best[g], accepted)}
     physical = [g for g in groups if best[g].physical]
     rival = [g for g in groups if not best[g].physical]
     top = max(physical, key=lambda g: groups[g], default=None)
@@ -307,6 +312,23 @@ def choose(rows: Rows, ranking: Ranking, accepted: list[Accepted]) -> Candidate 
         if left and groups[top] + max(left) > for_rivals and max(left) > np.log(CLAIM):
             return best[top]
     return best[other]
+
+
+def _within(candidate: Candidate, accepted: list[Accepted]) -> bool:
+    """Whether an event lies in, or at the edge of, what is unexplained in one of its channels."""
+    if not candidate.physical or get_effect(candidate.name).kind != "event":
+        return False
+    moment = candidate.shape.get("moment")
+    for a in accepted:
+        if a.candidate.physical or not set(a.candidate.channels) & set(candidate.channels):
+            continue
+        if a.candidate.interval is None or moment is None:
+            return True
+        start, stop = a.candidate.interval
+        edge = 0.5 * (stop - start)
+        if start - edge <= moment <= stop + edge:
+            return True
+    return False
 
 
 def _accept(rows: Rows, stack: Stack, chosen: Candidate, e_value: float) -> Accepted:
@@ -394,6 +416,9 @@ def _refine(
 ) -> Accepted:
     """Refine the shape parameters of the last accepted between the grid's values."""
     last = accepted[-1]
+    if last.candidate.name in WINDOWED:
+        whitener = make_whitener(rows, levels, contrast, fitted(rows, accepted[:-1]))
+        return _refine_window(rows, last, whitener, whitener.project(rows.residual))
     if not last.candidate.physical or not last.candidate.shape:
         return last
     whitener = make_whitener(rows, levels, contrast, fitted(rows, accepted[:-1]))
@@ -418,6 +443,36 @@ def _refine(
         if new > value:
             best, value = tried, new
     return best
+
+
+def _refine_window(rows: Rows, last: Accepted, whitener: Whitener, y: FloatArray) -> Accepted:
+    """Move the ends of a window to where it explains most, within half its length of the grid's."""
+    assert last.candidate.interval is not None
+    start, stop = last.candidate.interval
+    reach = 0.5 * (stop - start)
+    edges = np.unique(np.concatenate((rows.interval.ravel(), rows.interval.mean(axis=1))))
+    column, ends = last.columns, [start, stop]
+    white = whitener.project(column)
+    value = float((white.T @ y)[0] ** 2 / max(float(np.square(white).sum()), 1e-300))
+    for which in (0, 1, 0, 1):
+        tried = edges[np.abs(edges - (start, stop)[which]) <= reach]
+        other = ends[1 - which]
+        tried = tried[tried < other] if which == 0 else tried[tried > other]
+        if not len(tried):
+            continue
+        found = window_columns(
+            rows, last.candidate, [(t, other) if which == 0 else (other, t) for t in tried]
+        )
+        white = whitener.project(found)
+        gain = np.square(y @ white) / np.maximum(np.square(white).sum(axis=0), 1e-300)
+        # Where a window gains nothing (a gain at rest), it need not reach.
+        good = np.flatnonzero(gain >= gain.max() - 0.5)
+        k = int(good[np.argmin(np.abs(tried[good] - other))])
+        if gain[k] > value - 0.5:
+            value, column, ends[which] = float(gain[k]), found[:, [k]], float(tried[k])
+    return replace(
+        last, candidate=replace(last.candidate, interval=(ends[0], ends[1])), columns=column
+    )
 
 
 def _superfluous(rows: Rows, accepted: list[Accepted], levels: FloatArray) -> Accepted | None:
