@@ -212,6 +212,11 @@ class Recorder:
         if cut is None:
             return
         batch = cut
+        self.sink.remarks = {
+            name.replace("_", " "): str(count)
+            for name, count in sorted(state.counters.items())
+            if name not in HARMLESS
+        }
         self.sink.append(batch)
         assert batch.lost is not None
         assert self._first is not None
@@ -267,6 +272,7 @@ class _Sink:
         self._pending: list[Recording] = []
         self._statics = LiveStatics()
         self.moving: bool | None = None
+        self.remarks: dict[str, str] = {}
         self._flushed = time.monotonic()
         self._broken = False
 
@@ -286,6 +292,7 @@ class _Sink:
         if not pending:
             return
         samples = join(pending)
+        self._writer.remarks = dict(self.remarks)
         try:
             self._writer.append(samples)
             self._writer.flush()

@@ -38,7 +38,8 @@ class ArrowWriter(Writer):
         self._stream = pa.ipc.new_stream(self._file, self._schema)
 
     def _append(self, batch: Recording) -> None:
-        self._stream.write_batch(to_batch(batch, self._schema))
+        remarks = self.remarks or None
+        self._stream.write_batch(to_batch(batch, self._schema), custom_metadata=remarks)
 
     def flush(self) -> None:
         """Hand what was appended to the disk: after this a power cut does not lose it."""
@@ -85,12 +86,12 @@ class Arrow(Format):
             assembler.complete = False
             assembler.notes["cut"] = "no end mark; read up to the last whole batch"
         if options.batch is None:
-            parts = list(_parts(reader, name, ended=ended))
+            parts = list(_parts(reader, name, assembler.notes, ended=ended))
             tables = [pa.Table.from_batches(parts)] if parts else []
         else:
             tables = (  # type: ignore[assignment]
                 part.slice(at, options.batch)
-                for part in _parts(reader, name, ended=ended)
+                for part in _parts(reader, name, assembler.notes, ended=ended)
                 for at in range(0, part.num_rows, options.batch)
             )
         for table in tables:
@@ -104,15 +105,18 @@ class Arrow(Format):
 FORMAT = Arrow()
 
 
-def _parts(reader: Any, name: str, *, ended: bool) -> Iterator[Any]:
+def _parts(reader: Any, name: str, notes: dict[str, str], *, ended: bool) -> Iterator[Any]:
+    """Yield the batches with samples; what was remarked beside them goes into `notes`."""
     while True:
         try:
-            part = reader.read_next_batch()
+            part, remarks = reader.read_next_batch_with_custom_metadata()
         except StopIteration:
             return
         except DAMAGED as error:
             if ended:
                 raise RecordingFormatError(f"{name} is damaged: {error}") from error
             return
+        for key, value in (remarks or {}).items():
+            notes[key.decode()] = value.decode()
         if part.num_rows:
             yield part

@@ -75,6 +75,9 @@ class Writer(ABC):
         self.atomic = atomic
         self._target = self.path.with_name(f"{self.path.name}.part") if atomic else self.path
         self._last: Recording | None = None
+        self.remarks: dict[str, str] = {}
+        """What becomes known while the file grows, such as how many frames were damaged; it is kept
+        beside the samples and read back into the recording's notes."""
 
     def append(self, batch: Recording) -> None:
         """Write the next samples; time runs on from those before."""

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import IO
 
 import pyarrow as pa
@@ -29,6 +29,9 @@ from drivers.formats.columns import (
 )
 from drivers.formats.text import TextTable, decode_head
 
+REMARKS = 4096
+"""Bytes at the end of a file in which remarks are looked for."""
+
 
 class CsvWriter(Writer):
     """Appends rows to a CSV file in SI; numbers are written so that they read back exactly."""
@@ -36,9 +39,8 @@ class CsvWriter(Writer):
     def _start(self, batch: Recording) -> None:
         self._schema = schema_of(batch)
         self._file: IO[bytes] = open(self._target, "wb")  # noqa: SIM115 - closed in _finish
-        lines = [f"# {_quote(key)}: {_quote(value)}" for key, value in to_text(batch).items()]
-        lines.append(",".join(self._schema.names))
-        self._file.write(("\n".join(lines) + "\n").encode())
+        self._file.write(_comment_lines(to_text(batch)))
+        self._file.write((",".join(self._schema.names) + "\n").encode())
 
     def _append(self, batch: Recording) -> None:
         options = csv.WriteOptions(include_header=False)
@@ -51,6 +53,7 @@ class CsvWriter(Writer):
             os.fsync(self._file.fileno())
 
     def _finish(self) -> None:
+        self._file.write(_comment_lines(self.remarks))
         self._file.close()
 
 
@@ -81,7 +84,7 @@ class Csv(Format):
                 f"{source.path}: the header has no column {', '.join(missing)}; expected "
                 f"{','.join(REQUIRED)}[,temperature][,lost] in s, m/s², rad/s, °C and counts"
             )
-        meta = _comments(text.splitlines()[:line])
+        meta = _comments(text.splitlines()[:line]) | _remarks(source)
         assembler = from_text(meta, name=str(source.path), drop_invalid=options.drop_invalid)
         wanted = [name for name in (*REQUIRED, *OPTIONAL) if name in names]
         table = TextTable(source, delimiter=",", names=names, skip_lines=line + 1)
@@ -111,6 +114,23 @@ def _header(text: str) -> tuple[int, list[str]] | None:
             return number, names
         return None
     return None
+
+
+def _comment_lines(pairs: Mapping[str, str]) -> bytes:
+    return "".join(f"# {_quote(k)}: {_quote(v)}\n" for k, v in pairs.items()).encode()
+
+
+def _remarks(source: Source) -> dict[str, str]:
+    """Return what stands in the comment lines below the last sample."""
+    buffer = source.buffer
+    tail = buffer.slice(max(0, buffer.size - REMARKS)).to_pybytes()
+    lines = tail.decode("utf-8", "replace").splitlines()[1:]
+    below = []
+    for text in reversed(lines):
+        if not text.startswith("#"):
+            break
+        below.append(text)
+    return _comments(below)
 
 
 def _comments(lines: list[str]) -> dict[str, str]:

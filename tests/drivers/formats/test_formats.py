@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 
 from calib import DeviceInfo, Recording
-from drivers.formats import ArrowWriter, formats, open_batches, read_recording, write_recording
+from drivers.formats import (
+    ArrowWriter,
+    formats,
+    open_batches,
+    open_writer,
+    read_recording,
+    write_recording,
+)
 
 SUFFIXES = [s for f in formats().values() if f.writer is not None for s in f.suffixes]
 
@@ -71,3 +78,19 @@ def test_a_killed_arrow_file_reads_to_its_last_whole_batch(tmp_path: Path) -> No
         assert len(recording) == expected
         assert not recording.complete
         np.testing.assert_array_equal(recording.gyro, whole.gyro[:expected])
+
+
+@pytest.mark.parametrize("suffix", [".arrow", ".csv"])
+def test_what_becomes_known_while_a_file_grows_is_read_back(tmp_path: Path, suffix: str) -> None:
+    whole = read_recording(Path(__file__).parents[3] / "fixtures/bench.csv")
+    path = tmp_path / f"log{suffix}"
+    with open_writer(path) as writer:
+        writer.append(whole.slice(0, 100))
+        writer.remarks = {"bad checksums": "2"}
+        writer.append(whole.slice(100, 200))
+        writer.remarks = {"bad checksums": "3", "stray: bytes": "17"}
+        writer.append(whole.slice(200, 300))
+    again = read_recording(path)
+    assert again.notes["bad checksums"] == "3"
+    assert again.notes["stray: bytes"] == "17"
+    np.testing.assert_array_equal(again.accel, whole.accel[:300])
