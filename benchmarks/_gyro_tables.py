@@ -110,8 +110,7 @@ def profile(turns: Turns) -> np.ndarray:
     return np.column_stack([interval, np.full(len(turns), TABLE_RATE)])
 
 
-def solve(method: str, recording: Recording, protocol: Protocol) -> tuple[Fit, float]:
-    poses = average_poses(recording, protocol.start, protocol.stop)
+def solve(method: str, recording: Recording, poses: Poses) -> tuple[Fit, float]:
     turns = find_turns(recording, poses)
     begin = time.process_time()
     fit = gyro_solvers()[method].solve(
@@ -203,8 +202,9 @@ def run(gyro: Triad, protocol: Protocol, runs: int, seed: int) -> tuple[dict, di
     cpu = dict.fromkeys(errors, 0.0)
     for k in range(runs):
         recording = record(protocol, gyro, np.random.default_rng([seed, k]), NOISE)
+        poses = average_poses(recording, protocol.start, protocol.stop)
         for method, found in errors.items():
-            fit, seconds = solve(method, recording, protocol)
+            fit, seconds = solve(method, recording, poses)
             cpu[method] += seconds / runs
             found.append(np.array(list(fit.triad.parameters("gyro").values())) - truth)
     return {m: np.array(e) for m, e in errors.items()}, cpu

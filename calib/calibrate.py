@@ -242,12 +242,26 @@ def _clipped(recording: Recording) -> IntArray:
 
 
 def _merge(accel: Fit, gyro: Fit) -> tuple[tuple[str, ...], FloatArray, tuple[str, ...]]:
-    """Return the determined names of both fits, their covariance, and what is undetermined."""
+    """Return the determined names of both fits, their covariance, and what is undetermined.
+
+    The accelerometer's errors, through the directions of gravity, are part of the gyroscope's.
+    """
     names: list[str] = []
-    blocks = []
+    blocks, rows = [], []
     for fit in (accel, gyro):
         known = [k for k, name in enumerate(fit.names) if name not in fit.undetermined]
         names += [fit.names[k] for k in known]
         block = fit.covariance[np.ix_(known, known)]
         blocks.append(0.5 * (block + block.T))
-    return tuple(names), block_diag(*blocks), (*accel.undetermined, *gyro.undetermined)
+        rows.append(known)
+    covariance = block_diag(*blocks)
+    if gyro.accel_sensitivity is not None:
+        order = list(Triad().parameters("accel"))
+        columns = [order.index(accel.names[k]) for k in rows[0]]
+        carried = gyro.accel_sensitivity[np.ix_(rows[1], columns)]
+        count = len(columns)
+        across = carried @ blocks[0]
+        own = across @ carried.T
+        covariance[count:, :count], covariance[:count, count:] = across, across.T
+        covariance[count:, count:] += 0.5 * (own + own.T)
+    return tuple(names), covariance, (*accel.undetermined, *gyro.undetermined)

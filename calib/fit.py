@@ -52,6 +52,10 @@ class Fit:
     advice : tuple of str
         For each reason why something is undetermined: what to record.
     excluded : tuple of Exclusion
+    accel_sensitivity : (p, 12) array, optional
+        Of a gyroscope: derivative of its values to the accelerometer's parameters, in the order of
+        `Triad.parameters`. ``covariance`` is that with the accelerometer as given; its errors add
+        ``D C D'``.
     """
 
     method: str
@@ -68,6 +72,7 @@ class Fit:
     undetermined: tuple[str, ...] = ()
     advice: tuple[str, ...] = ()
     excluded: tuple[Exclusion, ...] = field(default=())
+    accel_sensitivity: FloatArray | None = None
 
     @property
     def standard_errors(self) -> FloatArray:

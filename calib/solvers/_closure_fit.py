@@ -32,6 +32,8 @@ class ClosureFit:
         Of the data; what was left out adds nothing to it.
     bias_gain : (12, 3) array
         How an error of a bias that the closures do not estimate moves the gradient; else zero.
+    direction_gain : (12, k, 2) array
+        How two rotations of the direction at each pose move the gradient.
     judgement : Judgement
         Noise beyond the known, and what was left out.
     used : (m,) array of bool
@@ -43,6 +45,7 @@ class ClosureFit:
     values: FloatArray
     information: FloatArray
     bias_gain: FloatArray
+    direction_gain: FloatArray
     judgement: Judgement
     used: BoolArray
     residuals: FloatArray
@@ -66,6 +69,7 @@ def fit_closures(system: ClosureSystem, static: Information) -> ClosureFit:
         values,
         lin.jacobian.T @ weight @ lin.jacobian + static.precision,
         lin.jacobian.T @ weight @ lin.bias_jacobian * ~system.estimated[:3],
+        np.tensordot(lin.jacobian.T @ weight, lin.pose_shift, 1),
         judgement,
         used,
         lin.residual - shifts @ (fitted @ lin.residual),

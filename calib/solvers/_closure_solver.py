@@ -20,7 +20,7 @@ from calib.poses import Poses
 from calib.recording import Recording
 from calib.solvers._closure_fit import ClosureFit, fit_closures
 from calib.solvers._closure_noise import Information, Judgement
-from calib.solvers._closure_system import ClosureSystem, unpack
+from calib.solvers._closure_system import ClosureSystem, direction_sensitivity, unpack
 from calib.solvers._gyro_determined import (
     GYRO_NAMES,
     GYRO_UNITS,
@@ -82,9 +82,15 @@ def solve_closures(
     if not len(turns):
         empty = np.zeros(0)
         fit = ClosureFit(
-            static.mean, precision, np.zeros((12, 3)), Judgement(np.zeros(2)), empty > 0, empty
+            static.mean,
+            precision,
+            np.zeros((12, 3)),
+            np.zeros((12, len(poses), 2)),
+            Judgement(np.zeros(2)),
+            empty > 0,
+            empty,
         )
-        turned = np.zeros(3), np.zeros(3)
+        turned, moved = (np.zeros(3), np.zeros(3)), np.zeros((12, 12))
     else:
         system = ClosureSystem(
             TurnSteps.of(recording, turns),
@@ -99,8 +105,12 @@ def solve_closures(
         fit = fit_closures(system, static)
         swaying = _follow_hand(system, fit, static, recording, poses, accel)
         system, fit = (system, fit) if swaying is None else swaying
+        gravity = float(np.linalg.norm(accel.correct(poses.accel), axis=1).mean())
+        moved = np.tensordot(
+            fit.direction_gain, direction_sensitivity(system.directions, accel, gravity), 2
+        )
         turned = visible_turning(system.steps, system.directions, turns, unpack(fit.values))
-    return _report(poses, turns, bias, fit, model, turned, method=method)
+    return _report(poses, turns, bias, fit, model, moved, turned, method=method)
 
 
 def _follow_hand(
@@ -146,6 +156,7 @@ def _report(
     bias: StaticBias,
     fit: ClosureFit,
     model: BoolArray,
+    moved: FloatArray,
     turned: tuple[FloatArray, FloatArray],
     *,
     method: str,
@@ -157,6 +168,10 @@ def _report(
     inverse = np.asarray(np.linalg.inv(information), np.float64)
     covariance = np.full((len(names), len(names)), np.nan)
     covariance[np.ix_(free, free)] = inverse + _drag(fit, model, free, inverse, bias)
+    of_bias = np.flatnonzero(np.arange(12)[model] < 3)
+    covariance[of_bias, of_bias] += bias.wander**2
+    sensitivity = np.zeros((len(names), 12))
+    sensitivity[free] = -inverse @ moved[model][free]
     covariance[~judged.known] = covariance[:, ~judged.known] = np.nan
     undetermined = tuple(n for n, ok in zip(names, judged.known, strict=True) if not ok)
     left_out = fit.judgement.left_out
@@ -185,6 +200,7 @@ def _report(
                 for kind, i in left_out
             ),
         ),
+        accel_sensitivity=sensitivity,
     )
 
 

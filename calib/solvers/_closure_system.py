@@ -34,6 +34,19 @@ def unpack(values: FloatArray) -> Triad:
     return Triad.from_matrix(matrix, values[:3])
 
 
+def direction_sensitivity(directions: Directions, accel: Triad, gravity: float) -> FloatArray:
+    """Return how errors of the accelerometer's twelve parameters turn each direction, (k, 2, 12).
+
+    With ``G = I + S + M``, ``f = inv(G) (a_m - b)`` changes by ``-inv(G) (dG f + db)``; the two
+    components are rotations about the horizontal basis at the pose.
+    """
+    up, inverse = directions.up, np.asarray(np.linalg.inv(accel.matrix), np.float64)
+    size = np.concatenate([np.full((len(up), 3), 1 / gravity), up[:, COLUMN]], axis=1)
+    change = -inverse[:, np.concatenate([np.arange(3), _ROW])] * size[:, None, :]
+    turned: FloatArray = horizontal_basis(up) @ skew(up) @ change
+    return turned
+
+
 _OFF = (np.array([0, 0, 1, 1, 2, 2]), np.array([1, 2, 0, 2, 0, 1]))
 _ROW = np.concatenate([np.arange(3), _OFF[0]])
 COLUMN = np.concatenate([np.arange(3), _OFF[1]])

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import fdtri
+from scipy.special import chdtri, fdtri
 
 from calib.errors import InsufficientMotionError
 from calib.fit import Exclusion
@@ -15,6 +15,8 @@ from calib.types import FloatArray
 
 BATCH = 0.5
 """s; the noise of the integrated rate is judged from means over this time."""
+SIGNIFICANCE = 0.01
+"""Chance that noise alone passes for a drift of the bias."""
 ALONE = 1.3
 """Variance of a reading less the median of its four neighbours, in units of that of a reading."""
 
@@ -29,6 +31,9 @@ class StaticBias:
     covariance : (3, 3) array
     spread : (3,) array, rad/s
         Standard deviation from pose to pose beyond the noise: drift, temperature, g-sensitivity.
+    wander : (3,) array, rad/s
+        Standard deviation of the bias at one moment from its mean over the recording: `spread` if
+        the poses of all axes together scatter significantly (`SIGNIFICANCE`), else 0.
     deviation : (k, 3) array, rad/s
         How far the bias was from the mean at each pose, as far as noise lets one tell.
     excluded : tuple of Exclusion
@@ -38,6 +43,7 @@ class StaticBias:
     bias: FloatArray
     covariance: FloatArray
     spread: FloatArray
+    wander: FloatArray
     deviation: FloatArray
     excluded: tuple[Exclusion, ...]
 
@@ -99,6 +105,7 @@ def static_bias(recording: Recording, poses: Poses) -> StaticBias:
     heterogeneity = (weight * (values - mean) ** 2).sum(axis=0)
     scale = weight.sum(axis=0) - (weight**2).sum(axis=0) / weight.sum(axis=0)
     excess = heterogeneity - (len(values) - 1)
+    drifts = heterogeneity.sum() > chdtri(3 * max(len(values) - 1, 1), SIGNIFICANCE)
     spread2 = np.where(scale > 0, np.maximum(excess, 0) / np.where(scale > 0, scale, 1), 0.0)
     weight = 1 / (noise[good] + spread2)
     bias = (weight * values).sum(axis=0) / weight.sum(axis=0)
@@ -116,7 +123,8 @@ def static_bias(recording: Recording, poses: Poses) -> StaticBias:
         )
         for k in np.flatnonzero(~good)
     )
-    return StaticBias(bias, np.diag(variance), np.sqrt(spread2), deviation, excluded)
+    spread = np.sqrt(spread2)
+    return StaticBias(bias, np.diag(variance), spread, spread * drifts, deviation, excluded)
 
 
 def _correlation_excess(deviation: FloatArray) -> FloatArray:

@@ -16,6 +16,13 @@ at a pose share its direction's error: the weight matrix knows that. A turn or a
 fit is given a free shift of its own, which leaves it out and keeps the rest: without a bumped pose,
 the turns before and after it still close as one.
 
+The bias is its mean over the recording. Its covariance is that of the bias at any one moment of the
+recording: where the means of the poses scatter significantly beyond their noise, the variance of
+that scatter is in it, as a drift does not average out for whoever uses the bias later. What the
+bias was before and after the recording it does not know. In a turn the bias is that of the poses
+beside it. The covariance is for the accelerometer as given; ``accel_sensitivity`` carries the
+accelerometer's errors into it.
+
 References
 ----------
 .. [1] Ranjbaran, Roudbari, Ebadollahi, JECEI 6(1), 2018, eqs. (12) to (14): the per-axis method

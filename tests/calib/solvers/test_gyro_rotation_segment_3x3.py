@@ -1,8 +1,10 @@
 """The default gyroscope method: recovery, honest errors, robustness, and what it cannot know."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from gyro_motion import GRAVITY, Motion, Truth, protocol, simulate
+from gyro_motion import GRAVITY, Motion, Truth, noisy, protocol, simulate
 
 from calib.closure import closure_errors
 from calib.fit import Fit
@@ -136,3 +138,47 @@ def test_a_minute_of_shaking_is_left_out_and_said() -> None:
     fit = solve(simulate(Motion(turns), GYRO, rng=np.random.default_rng(2)))
     assert [e.reason.split(" that")[0] for e in fit.excluded] == ["the turn is so long"]
     assert (np.abs((fit.values - TRUTH) / fit.standard_errors) < 4.5).all()
+
+
+def test_errors_of_the_accelerometer_reach_the_parameters_as_stated() -> None:
+    accel = Triad([0.1, 0.2, 0.1], [0.02, 0.01, 0.0], 0.01 * np.tril(np.ones((3, 3)), -1))
+    truth = simulate(Motion(protocol()), GYRO, rng=np.random.default_rng(0), accel=accel)
+    values = accel.parameters("accel")
+
+    def solved(**changed: float) -> Fit:
+        return solve(truth, accel.with_parameters(values | changed))
+
+    stated = solved().accel_sensitivity
+    assert stated is not None
+    for name in ("accel.bias.x", "accel.scale_factor_error.y", "accel.misalignment.zx"):
+        high, low = (solved(**{name: values[name] + h}).values for h in (1e-4, -1e-4))
+        change = (high - low) / 2e-4
+        column = stated[:, list(values).index(name)]
+        np.testing.assert_allclose(column, change, atol=0.03 * np.abs(change).max())
+
+
+def test_the_covariance_covers_a_bias_that_wanders_and_no_more_where_it_does_not() -> None:
+    clean = simulate(
+        Motion(protocol()),
+        GYRO,
+        rng=np.random.default_rng(0),
+        gyro_noise=0.0,
+        accel_noise=0.0,
+    )
+    for walk in (0.0, 2e-4):  # rad/s per root second
+        squares = []
+        for seed in range(12):
+            rng = np.random.default_rng(seed)
+            truth = noisy(clean, rng=rng, gyro_noise=0.002, accel_noise=0.02)
+            steps = rng.normal(0, walk * np.sqrt(truth.recording.interval), truth.rate.shape)
+            drift = np.cumsum(steps, axis=0)
+            recording = replace(truth.recording, gyro=truth.recording.gyro + drift)
+            spans = zip(truth.poses.start, truth.poses.stop, strict=True)
+            means = np.array([drift[a:b].mean(axis=0) for a, b in spans])
+            poses = replace(truth.poses, gyro=truth.poses.gyro + means)
+            fit = solve(Truth(recording, poses, truth.rate, truth.mat_ns))
+            moment = drift[rng.integers(len(drift))]
+            error = fit.values[:3] - GYRO.bias - moment
+            squares.append(error @ np.linalg.solve(fit.covariance[:3, :3], error) / 3)
+        # A mean of 36 squares is 1 +- 0.24; those of one wandering path are less independent.
+        assert 0.4 < np.mean(squares) < 2.0, walk
