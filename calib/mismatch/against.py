@@ -4,22 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
 from calib.calibration import Quantity
 from calib.effects import effects, get_effect
+from calib.effects.base import PRESENCE
 from calib.mismatch.alignment import LEAST_OVERLAP, align
-from calib.mismatch.comparison import ComparisonProblem, Setup
-from calib.mismatch.diagnosis import Diagnosis, Finding
+from calib.mismatch.band import matched
+from calib.mismatch.comparison import ComparisonProblem
+from calib.mismatch.diagnosis import Diagnosis, Finding, Unexplained
 from calib.mismatch.explain import Estimate, changes, estimate, explain, verdict
 from calib.mismatch.families import PHYSICAL
 from calib.mismatch.heldout import HeldOut, held_out
 from calib.mismatch.samples import Samples, look_at_samples
 from calib.mismatch.score import SCALES
 from calib.mismatch.search import CLAIM, Outcome, search
-from calib.mismatch.truths import RecordingTruth
 from calib.model import SensorModel
 from calib.recording import CHANNELS, Recording
 from calib.statics import find_poses
@@ -34,14 +34,6 @@ what it is worth on held-out windows."""
 
 _SELDOM_ALONE = ("earth_rate", "gravity_magnitude")
 """What is in a simulation's own signals already, or is a scale that the baseline has."""
-
-
-class Compared(NamedTuple):
-    """The diagnosis, and what it rests on."""
-
-    diagnosis: Diagnosis
-    outcome: Outcome | None
-    setup: Setup | None
 
 
 def diagnose_against(
@@ -75,12 +67,21 @@ def diagnose_against(
     if still:
         return undetermined(still, summary)
     alignment = align(real.time, real.gyro, simulated.time, simulated.gyro)
-    truth = RecordingTruth(simulated, gravity)
+    limited, truth, spoilt = matched(
+        real,
+        simulated,
+        find_poses(simulated),
+        alignment,
+        np.eye(3),
+        gravity=gravity,
+        spoilt=seen.spoilt,
+    )
+    skip = _SELDOM_ALONE if limited is real else (*_SELDOM_ALONE, "bandwidth")
     problem = ComparisonProblem(
-        real, truth, alignment, gravity=gravity, model=model, spoilt=seen.spoilt
+        limited, truth, alignment, gravity=gravity, model=model, spoilt=spoilt
     )
     # When a simulation starts is nobody's fault; what its clock does to the motion is.
-    return conclude(problem, seen, summary, setups=("clock_scale",), skip=_SELDOM_ALONE).diagnosis
+    return conclude(problem, seen, summary, setups=("clock_scale",), skip=skip)
 
 
 def at_rest(*recordings: Recording) -> str:
@@ -104,7 +105,7 @@ def conclude(
     *,
     setups: tuple[str, ...],
     skip: tuple[str, ...] = (),
-) -> Compared:
+) -> Diagnosis:
     """Search, explain, and report alignments among ``setups`` as findings."""
     before = problem.rows()
     skip += ("clock_scale", *(("reference_misalignment",) if problem.turned else ()))
@@ -116,13 +117,18 @@ def conclude(
     fit = estimate(outcome, reference=True)
     found = _setups(outcome, fit, problem, setups)
     findings = [*seen.findings, *found, *findings]
-    unexplained = [*seen.unexplained, *unexplained]
+    named = [f for f in findings if not _impossible(f)]
+    left = [_nameless(f) for f in findings if _impossible(f)]
+    findings, unexplained = named, [*seen.unexplained, *unexplained, *left]
+    slugs = {f.effect for f in named}
+    keep = [i for i, n in enumerate(known) if n in problem.names or n.split(".")[0] in slugs]
+    known, covariance = tuple(known[i] for i in keep), covariance[np.ix_(keep, keep)]
     open_ = _open(problem.names, fit)
     missing = (f"motion that determines {', '.join(open_)}",) if open_ else ()
     change, likelihood = changes(outcome, before)
     shown = {c.name for c in outcome.candidates if c.physical}
     alignment = problem.setup.alignment
-    diagnosis = Diagnosis(
+    return Diagnosis(
         verdict=verdict(tuple(findings), tuple(unexplained), able=not open_),
         findings=tuple(findings),
         unexplained=tuple(unexplained),
@@ -147,7 +153,17 @@ def conclude(
             },
         },
     )
-    return Compared(diagnosis, outcome, problem.setup)
+
+
+def _impossible(item: Finding) -> bool:
+    """Return whether what is either there or not would be there by half, or twice."""
+    units = {p.name: p.unit for p in get_effect(item.effect).parameters}
+    there = [q.value for name, q in item.parameters.items() if units.get(name) == PRESENCE]
+    return item.held_out is not None and any(not 0.5 < value < 1.5 for value in there)
+
+
+def _nameless(item: Finding) -> Unexplained:
+    return Unexplained(item.channels, item.intervals, item.regime, item.p_value, item.rivals)
 
 
 def _open(names: tuple[str, ...], fit: Estimate) -> list[str]:

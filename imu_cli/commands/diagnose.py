@@ -24,6 +24,16 @@ def diagnose(
             metavar="SIM", help="Compare with this simulation; rate and start time may differ."
         ),
     ] = None,
+    reference: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="REF",
+            help="Compare with motion capture, a table's profile, or another IMU on the same body.",
+        ),
+    ] = None,
+    reference_imu: Annotated[
+        int | None, typer.Option(help="Which sensor of the reference's board, from 1.")
+    ] = None,
     profile: Annotated[str | None, typer.Option(help="Import profile of a foreign log.")] = None,
     imu: Annotated[int | None, typer.Option(help="Which sensor of a board, from 1.")] = None,
     gravity: Annotated[float, typer.Option(help="Local gravity, m/s².")] = 9.80665,
@@ -41,28 +51,38 @@ def diagnose(
 
     The simulation is the recording's own twin: its rests and turns, under the paper's sensor model
     (or the one given) fitted to it. With --against it is your own simulation, whose motion is taken
-    as the truth. Every verdict ends with exit code 0.
+    as the truth; with --reference what moved with the sensor. Every verdict ends with exit code 0.
     """
     import os
 
     # Matrices of a few hundred rows: more threads only cost CPU.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from calib.calibration import Gravity
-    from calib.mismatch import diagnose_against, diagnose_recording
+    from calib.mismatch import diagnose_against, diagnose_recording, diagnose_reference
     from drivers.calibration_file import load_calibration, save_calibration
     from drivers.formats import read_recording
+    from drivers.reference_file import read_reference
     from imu_cli.output import print_json
 
     if not 9.7 < gravity < 9.9:
         raise typer.BadParameter(
             f"expected m/s² between 9.7 and 9.9, got {gravity:g}", param_hint="--gravity"
         )
+    if against is not None and reference is not None:
+        raise typer.BadParameter(
+            "expected --against or --reference, got both", param_hint="--reference"
+        )
+    if reference_imu is not None and reference is None:
+        raise typer.BadParameter("it needs --reference", param_hint="--reference-imu")
     known = None if calibration is None else load_calibration(calibration)
     real = read_recording(recording, profile=profile, imu=imu)
     model = None if known is None else known.model
     if against is not None:
         simulated = read_recording(against)
         found = diagnose_against(real, simulated, gravity=gravity, model=model)
+    elif reference is not None:
+        other = read_reference(reference, imu=reference_imu)
+        found = diagnose_reference(real, other, gravity=gravity, model=model)
     else:
         found = diagnose_recording(real, gravity=gravity, model=model)
     if output is not None:

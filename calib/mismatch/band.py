@@ -1,0 +1,148 @@
+"""The band that a recording and a noisy truth share.
+
+The noise of a truth is in every regressor that is made of it: an effect that acts on high
+frequencies (a low-pass, a delay) would be found in noise alone. So where the truth is noisy, rests
+are made still, and both sides go through the same low-pass, up to where they agree.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.signal import butter, coherence, sosfiltfilt
+
+from calib.mismatch.alignment import Alignment
+from calib.mismatch.comparison import Truth
+from calib.mismatch.truths import RecordingTruth
+from calib.poses import Poses
+from calib.recording import Recording
+from calib.types import BoolArray, FloatArray
+
+COHERENT = 0.5
+"""Coherence of the rates of recording and reference below which a frequency is noise: half of its
+power is not common."""
+
+NARROWEST = 5.0
+"""Hz: hand motion reaches so far in any case."""
+
+KEPT = 6.0
+"""Samples kept for each period of the highest frequency that is compared."""
+
+QUIET = 0.1
+"""Noise of a truth, relative to the recording's, up to which it counts as exact."""
+
+
+def matched(
+    real: Recording,
+    other: Recording,
+    poses: Poses,
+    alignment: Alignment,
+    mat: FloatArray,
+    *,
+    gravity: float,
+    spoilt: BoolArray,
+    other_spoilt: BoolArray | None = None,
+) -> tuple[Recording, Truth, BoolArray]:
+    """Return a recording and another as its truth, in the band that both share.
+
+    The recording comes back as it is if the other has little noise beside it.
+    """
+    plain = RecordingTruth(other, gravity, other_spoilt)
+    if (noise_of(other) <= QUIET * noise_of(real)).all():
+        return real, plain, spoilt
+    bandwidth = common_band(real, plain, alignment, mat, forces=False)
+    other = stilled(other, poses)
+    if bandwidth is None:
+        return real, RecordingTruth(other, gravity, other_spoilt), spoilt
+    if other_spoilt is not None:
+        other_spoilt = widened(other_spoilt, bandwidth, other.interval)
+    truth = RecordingTruth(low_passed(other, bandwidth), gravity, other_spoilt)
+    limited_real, wide = limited(real, bandwidth, spoilt)
+    return limited_real, truth, wide
+
+
+def noise_of(recording: Recording) -> FloatArray:
+    """Return the standard deviation of the white noise of both triads, (2,), from quiet samples."""
+    out = []
+    for values in (recording.accel, recording.gyro):
+        second = np.abs(np.diff(values, n=2, axis=0))
+        # A third of the samples, the quietest, are at rest if anything is.
+        low = np.quantile(second, 0.2, axis=0) / 0.2533 / np.sqrt(6.0)
+        out.append(float(low.mean()))
+    return np.array(out)
+
+
+def stilled(recording: Recording, poses: Poses) -> Recording:
+    """Return the recording with every rest at its mean."""
+    accel, gyro = recording.accel.copy(), recording.gyro.copy()
+    for k in range(len(poses)):
+        part = slice(int(poses.start[k]), int(poses.stop[k]))
+        accel[part], gyro[part] = poses.accel[k], poses.gyro[k]
+    return replace(recording, accel=accel, gyro=gyro)
+
+
+def widened(spoilt: BoolArray, bandwidth: float, interval: float) -> BoolArray:
+    """Return what a low-pass makes of spoilt samples: their neighbours are spoilt too."""
+    reach = int(np.ceil(0.5 / bandwidth / interval))
+    return np.asarray(np.convolve(spoilt, np.ones(2 * reach + 1), mode="same") > 0)
+
+
+def limited(real: Recording, bandwidth: float, spoilt: BoolArray) -> tuple[Recording, BoolArray]:
+    """Return a recording limited to a band, with as many samples as that needs."""
+    wide = widened(spoilt, bandwidth, real.interval)
+    thin = max(1, int(1.0 / (KEPT * bandwidth * real.interval)))
+    return thinned(low_passed(real, bandwidth), thin), wide[::thin]
+
+
+def common_band(
+    real: Recording, truth: Truth, alignment: Alignment, mat: FloatArray, *, forces: bool
+) -> float | None:
+    """Return the frequency (Hz) up to which recording and truth agree, None if they do throughout.
+
+    Derivatives of captured orientations and positions grow with frequency, and so does their
+    noise. The lower of what the rates and what the specific forces allow holds for both.
+    """
+    at = alignment.times(real.time)
+    state = truth.state(np.clip(at, *truth.span))
+    rate = 1.0 / real.interval
+    found = []
+    for measured, true in ((real.gyro, state.rate), (real.accel, state.force))[
+        : 2 if forces else 1
+    ]:
+        length = min(len(measured) // 8, round(2.0 * rate))
+        if length < 16:
+            continue
+        f, each = coherence(measured, true @ mat.T, fs=rate, nperseg=length, axis=0)
+        above = np.flatnonzero((f > NARROWEST) & (each.max(axis=1) < COHERENT))
+        if len(above):
+            found.append(float(f[above[0]]))
+    return max(min(found), NARROWEST) if found else None
+
+
+def low_passed(recording: Recording, bandwidth: float) -> Recording:
+    """Return the recording through the low-pass that `motion_from_reference` has, no delay."""
+    rate = 1.0 / recording.interval
+    if bandwidth >= 0.45 * rate or len(recording) < 32:
+        return recording
+    sos = butter(4, bandwidth, fs=rate, output="sos")
+    return replace(
+        recording,
+        accel=sosfiltfilt(sos, recording.accel, axis=0),
+        gyro=sosfiltfilt(sos, recording.gyro, axis=0),
+    )
+
+
+def thinned(recording: Recording, step: int) -> Recording:
+    """Return every `step`-th sample."""
+    if step == 1:
+        return recording
+    temperature = recording.temperature
+    return replace(
+        recording,
+        time=recording.time[::step],
+        accel=recording.accel[::step],
+        gyro=recording.gyro[::step],
+        temperature=None if temperature is None else temperature[::step],
+        lost=None,
+    )

@@ -1,0 +1,169 @@
+"""Reference files: motion capture, a table's profile, or another recording.
+
+======== ======================================================================================
+HDF5     ``opt_quat`` (n, 4) and, if positions were captured, ``opt_pos`` (n, 3) in m, with the
+         attribute ``sampling_rate`` in Hz (as BROAD has them)
+CSV      columns ``time`` (s), ``qw qx qy qz`` and, if known, ``x y z`` (m); empty cells and
+         ``nan`` are gaps
+CSV      columns ``time`` (s) and one of ``angle`` (rad), ``angle_deg``, ``rate`` (rad/s),
+         ``rate_dps``: a table that turns about a vertical axis
+others   any recording: another IMU on the same body
+======== ======================================================================================
+"""
+
+from __future__ import annotations
+
+import csv
+from itertools import islice
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from calib.errors import RecordingFormatError, RecordingNotFoundError
+from drivers.formats import read_recording
+
+if TYPE_CHECKING:
+    from calib.mismatch.referencemode import ReferenceMotion
+    from calib.recording import Recording
+    from calib.types import FloatArray
+
+QUATERNION = ("qw", "qx", "qy", "qz")
+POSITION = ("x", "y", "z")
+TABLE = ("angle", "angle_deg", "rate", "rate_dps")
+
+
+def read_reference(path: Path, *, imu: int | None = None) -> Recording | ReferenceMotion:
+    """Read a reference.
+
+    Parameters
+    ----------
+    path : Path
+    imu : int, optional
+        Which sensor of a board, where the reference is another IMU.
+
+    Raises
+    ------
+    RecordingError
+        If it is none of the above; the message names what was seen and expected.
+    """
+    if not path.is_file():
+        if not path.exists():
+            raise RecordingNotFoundError(f"{path}: there is no such reference")
+        return read_recording(path, imu=imu)
+    with path.open("rb") as file:
+        head = file.read(4096)
+    if head.startswith(b"\x89HDF\r\n\x1a\n"):
+        captured = _hdf5(path)
+        if captured is not None:
+            return captured
+    else:
+        names = _header(head)
+        if "time" in names and set(QUATERNION) <= set(names):
+            return _captured(path, _columns(path, names))
+        if "time" in names and set(TABLE) & set(names) and not {"ax", "accel_x"} & set(names):
+            return _table(path, _columns(path, names))
+    return read_recording(path, imu=imu)
+
+
+def _header(head: bytes) -> list[str]:
+    first = head.decode("utf-8", "replace").lstrip("\ufeff").split("\n", 1)[0]
+    return [name.strip().lower() for name in first.split(",")]
+
+
+def _columns(path: Path, names: list[str]) -> dict[str, FloatArray]:
+    values: list[list[float]] = []
+    with path.open(encoding="utf-8-sig", errors="replace", newline="") as file:
+        for number, row in enumerate(islice(csv.reader(file), 1, None), 2):
+            if not row:
+                continue
+            try:
+                values.append([float(cell) if cell.strip() else np.nan for cell in row])
+            except ValueError:
+                raise RecordingFormatError(
+                    f"{path}: line {number} holds {row!r}, expected {len(names)} numbers"
+                ) from None
+            if len(row) != len(names):
+                raise RecordingFormatError(
+                    f"{path}: line {number} has {len(row)} cells, expected {len(names)} "
+                    f"({', '.join(names)})"
+                )
+    if len(values) < 4:
+        raise RecordingFormatError(f"{path}: it has {len(values)} rows, expected at least four")
+    found = dict(zip(names, np.array(values, np.float64).T, strict=True))
+    time = found["time"]
+    if not np.isfinite(time).all() or np.diff(time).min() <= 0:
+        k = int(np.argmax(~(np.diff(time) > 0))) + 3
+        raise RecordingFormatError(f"{path}: time must increase, and does not at line {k}")
+    return found
+
+
+def _captured(path: Path, columns: dict[str, FloatArray]) -> ReferenceMotion:
+    from calib.mismatch.referencemode import ReferenceMotion
+
+    there = [name for name in POSITION if name in columns]
+    if there and len(there) < 3:
+        raise RecordingFormatError(
+            f"{path}: of the position only {', '.join(there)} is there, expected x, y and z or none"
+        )
+    position = np.stack([columns[n] for n in POSITION], axis=1) if there else None
+    quat = np.stack([columns[n] for n in QUATERNION], axis=1)
+    return ReferenceMotion(columns["time"], _unit(path, quat), position)
+
+
+def _table(path: Path, columns: dict[str, FloatArray]) -> ReferenceMotion:
+    from calib.mismatch.referencemode import ReferenceMotion
+
+    given = [name for name in TABLE if name in columns]
+    if len(given) > 1:
+        raise RecordingFormatError(
+            f"{path}: it has {' and '.join(given)}, expected one of {', '.join(TABLE)}"
+        )
+    time, values = columns["time"], columns[given[0]]
+    if given[0].endswith(("_deg", "_dps")):
+        values = np.radians(values)
+    if given[0].startswith("rate"):
+        steps = 0.5 * (values[1:] + values[:-1]) * np.diff(time)
+        values = np.concatenate(([0.0], np.cumsum(steps)))
+    quat = np.zeros((len(time), 4))
+    quat[:, 0], quat[:, 3] = np.cos(0.5 * values), np.sin(0.5 * values)
+    return ReferenceMotion(time, quat)
+
+
+def _unit(path: Path, quat: FloatArray) -> FloatArray:
+    size = np.linalg.norm(quat, axis=1)
+    good = np.isfinite(size)
+    if not good.any() or np.abs(size[good] - 1).max() > 0.05:
+        seen = f"{size[good].min():.3g} to {size[good].max():.3g}" if good.any() else "none"
+        raise RecordingFormatError(
+            f"{path}: lengths of the quaternions are {seen}, expected 1 (scalar first: qw, qx, qy, "
+            "qz)"
+        )
+    out: FloatArray = quat / size[:, None]
+    return out
+
+
+def _hdf5(path: Path) -> ReferenceMotion | None:
+    """Return the captured motion of an HDF5 file, None if it holds none."""
+    import h5py
+
+    from calib.mismatch.referencemode import ReferenceMotion
+
+    try:
+        with h5py.File(path) as file:
+            if "opt_quat" not in file:
+                return None
+            quat = np.asarray(file["opt_quat"], np.float64)
+            position = np.asarray(file["opt_pos"], np.float64) if "opt_pos" in file else None
+            rate = float(file.attrs.get("sampling_rate", np.nan))
+    except (OSError, KeyError, TypeError, ValueError, RuntimeError) as error:
+        raise RecordingFormatError(f"{path}: the HDF5 file is damaged ({error})") from error
+    if quat.ndim != 2 or quat.shape[1] != 4 or len(quat) < 4:
+        raise RecordingFormatError(f"{path}: opt_quat is {quat.shape}, expected (n, 4)")
+    if position is not None and position.shape != (len(quat), 3):
+        raise RecordingFormatError(
+            f"{path}: opt_pos is {position.shape}, expected {(len(quat), 3)}"
+        )
+    if not (np.isfinite(rate) and rate > 0):
+        raise RecordingFormatError(f"{path}: the attribute sampling_rate (Hz) is missing")
+    return ReferenceMotion(np.arange(len(quat)) / rate, _unit(path, quat), position)

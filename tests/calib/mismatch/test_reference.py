@@ -1,0 +1,103 @@
+"""A recording against a reference: another IMU on the same body, motion capture, a table."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from calib.effects.base import Term
+from calib.errors import NoCommonMotionError
+from calib.mismatch import ReferenceMotion, diagnose_reference
+from calib.model import SensorModel
+from calib.recording import Recording
+from calib.rotation import mat_from_rotvec
+from calib.simulate import Sampling, simulate
+from calib.simulation.bench import bench_protocol
+from calib.simulation.kinematics import Motion
+from calib.simulation.noise import CONSUMER
+
+GRAVITY = 9.80665
+ARM = {"rx": 0.019, "ry": -0.012, "rz": 0.004}
+
+
+@cache
+def motion() -> Motion:
+    rng = np.random.default_rng(1)
+    return bench_protocol(rng, poses=8, first_pose=1.0, pose_duration=(2.0, 3.0), tremor=0.3)
+
+
+def recorded(*terms: Term, rate: float = 50.0, seed: int = 2, offset: float = 0.0) -> Recording:
+    rng = np.random.default_rng(seed)
+    sampling = Sampling(clock_offset=offset)
+    model = SensorModel(terms=terms)
+    return simulate(motion(), model, CONSUMER, rng=rng, rate=rate, sampling=sampling)
+
+
+def named(found) -> dict[str, dict[str, object]]:
+    return {item.effect: dict(item.parameters) for item in found.findings}
+
+
+def captured(*, start: float, rate: float = 120.0) -> ReferenceMotion:
+    time = np.arange(0.0, motion().duration, 1.0 / rate)
+    turning, path = motion().kinematics(time)
+    assert path is not None
+    quat = turning.quat.copy()
+    quat[500:530] = np.nan
+    return ReferenceMotion(time + start, quat, path.position)
+
+
+def test_the_arm_between_two_imus_on_a_body_is_found():
+    found = diagnose_reference(
+        recorded(Term("accel_lever_arm", ARM)), recorded(seed=3, rate=64.0), gravity=GRAVITY
+    )
+    assert set(named(found)) == {"accel_lever_arm"}
+    for name, value in ARM.items():
+        q = named(found)["accel_lever_arm"][name]
+        assert q.value == pytest.approx(value, abs=4 * q.sigma + 1e-4)
+    held = found.findings[0].held_out
+    assert held is not None
+    assert held.after < held.before
+
+
+def test_two_imus_that_are_mounted_at_an_angle_and_start_apart():
+    real, other = recorded(), recorded(seed=3, rate=64.0, offset=12.0)
+    turn = mat_from_rotvec(np.array([0.02, -0.01, 1.5]))
+    other = Recording(other.time, other.accel @ turn.T, other.gyro @ turn.T, "device")
+    found = named(diagnose_reference(real, other, gravity=GRAVITY))
+    assert set(found) == {"reference_misalignment", "time_offset"}
+    assert found["time_offset"]["delay"].value == pytest.approx(-12.0, abs=1e-3)
+    size = np.linalg.norm([found["reference_misalignment"][f"r{a}"].value for a in "xyz"])
+    assert size == pytest.approx(np.linalg.norm([0.02, -0.01, 1.5]), abs=2e-3)
+
+
+def test_two_alike_imus_are_consistent():
+    found = diagnose_reference(recorded(), recorded(seed=3, rate=64.0), gravity=GRAVITY)
+    assert found.verdict == "consistent"
+
+
+@pytest.mark.parametrize("inverse", [False, True])
+def test_motion_capture_with_a_gap_gives_arm_and_delay(inverse):
+    reference = captured(start=0.02)
+    if inverse:
+        reference = reference.inverted()
+    found = diagnose_reference(recorded(Term("accel_lever_arm", ARM)), reference, gravity=GRAVITY)
+    got = named(found)
+    assert {"accel_lever_arm", "time_offset"} <= set(got)
+    assert got["time_offset"]["delay"].value == pytest.approx(-0.02, abs=1e-3)
+    for name, value in ARM.items():
+        assert got["accel_lever_arm"][name].value == pytest.approx(value, abs=1e-3)
+
+
+def test_a_reference_of_another_motion_is_an_error():
+    rng = np.random.default_rng(4)
+    other = bench_protocol(rng, poses=8, first_pose=4.0, pose_duration=(2.0, 6.0))
+    reference = simulate(other, SensorModel(), CONSUMER, rng=rng, rate=64.0)
+    with pytest.raises(NoCommonMotionError, match="same motion"):
+        diagnose_reference(recorded(), reference, gravity=GRAVITY)
+
+
+def test_a_reference_that_saw_nothing_says_so():
+    reference = captured(start=0.0)
+    blind = ReferenceMotion(reference.time, np.full_like(reference.quat, np.nan))
+    with pytest.raises(ValueError, match="finite rows"):
+        diagnose_reference(recorded(), blind, gravity=GRAVITY)
