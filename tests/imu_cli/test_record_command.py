@@ -120,6 +120,8 @@ def test_strict_fails_on_any_loss(tmp_path: Path) -> None:
     assert result.exit_code == 0
     assert "1 samples lost" in result.stderr
     assert "1 damaged frames" in result.stderr
+    for name in ("broken.bin.arrow", "b.csv"):
+        assert read_recording(tmp_path / name).notes["damaged frames"] == "1"
 
 
 def test_samples_json_and_existing_files(tmp_path: Path) -> None:
