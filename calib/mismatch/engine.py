@@ -135,12 +135,14 @@ def _spoilt_turns(grid: Grid, recording: Recording, spoilt: BoolArray) -> BoolAr
 def _unfit(
     recording: Recording, poses: Poses, seen: Samples, missing: tuple[str, ...]
 ) -> Diagnosis:
-    """Return the diagnosis of a recording whose units or axes must be mended first."""
+    """Return the diagnosis of a recording with a fault that must be mended before all else."""
+    stuck = bool(seen.unexplained)
+    need = "channels that move: one is stuck" if stuck else "right units and axes"
     return Diagnosis(
-        verdict="explained",
+        verdict="unexplained" if stuck else "explained",
         findings=seen.findings,
-        unexplained=(),
-        missing=(*missing, "right units and axes: mend them and diagnose again"),
+        unexplained=seen.unexplained,
+        missing=(*missing, f"{need}: mend that and diagnose again"),
         hidden={},
         changes=(),
         log_likelihood=None,

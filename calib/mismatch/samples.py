@@ -40,6 +40,12 @@ class Samples(NamedTuple):
     fatal: bool
 
 
+GAP = 2.5
+"""Sample intervals without a sample, from which on a turn is not integrated across them."""
+STUCK = 0.2
+"""Share of the recording for which a channel that is stuck leaves nothing to compare with."""
+
+
 def look_at_samples(recording: Recording, poses: Poses) -> Samples:
     """Look for what is wrong with single samples, units and axes."""
     spoilt = np.zeros(len(recording), bool)
@@ -66,6 +72,7 @@ def look_at_samples(recording: Recording, poses: Poses) -> Samples:
                 limit = max(limit, float(np.abs(values[at, c]).max()))
         if limit:
             findings.append(_saturation(recording, clipped, triad, limit, unit))
+    stuck = 0
     moving = np.ones(len(recording), bool)
     for start, stop in zip(poses.start, poses.stop, strict=True):
         moving[start:stop] = False
@@ -73,6 +80,7 @@ def look_at_samples(recording: Recording, poses: Poses) -> Samples:
         values, moving, interval=recording.interval, clipped=clipped
     ):
         spoilt[start:stop] = True
+        stuck += stop - start
         where = (float(recording.time[start]), float(recording.time[stop - 1]))
         unexplained.append(
             Unexplained((CHANNELS[c],), (where,), "nothing: it is stuck", faults.FALSE_ALARM)
@@ -84,7 +92,9 @@ def look_at_samples(recording: Recording, poses: Poses) -> Samples:
     assert recording.lost is not None
     spoilt |= clipped.any(axis=1) | (recording.lost > 0)
     spoilt[repeats] = True
-    return Samples(tuple(findings), tuple(unexplained), spoilt, fatal=False)
+    spoilt[1:] |= np.diff(recording.time) > GAP * recording.interval
+    fatal = stuck > STUCK * len(recording)
+    return Samples(tuple(findings), tuple(unexplained), spoilt, fatal=fatal)
 
 
 def _units(recording: Recording, poses: Poses, closure: Closure | None) -> list[Finding]:

@@ -1,0 +1,41 @@
+"""Faults of samples: what must be mended before anything else can be compared."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from calib.mismatch import diagnose_recording
+from calib.recording import Recording
+from calib.statics import find_poses
+
+from .bench import GRAVITY
+from .bench import recording as simulated
+
+
+def test_a_channel_that_is_stuck_is_said_and_nothing_else() -> None:
+    recording = simulated()
+    for share in (1.0, 0.5):
+        accel = recording.accel.copy()
+        accel[: int(share * len(accel)), 2] = accel[0, 2]
+        stuck = replace(recording, accel=accel)
+        found = diagnose_recording(stuck, gravity=GRAVITY)
+        assert found.verdict == "unexplained"
+        assert not [f for f in found.findings if f.effect != "quantization"]
+        assert [u.channels for u in found.unexplained] == [("accel.z",)]
+
+
+def test_a_hole_in_the_time_stamps_is_not_integrated_across() -> None:
+    recording = simulated()
+    poses = find_poses(recording)
+    middle = int(poses.stop[4] + poses.start[5]) // 2
+    keep = np.ones(len(recording), bool)
+    keep[middle : middle + 60] = False
+    holed = Recording(
+        recording.time[keep],
+        recording.accel[keep],
+        recording.gyro[keep],
+        "device",
+        temperature=None if recording.temperature is None else recording.temperature[keep],
+    )
+    found = diagnose_recording(holed, gravity=GRAVITY)
+    assert {f.effect for f in found.findings} <= {"gyro_misalignment"}
