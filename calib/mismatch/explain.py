@@ -24,7 +24,7 @@ from calib.mismatch.families import effect_columns
 from calib.mismatch.heldout import HeldOut, held_out
 from calib.mismatch.noise import make_whitener, range_basis
 from calib.mismatch.rows import Kind, Rows
-from calib.mismatch.search import TIE, TWIN, Accepted, Outcome, fitted
+from calib.mismatch.search import TIE, TWIN, Accepted, Outcome, fitted, prior_rows
 from calib.model import SensorModel
 from calib.recording import CHANNELS
 from calib.types import FloatArray
@@ -50,11 +50,14 @@ def estimate(outcome: Outcome, *, reference: bool) -> Estimate:
     scale = np.linalg.norm(full, axis=0)
     scale[scale == 0] = 1.0
     whitener = make_whitener(rows, outcome.levels, outcome.contrast, mean[:, :0])
-    design = whitener.whiten(full / scale)
+    prior = prior_rows(rows, outcome.accepted)
+    prior = np.pad(prior, ((0, 0), (0, full.shape[1] - prior.shape[1]))) / scale
+    design = np.vstack((whitener.whiten(full / scale), prior))
+    y = np.append(whitener.whiten(rows.residual), np.zeros(len(prior)))
     u, s, vt = np.linalg.svd(design, full_matrices=False)
     good = s > 1e-9 * s[0]
     half = (vt[good].T / s[good]) / scale[:, None]
-    step = half @ (u[:, good].T @ whitener.whiten(rows.residual))
+    step = half @ (u[:, good].T @ y)
     start = rows.baseline.shape[1] + rows.nuisance.shape[1]
     at = [start]
     for a in outcome.accepted:

@@ -28,7 +28,7 @@ from calib.mismatch.noise import (
 )
 from calib.mismatch.rivals import WINDOWED, add_rivals, window_columns
 from calib.mismatch.rows import Rows
-from calib.mismatch.score import Candidate, Stack
+from calib.mismatch.score import SCALES, Candidate, Stack
 from calib.recording import CHANNELS
 from calib.types import FloatArray
 
@@ -395,6 +395,27 @@ def _renew(a: Accepted, rows: Rows, *, reference: bool) -> Accepted:
     return replace(a, columns=np.stack(columns, axis=1))
 
 
+def prior_rows(rows: Rows, accepted: list[Accepted] | tuple[Accepted, ...]) -> FloatArray:
+    """Return rows (k, p) of the prior on the coefficients of rivals, beside a reference.
+
+    A smooth function can take the place of the baseline. Against a twin the two are exactly alike,
+    and the smallest step is taken; against a truth with noise they are only nearly so, and what
+    keeps them apart is the size that the evidence gave the rival, at most the largest of `SCALES`.
+    """
+    start = rows.baseline.shape[1] + rows.nuisance.shape[1]
+    width = start + sum(a.columns.shape[1] for a in accepted)
+    at = start
+    index: list[int] = []
+    for a in accepted:
+        if not a.candidate.physical:
+            index += range(at, at + a.columns.shape[1])
+        at += a.columns.shape[1]
+    if not rows.aligned:
+        index = []
+    out: FloatArray = np.eye(width)[np.array(index, np.int64)] / SCALES[-1]
+    return out
+
+
 def solve(
     rows: Rows,
     accepted: list[Accepted] | tuple[Accepted, ...],
@@ -405,8 +426,11 @@ def solve(
     mean = fitted(rows, accepted)
     whitener = make_whitener(rows, levels, contrast, mean[:, :0])
     scale = np.maximum(np.linalg.norm(mean, axis=0), 1e-300)
+    prior = prior_rows(rows, accepted) / scale
     step = np.linalg.lstsq(
-        whitener.whiten(mean / scale), whitener.whiten(rows.residual), rcond=1e-9
+        np.vstack((whitener.whiten(mean / scale), prior)),
+        np.append(whitener.whiten(rows.residual), np.zeros(len(prior))),
+        rcond=1e-9,
     )[0]
     return np.asarray(step / scale)
 
