@@ -7,7 +7,7 @@ frequency above its neighbours (a line), or in some rests above the others (a bu
 from __future__ import annotations
 
 import numpy as np
-from scipy.stats import chi2, f
+from scipy.stats import chi2, f, linregress
 
 from calib.mismatch.diagnosis import Unexplained
 from calib.poses import Poses
@@ -25,6 +25,9 @@ CLAIM = 1e-4
 
 _LOUDER = 4.0
 """A rest counts as louder only if its noise power is this many times the usual."""
+
+_STEADY = 2.0
+"""Noise power whose trend over the recording stays below this factor counts as steady."""
 
 _SHARE = 0.25
 """A line or a burst is reported if it holds this share of the channel's usual noise power: sensors
@@ -58,7 +61,8 @@ def look_at_spectrum(recording: Recording, poses: Poses) -> tuple[Unexplained, .
         if not np.median(own) > 0:
             continue
         out += _lines(recording, own, channel)
-        out += _bursts(recording, poses, own, pose, channel)
+        bursts = _bursts(recording, poses, own, pose, channel)
+        out += bursts or _changes(recording, poses, own, pose, channel)
     return tuple(_merged(out))
 
 
@@ -141,3 +145,36 @@ def _bursts(
         )
         out.append(Unexplained((channel,), (interval,), follows, float(p[which].min())))
     return out
+
+
+def _changes(
+    recording: Recording, poses: Poses, power: FloatArray, pose: IntArray, channel: str
+) -> list[Unexplained]:
+    """Noise power that rises or falls with temperature or time: a line through its logarithms.
+
+    The residual scatter of the rests about that line sets the standard error, so that rests which
+    merely differ from each other are no trend.
+    """
+    found = np.unique(pose)
+    if len(found) < 10:
+        return []
+    level = np.log([power[:, pose == k].mean() for k in found])
+    known = {"time": poses.interval[found].mean(axis=1)}
+    if recording.temperature is not None:
+        known["temperature"] = np.array(
+            [recording.temperature[poses.start[k] : poses.stop[k]].mean() for k in found]
+        )
+    best: tuple[float, str] = (CLAIM, "")
+    for name, values in known.items():
+        if np.ptp(values) <= 0:
+            continue
+        fit = linregress(values, level)
+        p = float(fit.pvalue) * len(known) * len(CHANNELS)
+        if p < best[0] and abs(fit.slope) * np.ptp(values) > np.log(_STEADY):
+            best = (p, name)
+    if not best[1]:
+        return []
+    where = (float(poses.interval[found[0], 0]), float(poses.interval[found[-1], 1]))
+    return [
+        Unexplained((channel,), (where,), f"the {best[1]}: the level of noise follows it", best[0])
+    ]
