@@ -70,7 +70,6 @@ class Result:
     )
     errors: list[float] = field(default_factory=list)
     gain: float | None = None
-    oracle_gain: float | None = None
     overlap: float = 0.0
     seconds: float = 0.0
     verdict: str = ""

@@ -17,9 +17,6 @@ from calib.types import FloatArray
 SHAPES = 7
 """Candidates for each continuous shape parameter (its grid is refined once it was chosen)."""
 
-MOMENTS = 17
-"""Values of a shape parameter that are tried around the grid's best."""
-
 PHYSICAL = 0.6
 """Prior probability of all physics together; the rivals share the rest."""
 
@@ -130,7 +127,7 @@ def shape_grid(item: ShapeParameter, rows: Rows, count: int) -> FloatArray:
     start, stop = float(time[0]), float(time[-1])
     if item.spacing == "integer":
         return np.arange(item.low or 0, (item.high or 0) + 1, dtype=np.float64)
-    if is_moment(item):
+    if item.unit == "s" and item.spacing == "linear" and item.low is None:
         return np.asarray(rows.interval.mean(axis=1)[1:])
     low = item.low if item.low is not None else (stop - start) / 100
     high = item.high if item.high is not None else stop - start
@@ -141,35 +138,17 @@ def shape_grid(item: ShapeParameter, rows: Rows, count: int) -> FloatArray:
     )
 
 
-def is_moment(item: ShapeParameter) -> bool:
-    """Whether a shape parameter is a moment within the recording."""
-    return item.unit == "s" and item.spacing == "linear" and item.low is None
-
-
 def neighbours(
-    effect: Effect, rows: Rows, shape: Mapping[str, float], *, fine: bool = False
+    effect: Effect, rows: Rows, shape: Mapping[str, float]
 ) -> Iterator[dict[str, float]]:
-    """Yield shapes around a chosen one, one parameter at a time, within the grid's spacing.
-
-    A moment is tried all over its rest or turn; if `fine`, between the moments next to it.
-    """
+    """Yield shapes around a chosen one, one parameter at a time, within the grid's spacing."""
     for item in effect.shape:
         grid = shape_grid(item, rows, SHAPES)
         here = shape.get(item.name)
         if here is None or len(grid) < 2 or item.spacing == "integer":
             continue
-        if is_moment(item):
-            # Every rest and turn is on the grid: within its own.
-            k = int(np.searchsorted(rows.interval[:, 0], here, side="right")) - 1
-            start, stop = rows.interval[max(k, 0)]
-            if fine:
-                step = (stop - start) / (MOMENTS - 1)
-                start, stop = here - step, here + step
-            for value in np.linspace(start, stop, MOMENTS):
-                yield {**shape, item.name: float(value)}
-            continue
         at = int(np.argmin(np.abs(grid - here)))
         low, high = grid[max(at - 1, 0)], grid[min(at + 1, len(grid) - 1)]
         space = np.geomspace if item.spacing == "log" else np.linspace
-        for value in space(low, high, MOMENTS):
+        for value in space(low, high, 17):
             yield {**shape, item.name: float(value)}

@@ -7,7 +7,7 @@ residual y alone its Bayes factor is
     log B(s) = -1/2 log det(I + s² Z'Z) + 1/2 y'Z (I/s² + Z'Z)^-1 Z'y.
 
 Averaged over scales, places and shapes with weights that sum to one it has expectation at most one
-where nothing was left out, so that P(B > 30) < 1 / 30: the price of all looks is in the weights.
+where nothing was left out, so that P(B > 100) < 1 %: the price of all looks is in the weights.
 
 References
 ----------

@@ -32,9 +32,10 @@ from calib.mismatch.score import SCALES, Candidate, Stack
 from calib.recording import CHANNELS
 from calib.types import FloatArray
 
-CLAIM = 30.0
-"""E-value at which something is claimed to be left. Markov's inequality alone bounds the share of
-clean recordings that reach it by 3 %; ``benchmarks/concealed.py`` measures less than 0.5 %."""
+CLAIM = 100.0
+"""E-value at which something is claimed to be left. Markov's inequality bounds the share of clean
+recordings that reach it by 1 % where the noise levels are known. Here they are estimated, so the
+bound is a guide only: the share is measured by ``benchmarks/concealed.py``."""
 
 TIE = 0.05
 """Posterior probability above which another name is reported as a rival."""
@@ -206,29 +207,12 @@ def rank(rows: Rows, stack: Stack, accepted: list[Accepted], start: FloatArray) 
         levels = estimate_levels(rows, np.hstack((dense, own)), every.values).values
         which = [i for i, c in enumerate(stack.candidates) if c.group == name]
         again = score(levels, level_likelihood(rows, basis, levels), which) + weight
-        if "moment" in best[name].shape:
-            whitener = make_whitener(rows, levels, contrast, mean)
-            again[stack.candidates.index(best[name])] += _moved(rows, stack, best[name], whitener)
         evidence = np.maximum(evidence, again)
     best, groups = _grouped(stack, evidence)
     ranking = Ranking(stack, evidence, best, groups, base.values)
     if accepted or ranking.total >= np.log(CLAIM):
         return ranking
     return replace(ranking, pair=_pair(rows, stack, hidden, contrast, mean, weight))
-
-
-def _moved(rows: Rows, stack: Stack, event: Candidate, whitener: Whitener) -> float:
-    """Return the log evidence that an event gains by its best moment within its rest or turn."""
-    effect, y = get_effect(event.name), whitener.project(rows.residual)
-    gains = []
-    for shape in neighbours(effect, rows, event.shape):
-        found = effect_columns(effect, rows, shape, reference=True)
-        if all(n in found for n in event.parameters):
-            columns = np.stack([found[n] for n in event.parameters], axis=1)
-            gains.append(_gain(whitener.project(columns), y))
-    # Each of the moments tried is as probable as the grid's own.
-    own = _gain(whitener.project(stack.of(event)), y)
-    return max(0.0, float(max(gains, default=0.0) - own - np.log(len(gains) + 1)))
 
 
 def _pair(
@@ -465,32 +449,24 @@ def _refine(
     whitener = make_whitener(rows, levels, contrast, fitted(rows, accepted[:-1]))
     y = whitener.project(rows.residual)
     effect = get_effect(last.candidate.name)
-    whole = any(p.unit == "samples" for p in effect.parameters)
     best = last
 
     def gain(a: Accepted) -> float:
-        columns = whitener.project(a.columns)
-        if not whole:
-            return _gain(columns, y)
-        # Samples go missing whole; so the moment is one at which a whole number fits.
-        match, power = float(columns[:, 0] @ y), float(columns[:, 0] @ columns[:, 0])
-        count = np.sign(match) * max(1.0, round(abs(match) / max(power, 1e-300)))
-        return float(count * match - 0.5 * count**2 * power)
+        return _gain(whitener.project(a.columns), y)
 
     value = gain(best)
-    for fine in (False, True) if "moment" in last.candidate.shape else (False,):
-        for shape in neighbours(effect, rows, best.candidate.shape, fine=fine):
-            found = effect_columns(effect, rows, shape, reference=problem.reference)
-            if not all(n in found for n in last.candidate.parameters):
-                continue
-            tried = replace(
-                last,
-                candidate=replace(last.candidate, shape=shape),
-                columns=np.stack([found[n] for n in last.candidate.parameters], axis=1),
-            )
-            new = gain(tried)
-            if new > value:
-                best, value = tried, new
+    for shape in neighbours(effect, rows, last.candidate.shape):
+        found = effect_columns(effect, rows, shape, reference=problem.reference)
+        if not all(n in found for n in last.candidate.parameters):
+            continue
+        tried = replace(
+            last,
+            candidate=replace(last.candidate, shape=shape),
+            columns=np.stack([found[n] for n in last.candidate.parameters], axis=1),
+        )
+        new = gain(tried)
+        if new > value:
+            best, value = tried, new
     return best
 
 
