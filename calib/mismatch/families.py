@@ -147,6 +147,12 @@ def neighbours(
         here = shape.get(item.name)
         if here is None or len(grid) < 2 or item.spacing == "integer":
             continue
+        if item.spacing == "linear" and not isinstance(effect, TransformEffect):
+            # Every rest and turn is on the grid: a moment within its own.
+            k = int(np.searchsorted(rows.interval[:, 0], here, side="right")) - 1
+            for value in np.linspace(*rows.interval[max(k, 0)].tolist(), 17):
+                yield {**shape, item.name: float(value)}
+            continue
         at = int(np.argmin(np.abs(grid - here)))
         low, high = grid[max(at - 1, 0)], grid[min(at + 1, len(grid) - 1)]
         space = np.geomspace if item.spacing == "log" else np.linspace

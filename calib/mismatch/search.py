@@ -207,12 +207,31 @@ def rank(rows: Rows, stack: Stack, accepted: list[Accepted], start: FloatArray) 
         levels = estimate_levels(rows, np.hstack((dense, own)), every.values).values
         which = [i for i, c in enumerate(stack.candidates) if c.group == name]
         again = score(levels, level_likelihood(rows, basis, levels), which) + weight
+        if _movable(best[name]) and "moment" in best[name].shape:
+            i = stack.candidates.index(best[name])
+            null = level_likelihood(rows, basis, levels) - base.log_likelihood
+            whitener = make_whitener(rows, levels, contrast, mean)
+            again[i] = max(again[i], _moved(rows, best[name], whitener) + null + weight[i])
         evidence = np.maximum(evidence, again)
     best, groups = _grouped(stack, evidence)
     ranking = Ranking(stack, evidence, best, groups, base.values)
     if accepted or ranking.total >= np.log(CLAIM):
         return ranking
     return replace(ranking, pair=_pair(rows, stack, hidden, contrast, mean, weight))
+
+
+def _moved(rows: Rows, event: Candidate, whitener: Whitener) -> float:
+    """Return the log Bayes factor of an event, averaged over moments within its rest or turn."""
+    effect, stack = get_effect(event.name), Stack(len(rows.residual))
+    for shape in neighbours(effect, rows, event.shape):
+        found = effect_columns(effect, rows, shape, reference=True)
+        if all(n in found for n in event.parameters):
+            index = stack.add(np.stack([found[n] for n in event.parameters], axis=1))
+            stack.candidates.append(replace(event, index=index, shape=shape))
+    if not stack.candidates:
+        return -np.inf
+    factors = stack.log_bayes_factors(whitener, whitener.project(rows.residual))
+    return float(logsumexp(factors) - np.log(len(factors)))
 
 
 def _pair(
