@@ -150,7 +150,8 @@ def neighbours(
         if item.spacing == "linear" and not isinstance(effect, TransformEffect):
             # Every rest and turn is on the grid: a moment within its own.
             k = int(np.searchsorted(rows.interval[:, 0], here, side="right")) - 1
-            for value in np.linspace(*rows.interval[max(k, 0)].tolist(), 17):
+            first, last = rows.interval[max(k, 0)]
+            for value in np.linspace(first, last, 17):
                 yield {**shape, item.name: float(value)}
             continue
         at = int(np.argmin(np.abs(grid - here)))

@@ -207,7 +207,7 @@ def rank(rows: Rows, stack: Stack, accepted: list[Accepted], start: FloatArray) 
         levels = estimate_levels(rows, np.hstack((dense, own)), every.values).values
         which = [i for i, c in enumerate(stack.candidates) if c.group == name]
         again = score(levels, level_likelihood(rows, basis, levels), which) + weight
-        if _movable(best[name]) and "moment" in best[name].shape:
+        if name.endswith("_bias_step"):
             i = stack.candidates.index(best[name])
             null = level_likelihood(rows, basis, levels) - base.log_likelihood
             whitener = make_whitener(rows, levels, contrast, mean)
