@@ -89,11 +89,27 @@ SECTIONS = {
 }
 
 
+SECTIONS_OF_README = {
+    "tutorial": "Five minutes",
+    "methods": "Which method",
+    "numbers": "What the numbers mean",
+    "figures": "What it reaches",
+    "comparison": "Beside other tools",
+}
+
+
 def single_pages() -> Iterator[tuple[str, str]]:
-    """Yield the pages that state what the code states once: conventions and exit codes."""
+    """Yield the pages that say what README or code say once: tutorial, conventions, exit codes."""
     import calib
     from calib import errors
 
+    parts = (ROOT / "README.md").read_text(encoding="utf-8").split("\n## ")
+    readme = {title: body for title, _, body in (part.partition("\n") for part in parts)}
+    for name, title in SECTIONS_OF_README.items():
+        body = (
+            readme[title].replace("docs/pages/", "").replace("(#what-it-reaches)", "(figures.md)")
+        )
+        yield name, f"# {title}\n{body}"
     yield "conventions", f"# Conventions\n\n```text\n{(calib.__doc__ or '').strip()}\n```\n"
     yield "exit-codes", f"# Exit codes\n\n```text\n{(errors.__doc__ or '').strip()}\n```\n"
 
