@@ -10,7 +10,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
@@ -239,12 +239,6 @@ def _calibrate(station: Station, run: Run, work: _Work, recording: Recording) ->
             notes=notes,
         ),
     )
-    device = calibration.provenance.device
-    if not device.serial_number:
-        provenance = replace(
-            calibration.provenance, device=replace(device, serial_number=run.serial_number)
-        )
-        calibration = calibration.with_provenance(provenance)
     work.calibration = calibration
     path = work.folder / "calibration.cal.json"
     save_calibration(calibration, path)

@@ -121,3 +121,39 @@ def test_a_serial_number_cannot_leave_its_folder(tmp_path: Path, serial: str) ->
     process = run_cli(tmp_path, more=("--serial", serial))
     process.communicate(timeout=60)
     assert process.returncode == 2
+
+
+def test_a_unit_is_flashed_and_verified_over_a_port(tmp_path: Path) -> None:
+    environment = os.environ | {"PYTHONPATH": str(ROOT)}
+    emulator = [sys.executable, "-m", "imu_cli", "emulate", "vectornav", "--motion", "bench"]
+    with subprocess.Popen(
+        [*emulator, "--seed", "11", "--speed", "20", "--rate", "100"],
+        stdout=subprocess.PIPE,
+        text=True,
+        env=environment,
+    ) as device:
+        assert device.stdout is not None
+        address = device.stdout.readline().strip()
+        try:
+            station = tmp_path / "station.toml"
+            station.write_text(
+                f'[station]\nname = "bench-1"\n[device]\naddress = "{address}"\n'
+                '[record]\nduration = "185 s"\n[flash]\n[verify]\nduration = "10 s"\n',
+                encoding="utf-8",
+            )
+            done = subprocess.run(
+                [sys.executable, "-m", "imu_cli", "run", str(station), "--serial", "V1", "--json"],
+                capture_output=True,
+                text=True,
+                timeout=180,
+                check=False,
+                env=environment,
+            )
+        finally:
+            device.terminate()
+    assert done.returncode == 0, done.stdout + done.stderr
+    record = json.loads(done.stdout)
+    assert record["outcome"] == "PASS"
+    names = [step["name"] for step in record["steps"]]
+    assert names.index("flash") < names.index("verify") < names.index("report")
+    assert {"backup", "left", "verify", "report"} <= set(record["artefacts"])
