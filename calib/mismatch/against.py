@@ -107,7 +107,6 @@ def conclude(
     skip: tuple[str, ...] = (),
 ) -> Diagnosis:
     """Search, explain, and report alignments among ``setups`` as findings."""
-    before = problem.rows()
     skip += ("clock_scale", *(("reference_misalignment",) if problem.turned else ()))
     outcome = search(problem, skip=skip)
     model = problem.setup.model
@@ -125,7 +124,7 @@ def conclude(
     known, covariance = tuple(known[i] for i in keep), covariance[np.ix_(keep, keep)]
     open_ = _open(problem.names, fit)
     missing = (f"motion that determines {', '.join(open_)}",) if open_ else ()
-    change, likelihood = changes(outcome, before)
+    change, likelihood = changes(outcome)
     shown = {c.name for c in outcome.candidates if c.physical}
     alignment = problem.setup.alignment
     return Diagnosis(

@@ -79,7 +79,6 @@ def diagnose_recording(
         grid, model, gravity=gravity, full_gyro=full, spread=UNKNOWN_DRIFT if timeless else None
     )
     problem.drop = _spoilt_turns(grid, recording, seen.spoilt)
-    before = problem.rows()
     skip: tuple[str, ...] = ("gyro_misalignment",) if full else ()
     if timeless:
         skip += ("time", *(k for k in effects() if k.endswith(_CLOCKED)))
@@ -94,7 +93,7 @@ def diagnose_recording(
     )
     findings = [*seen.findings, *findings]
     unexplained = [*seen.unexplained, *unexplained, *noisy]
-    change, likelihood = changes(outcome, before)
+    change, likelihood = changes(outcome)
     return Diagnosis(
         verdict=verdict(
             tuple(findings),

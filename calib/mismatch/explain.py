@@ -285,7 +285,7 @@ def _to_separate(effect: Effect, rivals: tuple[Rival, ...]) -> str:
     return "To tell them apart, record what each needs. " + "; ".join(parts) + "."
 
 
-def changes(outcome: Outcome, rows_before: Rows) -> tuple[tuple[Change, ...], tuple[float, float]]:
+def changes(outcome: Outcome) -> tuple[tuple[Change, ...], tuple[float, float]]:
     """Return residual RMS and log-likelihood before and after, on the rows that were fitted."""
     rows = outcome.rows
     residual = rows.residual
@@ -310,7 +310,6 @@ def changes(outcome: Outcome, rows_before: Rows) -> tuple[tuple[Change, ...], tu
         for label, unit, own in _row_kinds(rows):
             out.setdefault(label, []).append(float(np.sqrt(np.mean(np.square(left[own])))))
             units[label] = (unit, float(np.sqrt(np.mean(floor[own]) * keep)))
-    del rows_before
     found = tuple(
         Change(label, units[label][0], v[0], v[1], units[label][1]) for label, v in out.items()
     )
