@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 
-STANDARD_GRAVITY = 9.80665
+from calib.gravity import STANDARD_GRAVITY
 
 _TO_SI: dict[str, tuple[str, float]] = {
     "m/s²": ("m/s²", 1.0),

@@ -38,9 +38,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from calib.gravity import STANDARD_GRAVITY, normal_gravity
 from imu_cli.line.errors import StationError
 from imu_cli.line.limits import Limits
-from imu_cli.line.quantity import STANDARD_GRAVITY, parse_quantity
+from imu_cli.line.quantity import parse_quantity
 
 _KEYS = {
     "station": {"name", "fixture", "operator", "history", "artefacts"},
@@ -139,8 +140,6 @@ def _gravity(table: Mapping[str, Any]) -> float:
             raise ValueError("[calibrate] takes gravity, or latitude and height, not both")
         return parse_quantity(_text(table, "calibrate", "gravity"), unit="m/s²")
     if "latitude" in table:
-        from calib.gravity import normal_gravity
-
         latitude = parse_quantity(_text(table, "calibrate", "latitude"), unit="rad")
         return normal_gravity(latitude, height=float(table.get("height", 0.0)))
     if "height" in table:

@@ -6,11 +6,12 @@ import numpy as np
 
 from calib.calibration import Calibration, TriadSummary
 from calib.document import to_document
+from calib.gravity import STANDARD_GRAVITY
 from calib.recording import AXES
 from calib.types import FloatArray
 from calib.uncertainty import half_width, uncertainty_budget
 from imu_cli.report.model import Block, HeatMap, Paragraph, Plot, Report, Series, Sphere, Table
-from imu_cli.report.units import STANDARD_GRAVITY, parameter_text, people_unit
+from imu_cli.report.units import parameter_text, people_unit
 
 MG = 1e3 / STANDARD_GRAVITY
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 from calib.calibration import parameter_unit
+from calib.gravity import STANDARD_GRAVITY
 
-STANDARD_GRAVITY = 9.80665
 _PEOPLE = {
     "m/s²": ("mg", 1e3 / STANDARD_GRAVITY),
     "rad/s": ("dps", 180 / math.pi),
