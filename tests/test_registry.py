@@ -15,9 +15,9 @@ from calib.effects import effects
 from calib.effects.base import Effect, TransformEffect
 from calib.mismatch.grid import make_grid
 from calib.mismatch.noise import contrast_variance, expected_levels, make_whitener
+from calib.mismatch.ranking import CLAIM, Ranking, make_stack, rank
 from calib.mismatch.rows import Rows
 from calib.mismatch.score import Stack
-from calib.mismatch.search import CLAIM, Ranking, make_stack, rank
 from calib.mismatch.selfmode import SelfProblem
 from calib.model import SensorModel, Triad
 from calib.poses import Poses

@@ -17,9 +17,10 @@ from calib.mismatch.diagnosis import Diagnosis, Finding, Unexplained
 from calib.mismatch.explain import Estimate, changes, estimate, explain, verdict
 from calib.mismatch.families import PHYSICAL
 from calib.mismatch.heldout import HeldOut, held_out
+from calib.mismatch.ranking import CLAIM
 from calib.mismatch.samples import Samples, look_at_samples
 from calib.mismatch.score import SCALES
-from calib.mismatch.search import CLAIM, Outcome, search
+from calib.mismatch.search import Outcome, search
 from calib.model import SensorModel
 from calib.recording import CHANNELS, Recording
 from calib.statics import find_poses

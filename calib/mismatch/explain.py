@@ -23,8 +23,10 @@ from calib.mismatch.evidence import gather
 from calib.mismatch.families import effect_columns
 from calib.mismatch.heldout import HeldOut, held_out
 from calib.mismatch.noise import make_whitener, range_basis
+from calib.mismatch.ranking import Accepted, fitted
+from calib.mismatch.refit import prior_rows
 from calib.mismatch.rows import Kind, Rows
-from calib.mismatch.search import TIE, TWIN, Accepted, Outcome, fitted, prior_rows
+from calib.mismatch.search import TIE, TWIN, Outcome
 from calib.model import SensorModel
 from calib.recording import CHANNELS
 from calib.types import FloatArray

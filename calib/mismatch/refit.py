@@ -1,0 +1,201 @@
+"""The joint fit of all that was found, and the shapes of the last finding between the grid's."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Protocol
+
+import numpy as np
+
+from calib.effects import get_effect
+from calib.effects.base import PRESENCE, Term, TransformEffect
+from calib.mismatch.families import effect_columns, neighbours
+from calib.mismatch.noise import Whitener, contrast_variance, estimate_levels, make_whitener
+from calib.mismatch.ranking import Accepted, fitted, make_stack
+from calib.mismatch.rivals import WINDOWED, window_columns
+from calib.mismatch.rows import Rows
+from calib.mismatch.score import SCALES, Candidate, Stack
+from calib.types import FloatArray
+
+
+class Problem(Protocol):
+    """Where rows come from: a recording and its twin, a simulation, or a reference."""
+
+    reference: bool
+    moves_signals: bool
+
+    def rows(self) -> Rows:
+        """Return recording minus model, linearised where the model stands."""
+        ...
+
+    def move(
+        self, baseline: Mapping[str, float], nuisance: FloatArray, terms: tuple[Term, ...]
+    ) -> None:
+        """Move the model: baseline and nuisances by steps, further terms to these."""
+        ...
+
+
+def refit(
+    problem: Problem,
+    rows: Rows,
+    accepted: list[Accepted],
+    levels: FloatArray,
+    skip: tuple[str, ...],
+) -> tuple[Rows, Stack, list[Accepted]]:
+    """Fit everything jointly, move the model there, and linearise anew."""
+    contrast = contrast_variance(rows)
+    levels = estimate_levels(rows, fitted(rows, accepted)[: rows.n_dense], levels).values
+    if accepted and not accepted[-1].in_model:
+        accepted[-1] = _refine(problem, rows, accepted, levels, contrast)
+    step = solve(rows, accepted, levels, contrast)
+    p, q = rows.baseline.shape[1], rows.nuisance.shape[1]
+    terms, at = [], p + q
+    moved = []
+    for a in accepted:
+        k = a.columns.shape[1]
+        change = step[at : at + k] * a.typical
+        at += k
+        if _movable(a.candidate, signals=problem.moves_signals):
+            a = replace(a, values=a.values + change, in_model=True)
+            values = dict(zip(a.candidate.parameters, a.values, strict=True))
+            terms.append(Term(a.candidate.name, {**values, **a.candidate.shape}))
+        moved.append(a)
+    baseline = dict(zip(rows.names, step[:p], strict=True))
+    problem.move(baseline, step[p : p + q], tuple(terms))
+    rows = problem.rows()
+    stack = make_stack(rows, skip=skip, reference=problem.reference)
+    return rows, stack, [_renew(a, rows, reference=problem.reference) for a in moved]
+
+
+def _movable(candidate: Candidate, *, signals: bool) -> bool:
+    """Return whether a model can take up a finding.
+
+    What is added always; what acts on the signals where the model predicts them, in proportion.
+    """
+    if not candidate.physical:
+        return False
+    effect = get_effect(candidate.name)
+    if not isinstance(effect, TransformEffect):
+        return True
+    return signals and all(p.unit != PRESENCE for p in effect.parameters)
+
+
+def _renew(a: Accepted, rows: Rows, *, reference: bool) -> Accepted:
+    if not a.candidate.physical:
+        return a
+    found = effect_columns(
+        get_effect(a.candidate.name), rows, a.candidate.shape, reference=reference
+    )
+    columns = [found[n] for n in a.candidate.parameters]
+    return replace(a, columns=np.stack(columns, axis=1))
+
+
+def prior_rows(rows: Rows, accepted: list[Accepted] | tuple[Accepted, ...]) -> FloatArray:
+    """Return rows (k, p) of the prior on the coefficients of rivals, beside a reference.
+
+    A smooth function can take the place of the baseline. Against a twin the two are exactly alike,
+    and the smallest step is taken; against a truth with noise they are only nearly so, and what
+    keeps them apart is the size that the evidence gave the rival, at most the largest of `SCALES`.
+    """
+    start = rows.baseline.shape[1] + rows.nuisance.shape[1]
+    width = start + sum(a.columns.shape[1] for a in accepted)
+    at = start
+    index: list[int] = []
+    for a in accepted:
+        if not a.candidate.physical:
+            index += range(at, at + a.columns.shape[1])
+        at += a.columns.shape[1]
+    if not rows.aligned:
+        index = []
+    out: FloatArray = np.eye(width)[np.array(index, np.int64)] / SCALES[-1]
+    return out
+
+
+def solve(
+    rows: Rows,
+    accepted: list[Accepted] | tuple[Accepted, ...],
+    levels: FloatArray,
+    contrast: FloatArray,
+) -> FloatArray:
+    """Return the generalised least-squares step of all that is fitted."""
+    mean = fitted(rows, accepted)
+    whitener = make_whitener(rows, levels, contrast, mean[:, :0])
+    scale = np.maximum(np.linalg.norm(mean, axis=0), 1e-300)
+    prior = prior_rows(rows, accepted) / scale
+    step = np.linalg.lstsq(
+        np.vstack((whitener.whiten(mean / scale), prior)),
+        np.append(whitener.whiten(rows.residual), np.zeros(len(prior))),
+        rcond=1e-9,
+    )[0]
+    return np.asarray(step / scale)
+
+
+def _refine(
+    problem: Problem, rows: Rows, accepted: list[Accepted], levels: FloatArray, contrast: FloatArray
+) -> Accepted:
+    """Refine the shape parameters of the last accepted between the grid's values."""
+    last = accepted[-1]
+    if last.candidate.name in WINDOWED:
+        whitener = make_whitener(rows, levels, contrast, fitted(rows, accepted[:-1]))
+        return _refine_window(rows, last, whitener, whitener.project(rows.residual))
+    if not last.candidate.physical or not last.candidate.shape:
+        return last
+    whitener = make_whitener(rows, levels, contrast, fitted(rows, accepted[:-1]))
+    y = whitener.project(rows.residual)
+    effect = get_effect(last.candidate.name)
+    best = last
+
+    def gain(a: Accepted) -> float:
+        return likelihood_gain(whitener.project(a.columns), y)
+
+    value = gain(best)
+    for shape in neighbours(effect, rows, last.candidate.shape):
+        found = effect_columns(effect, rows, shape, reference=problem.reference)
+        if not all(n in found for n in last.candidate.parameters):
+            continue
+        tried = replace(
+            last,
+            candidate=replace(last.candidate, shape=shape),
+            columns=np.stack([found[n] for n in last.candidate.parameters], axis=1),
+        )
+        new = gain(tried)
+        if new > value:
+            best, value = tried, new
+    return best
+
+
+def _refine_window(rows: Rows, last: Accepted, whitener: Whitener, y: FloatArray) -> Accepted:
+    """Move the ends of a window to where it explains most, within half its length of the grid's."""
+    assert last.candidate.interval is not None
+    start, stop = last.candidate.interval
+    reach = 0.5 * (stop - start)
+    edges = np.unique(np.concatenate((rows.interval.ravel(), rows.interval.mean(axis=1))))
+    column, ends = last.columns, [start, stop]
+    white = whitener.project(column)
+    value = float((white.T @ y)[0] ** 2 / max(float(np.square(white).sum()), 1e-300))
+    for which in (0, 1, 0, 1):
+        tried = edges[np.abs(edges - (start, stop)[which]) <= reach]
+        other = ends[1 - which]
+        tried = tried[tried < other] if which == 0 else tried[tried > other]
+        if not len(tried):
+            continue
+        found = window_columns(
+            rows, last.candidate, [(t, other) if which == 0 else (other, t) for t in tried]
+        )
+        white = whitener.project(found)
+        gain = np.square(y @ white) / np.maximum(np.square(white).sum(axis=0), 1e-300)
+        # Where a window gains nothing (a gain at rest), it need not reach.
+        good = np.flatnonzero(gain >= gain.max() - 0.5)
+        k = int(good[np.argmin(np.abs(tried[good] - other))])
+        if gain[k] > value - 0.5:
+            value, column, ends[which] = float(gain[k]), found[:, [k]], float(tried[k])
+    return replace(
+        last, candidate=replace(last.candidate, interval=(ends[0], ends[1])), columns=column
+    )
+
+
+def likelihood_gain(columns: FloatArray, y: FloatArray) -> float:
+    """Return the log-likelihood that whitened columns gain at their best fit."""
+    fit = columns @ np.linalg.lstsq(columns, y, rcond=1e-9)[0]
+    return 0.5 * float(fit @ fit)
