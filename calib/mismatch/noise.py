@@ -116,6 +116,27 @@ def estimate_levels(
     return Levels(np.exp(best[1]), best[0])
 
 
+def find_levels(rows: Rows, mean: FloatArray, start: FloatArray) -> Levels:
+    """Estimate the levels from `start` and from closures that explain themselves; keep the better.
+
+    The likelihood has two maxima where turns close badly (shocks, a coarse clock): closures with
+    errors of their own, or drift that is far too large for the rests. From levels that expect good
+    closures only the second is reached.
+    """
+    above = expected_levels(rows)
+    square = np.square(rows.residual[: rows.n_dense])
+    for i, component in enumerate(rows.components):
+        if component.group:
+            continue
+        size = np.diag(component.matrix)
+        own = size > 0
+        if own.any():
+            # The median of chi-squared with one degree of freedom is 0.4549.
+            above[i] = max(above[i], float(np.median(square[own] / size[own])) / 0.4549)
+    found = [estimate_levels(rows, mean, at) for at in (start, above)]
+    return max(found, key=lambda levels: levels.log_likelihood)
+
+
 def range_basis(mean: FloatArray, *, tolerance: float = 1e-9) -> FloatArray:
     """Return independent columns with the span of `mean`, scaled to unit length."""
     size = np.linalg.norm(mean, axis=0)

@@ -18,6 +18,7 @@ from calib.mismatch.noise import (
     Whitener,
     contrast_variance,
     estimate_levels,
+    find_levels,
     level_likelihood,
     make_whitener,
     range_basis,
@@ -99,9 +100,9 @@ def rank(rows: Rows, stack: Stack, accepted: list[Accepted], start: FloatArray) 
     dense = mean[: rows.n_dense]
     basis = range_basis(dense)
     contrast = contrast_variance(rows)
-    base = estimate_levels(rows, dense, start)
+    base = find_levels(rows, dense, start)
     wide = np.hstack((dense, _physics(stack)[: rows.n_dense]))
-    every = estimate_levels(rows, wide, base.values)
+    every = find_levels(rows, wide, base.values)
     weight = np.log(np.array([c.weight for c in stack.candidates]))
 
     def score(levels: FloatArray, null: float, which: list[int] | None) -> FloatArray:

@@ -11,7 +11,7 @@ import numpy as np
 from calib.effects import get_effect
 from calib.effects.base import PRESENCE, Term, TransformEffect
 from calib.mismatch.families import effect_columns, neighbours
-from calib.mismatch.noise import Whitener, contrast_variance, estimate_levels, make_whitener
+from calib.mismatch.noise import Whitener, contrast_variance, find_levels, make_whitener
 from calib.mismatch.ranking import Accepted, fitted, make_stack
 from calib.mismatch.rivals import WINDOWED, window_columns
 from calib.mismatch.rows import Rows
@@ -45,7 +45,7 @@ def refit(
 ) -> tuple[Rows, Stack, list[Accepted]]:
     """Fit everything jointly, move the model there, and linearise anew."""
     contrast = contrast_variance(rows)
-    levels = estimate_levels(rows, fitted(rows, accepted)[: rows.n_dense], levels).values
+    levels = find_levels(rows, fitted(rows, accepted)[: rows.n_dense], levels).values
     if accepted and not accepted[-1].in_model:
         accepted[-1] = _refine(problem, rows, accepted, levels, contrast)
     step = solve(rows, accepted, levels, contrast)

@@ -14,8 +14,8 @@ from scipy.special import logsumexp
 from calib.effects import get_effect
 from calib.mismatch.noise import (
     contrast_variance,
-    estimate_levels,
     expected_levels,
+    find_levels,
     make_whitener,
 )
 from calib.mismatch.ranking import CLAIM, Accepted, Ranking, fitted, grouped, make_stack, rank
@@ -75,7 +75,7 @@ def search(problem: Problem, *, skip: tuple[str, ...] = ()) -> Outcome:
             rows, stack, accepted = refit(problem, rows, accepted, ranking.levels, skip)
         ranking = rank(rows, stack, accepted, ranking.levels)
     contrast = contrast_variance(rows)
-    levels = estimate_levels(rows, fitted(rows, accepted)[: rows.n_dense], ranking.levels).values
+    levels = find_levels(rows, fitted(rows, accepted)[: rows.n_dense], ranking.levels).values
     accepted = [
         replace(a, posterior=_posterior(rows, stack, accepted, i, levels))
         for i, a in enumerate(accepted)
@@ -143,7 +143,7 @@ def _superfluous(rows: Rows, accepted: list[Accepted], levels: FloatArray) -> Ac
     """Return the rival or transform that later findings have made worthless, if there is one."""
     contrast = contrast_variance(rows)
     # With all findings in the mean: drift must not take up again what they explained.
-    levels = estimate_levels(rows, fitted(rows, accepted)[: rows.n_dense], levels).values
+    levels = find_levels(rows, fitted(rows, accepted)[: rows.n_dense], levels).values
     worst: tuple[float, Accepted | None] = (KEEP, None)
     for a in accepted[:-1]:
         if a.in_model:

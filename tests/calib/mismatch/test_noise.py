@@ -10,6 +10,7 @@ from calib.mismatch.noise import (
     covariance,
     estimate_levels,
     expected_levels,
+    find_levels,
     make_whitener,
 )
 from calib.mismatch.score import SCALES, Candidate, Stack
@@ -42,6 +43,25 @@ def test_levels_are_recovered():
     # The prior pulls towards 1 by a known amount; half of the logarithm must come back.
     assert np.median(found) > np.sqrt(true)
     assert np.median(found) < 2 * true
+
+
+def test_levels_are_found_where_turns_close_badly():
+    _, self_mode = problem()
+    rows = self_mode.rows()
+    names = [c.name for c in rows.components]
+    mean = np.hstack((rows.baseline, rows.nuisance))[: rows.n_dense]
+    rng = np.random.default_rng(4)
+    for size in (1e3, 1e3, 1e5, 1e5):
+        levels = expected_levels(rows)
+        for name in ("attitude", "velocity by effort"):
+            levels[names.index(name)] *= size
+        residual = np.zeros(len(rows.residual))
+        factor = np.linalg.cholesky(covariance(rows, levels))
+        residual[: rows.n_dense] = factor @ rng.normal(size=rows.n_dense)
+        bad = replace(rows, residual=residual)
+        known = estimate_levels(bad, mean, levels)
+        found = find_levels(bad, mean, expected_levels(rows))
+        assert found.log_likelihood > known.log_likelihood - 0.5
 
 
 def test_bayes_factors_agree_with_the_densities():
