@@ -1,0 +1,464 @@
+"""Does `imu-cal diagnose` name what a generator that shares no code with it has concealed?
+
+Recordings come from `_independent_generator.py` (numpy only) as interchange CSV and are judged by
+the command line, in a process of its own: other pose sets, hands, rates, sensors, drift and
+temperatures than `concealed.py` has, 3 to 15 minutes long. Effects are 1.5 and 3 times the smallest
+size: that at which an oracle has non-centrality 45 (`_independent_oracle.py`), at most
+three times what a data sheet calls typical.
+
+A name counts if it is a finding, or a stated rival of one. A name is false if neither it nor its
+rivals are in the recording. Failing recordings are kept with ``--keep DIR``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+sys.path.insert(0, str(Path(__file__).parent))
+
+import numpy as np
+from _independent_generator import (
+    AXES,
+    EFFECTS,
+    OUTSIDE,
+    Errors,
+    Motion,
+    Setting,
+    distort,
+    draw_errors,
+    draw_setting,
+    ideal,
+    make_motion,
+    noise,
+    read_out,
+    write_csv,
+)
+from _independent_oracle import Oracle
+
+SMALLEST = 45.0
+"""Non-centrality of the smallest size."""
+CAP = 3.0
+"""Times the typical size, at most."""
+PARTS = ("single", "clean", "pairs", "outside", "readout")
+READOUT = ("saturation", "quantization", "dropped_samples", "unit_error", "axis_error")
+STRESS: dict[str, dict[str, object]] = {
+    "plain": {},
+    "warm_hand": {"temperature": "cycle"},
+    "drift_twice": {"drift": 2.0},
+    "tremor": {"tremor": 4.0},
+    "knock": {"knock": True},
+    "held": {"wobble": 3e-4},
+    "shaken": {"shaken": True},
+    "real": {"misaligned": True, "earth": True},
+}
+
+
+@dataclass(frozen=True)
+class Case:
+    """One recording: what is concealed in it and how large, in smallest sizes."""
+
+    part: str
+    names: tuple[str, ...]
+    times: float
+    seed: int
+
+    @property
+    def label(self) -> str:
+        return f"{self.part}-{'+'.join(self.names)}-{self.times:g}-{self.seed}"
+
+
+@dataclass
+class Truth:
+    """What is in the recording."""
+
+    setting: Setting
+    required: tuple[str, ...] = ()
+    """Names that must come out."""
+    allowed: tuple[str, ...] = ()
+    """Names that may come out: they are true as well."""
+    parameters: dict[str, dict[str, float]] = field(default_factory=dict)
+    powers: dict[str, float] = field(default_factory=dict)
+    absorbed: dict[str, float] = field(default_factory=dict)
+    interval: tuple[float, float] | None = None
+    channels: tuple[int, ...] = ()
+
+
+@dataclass
+class Result:
+    """What the command line made of it."""
+
+    case: Case
+    truth: Truth
+    answer: dict
+    seconds: float
+
+    @property
+    def findings(self) -> list[tuple[str, list[str]]]:
+        return [(f["effect"], [r["effect"] for r in f["rivals"]]) for f in self.answer["findings"]]
+
+    @property
+    def present(self) -> set[str]:
+        return set(self.truth.required) | set(self.truth.allowed)
+
+    def named(self, name: str) -> bool:
+        return any(name == f for f, _ in self.findings)
+
+    def among(self, name: str) -> bool:
+        return any(name == f or name in rivals for f, rivals in self.findings)
+
+    @property
+    def false(self) -> list[str]:
+        return [
+            f for f, rv in self.findings if f not in self.present and not self.present & set(rv)
+        ]
+
+    @property
+    def overlap(self) -> float:
+        """Return common over whole length of the truth and the best interval said."""
+        best = 0.0
+        for item in self.answer["unexplained"] if self.truth.interval else ():
+            t0, t1 = self.truth.interval
+            for a, b in item["intervals"]:
+                a, b = a - self.truth.setting.start, b - self.truth.setting.start
+                common = max(0.0, min(b, t1) - max(a, t0))
+                best = max(best, common / (max(b, t1) - min(a, t0)))
+        return best
+
+    def errors(self) -> Iterator[tuple[str, float]]:
+        """Yield parameter errors in their standard errors."""
+        for f in self.answer["findings"]:
+            truth = self.truth.parameters.get(f["effect"])
+            said = f["parameters"]
+            # With a square beside it, a coefficient of temperature depends on where T is zero.
+            if truth is None or ("kx" in truth and any(n[0] == "q" for n in said)):
+                continue
+            for name, q in said.items():
+                if q["sigma"] and name in truth:
+                    yield f"{f['effect']}.{name}", (q["value"] - truth[name]) / q["sigma"]
+
+    @property
+    def failed(self) -> bool:
+        if self.false:
+            return True
+        if self.case.part == "outside":
+            return self.overlap < 0.5
+        if self.case.part == "clean":
+            return bool(self.answer["unexplained"]) and self.case.names != ("knock",)
+        return not all(self.among(n) for n in self.truth.required)
+
+    def __str__(self) -> str:
+        said = "; ".join(f + (f" ({', '.join(rv)})" if rv else "") for f, rv in self.findings)
+        left = "; ".join(
+            f"{u['follows']} {','.join(u['channels'])} "
+            + ",".join(f"{a:.1f}-{b:.1f}" for a, b in u["intervals"][:2])
+            for u in self.answer["unexplained"]
+        )
+        s = self.truth.setting
+        powers = ", ".join(f"{k} {v:.0f}" for k, v in self.truth.powers.items())
+        worst = max((abs(z) for _, z in self.errors()), default=0.0)
+        return (
+            f"{'FAIL' if self.failed else 'ok  '} {self.case.label:45s} {self.seconds:4.1f} s "
+            f"[{s.part.name} {s.rate:g} Hz, {s.poses} {s.pose_style}, {s.temperature}"
+            f"{', misaligned' if s.misaligned else ''}{', earth' if s.earth else ''}] "
+            f"({powers}) said: {said or '-'} | unexplained: {left or '-'} | z {worst:.1f}"
+            + (f" | at {self.truth.interval}, {self.truth.channels}" if self.truth.interval else "")
+        )
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").split("\n")[0])
+    parser.add_argument("--quick", action="store_true", help="one seed, some of the effects")
+    parser.add_argument("--seeds", type=int, default=2, help="recordings per effect and size")
+    parser.add_argument("--first", type=int, default=0, help="number of the first seed")
+    parser.add_argument("--parts", nargs="*", default=list(PARTS), choices=PARTS)
+    parser.add_argument("--effects", nargs="*", help="only these")
+    parser.add_argument("--times", type=float, nargs="*", default=[1.5, 3.0])
+    parser.add_argument("--keep", type=Path, metavar="DIR", help="keep what fails here")
+    parser.add_argument("--verbose", action="store_true")
+    args = parser.parse_args()
+    results = []
+    for case in cases(args):
+        result = run(case, args.keep)
+        results.append(result)
+        if args.verbose or result.failed:
+            print(result, file=sys.stderr, flush=True)
+    return report(results)
+
+
+def cases(args: argparse.Namespace) -> Iterator[Case]:
+    """Yield what the options ask for."""
+    seeds = range(args.first, args.first + (1 if args.quick else args.seeds))
+    single = list(EFFECTS)[:: 4 if args.quick else 1]
+    chosen = args.effects
+    for part in args.parts:
+        for seed in seeds:
+            if part == "single":
+                for name in chosen or single:
+                    if name in EFFECTS:
+                        yield from (Case(part, (name,), t, seed) for t in args.times)
+            elif part == "clean":
+                yield from (Case(part, (name,), 0.0, seed) for name in chosen or STRESS)
+            elif part == "outside":
+                for name in chosen or list(OUTSIDE)[:: 2 if args.quick else 1]:
+                    if name in OUTSIDE:
+                        yield from (Case(part, (name,), t, seed) for t in args.times)
+            elif part == "readout":
+                for name in chosen or READOUT:
+                    if name in READOUT:
+                        yield Case(part, (name,), 1.0, seed)
+            elif not chosen:
+                rng = np.random.default_rng([seed, 7])
+                for _ in range(1 if args.quick else 6):
+                    pair = tuple(str(n) for n in rng.choice(list(EFFECTS), 2, replace=False))
+                    if _common(pair) is not None:
+                        yield Case(part, pair, 2.0, seed)
+
+
+def _common(names: tuple[str, ...]) -> dict[str, tuple[object, ...]] | None:
+    """Return what all of the effects need of a setting, or None if that cannot be."""
+    out: dict[str, tuple[object, ...]] = {}
+    for name in names:
+        for key, values in EFFECTS[name].needs.items() if name in EFFECTS else ():
+            both = tuple(v for v in values if v in out.get(key, values))
+            if not both:
+                return None
+            out[key] = both
+    return out
+
+
+def run(case: Case, keep: Path | None) -> Result:
+    """Make one recording and let the command line judge it."""
+    rng = np.random.default_rng(
+        [case.seed, zlib.crc32("+".join((case.part, *case.names)).encode())]
+    )
+    forced: dict[str, object] = {
+        k: v[int(rng.integers(len(v)))] for k, v in (_common(case.names) or {}).items()
+    }
+    if case.part == "clean":
+        forced = dict(STRESS[case.names[0]])
+    if forced.get("shaken"):
+        forced["averaged"] = False  # a mean over the sample interval would damp the vibration
+    setting = draw_setting(rng, **forced)
+    motion = make_motion(rng, setting)
+    errors = draw_errors(rng, setting)
+    truth = Truth(setting)
+    output, reading = conceal(rng, case, motion, errors, truth)
+    if setting.misaligned:
+        # Nothing else is asked of a recording in wrong units or with wrong axes.
+        if case.names[0] in ("unit_error", "axis_error"):
+            truth.allowed += ("gyro_misalignment",)
+        else:
+            truth.required += ("gyro_misalignment",)
+        off = errors.gyro - np.eye(3)
+        truth.parameters["gyro_misalignment"] = {
+            f"m{AXES[i]}{AXES[j]}": float(off[i, j]) for i in range(3) for j in range(3) if i != j
+        }
+    if setting.earth:
+        truth.allowed += ("earth_rate",)
+    samples = motion.pick(output)
+    samples = samples + noise(rng, motion, len(samples))
+    time, values, temperature = read_out(motion, samples, **reading)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / f"{case.label}.csv"
+        seen = None if setting.temperature == "none" else temperature
+        write_csv(path, time, values, seen, rng)
+        before = resource.getrusage(resource.RUSAGE_CHILDREN)
+        said = subprocess.run(
+            [sys.executable, "-m", "imu_cli", "diagnose", str(path), "--json"],
+            capture_output=True, text=True, check=False,
+        )  # fmt: skip
+        after = resource.getrusage(resource.RUSAGE_CHILDREN)
+        if said.returncode:
+            raise RuntimeError(f"{case.label}: exit {said.returncode}\n{said.stderr}")
+        seconds = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+        result = Result(case, truth, json.loads(said.stdout), seconds)
+        if keep is not None and result.failed:
+            keep.mkdir(parents=True, exist_ok=True)
+            (keep / path.name).write_bytes(path.read_bytes())
+            (keep / f"{case.label}.txt").write_text(f"{result}\n{truth}\n{said.stdout}")
+    return result
+
+
+def conceal(
+    rng: np.random.Generator, case: Case, motion: Motion, errors: Errors, truth: Truth
+) -> tuple[np.ndarray, dict]:
+    """Return the fine output with the case's effects in it, and options of the read-out."""
+    clean = ideal(motion, errors)
+    if case.part == "clean":
+        return clean, {}
+    oracle = Oracle(motion)
+    if case.part == "readout":
+        return clean, spoil(rng, case.names[0], motion, clean, oracle, truth)
+    output = clean
+    for name in case.names:
+        power = SMALLEST * case.times**2
+        if case.part == "outside":
+            added, truth.interval = OUTSIDE[name](rng, motion)
+            truth.channels = tuple(added)
+            signal = np.zeros_like(clean)
+            for channel, values in added.items():
+                signal[:, channel] = values
+            size = scale(motion, oracle, signal, power, line=name == "hum")
+            output = output + size * signal
+            truth.powers[name] = power
+        else:
+            parameters = sized(rng, name, motion, clean, oracle, power)
+            changed = distort(motion, output, name, parameters)
+            left, raw = oracle.power(motion.pick(distort(motion, clean, name, parameters) - clean))
+            truth.powers[name], truth.absorbed[name] = left, 1 - left / raw
+            truth.required += (name,)
+            truth.parameters[name] = parameters
+            output = changed
+    return output, {}
+
+
+def scale(motion: Motion, oracle: Oracle, signal: np.ndarray, power: float, *, line: bool) -> float:
+    """Return the factor that gives a fine signal this power, in rests and turns or as a line."""
+    sampled = motion.pick(signal)
+    if line:
+        setting = motion.setting
+        sigma2 = np.repeat(np.square(setting.part.density) * setting.rate / 2, 3)
+        return float(np.sqrt(power / np.sum(np.square(sampled) / sigma2)))
+    return float(np.sqrt(power / oracle.power(sampled)[0]))
+
+
+def sized(
+    rng: np.random.Generator,
+    name: str,
+    motion: Motion,
+    clean: np.ndarray,
+    oracle: Oracle,
+    power: float,
+) -> dict[str, float]:
+    """Return parameters of the effect, on one axis or on all, that have this power."""
+    physics = EFFECTS[name]
+    if name == "bandwidth":
+        parameters = {f"{rng.choice(['accel', 'gyro'])}_cutoff": 40.0}
+        parameters["order"] = float(rng.integers(1, 3))
+        # What a low-pass takes away goes with one over its cut-off.
+        for _ in range(3):
+            left, _raw = oracle.power(motion.pick(distort(motion, clean, name, parameters) - clean))
+            key = next(iter(parameters))
+            parameters[key] = float(np.clip(parameters[key] * np.sqrt(left / power), 5, 300))
+        return parameters
+    shape = physics.shapes(rng, motion)
+    names = list(physics.typical)
+    if not physics.joint and rng.random() < 0.5:
+        names = [str(rng.choice(names))]
+    weights = {n: physics.typical[n] * float(rng.normal(0, 1)) for n in names}
+    if len(names) == 1:
+        weights = {n: physics.typical[n] * float(rng.choice([-1.0, 1.0])) for n in names}
+    change = distort(motion, clean, name, {**weights, **shape}) - clean
+    factor = np.sqrt(power / max(oracle.power(motion.pick(change))[0], 1e-12))
+    factor = min(factor, *(CAP * physics.typical[n] / abs(w) for n, w in weights.items()), 1e6)
+    return {**{n: factor * w for n, w in weights.items()}, **shape}
+
+
+def spoil(
+    rng: np.random.Generator,
+    name: str,
+    motion: Motion,
+    clean: np.ndarray,
+    oracle: Oracle,
+    truth: Truth,
+) -> dict:
+    """Return options of the read-out that make the effect."""
+    sampled = motion.pick(clean)
+    truth.required += (name,)
+    speed = np.abs(sampled[:, 3:]).max(axis=1)
+    part = motion.setting.part
+    sigma = np.array(part.density) * np.sqrt(motion.setting.rate / 2)
+    if name == "saturation":
+        limit = float(speed.max() * rng.uniform(0.75, 0.95))
+        truth.parameters[name] = {"gyro_full_scale": limit}
+        clipped = np.concatenate((sampled[:, :3], np.clip(sampled[:, 3:], -limit, limit)), axis=1)
+        truth.powers[name] = oracle.power(clipped - sampled)[0]
+        return {"full_scale": (np.inf, limit)}
+    if name == "quantization":
+        coarse = sigma * rng.uniform(3, 6)
+        triad = int(rng.integers(2))
+        lsb = tuple(float(coarse[t]) if t == triad else part.lsb[t] for t in range(2))
+        key = ("accel_lsb", "gyro_lsb")[triad]
+        truth.parameters[name] = {key: lsb[triad]}
+        return {"lsb": lsb}
+    if name == "dropped_samples":
+        fast = np.flatnonzero(speed > 0.6 * speed.max())
+        at = int(rng.choice(fast))
+        count = int(rng.integers(1, 4))
+        lost = np.zeros_like(sampled)
+        lost[at : at + count, 3:] = sampled[at : at + count, 3:]
+        truth.powers[name] = oracle.power(lost)[0]
+        truth.parameters[name] = {"count": float(count)}
+        return {"lost": (at / motion.setting.rate, count)}
+    if name == "unit_error":
+        factors = ((1 / 9.80665, 1.0), (1.0, 180 / np.pi), (2.0, 1.0), (1.0, 0.5))
+        return {"factor": factors[int(rng.integers(len(factors)))]}
+    orders = ((2, -1, 3), (1, 2, -3), (-1, -2, 3), (3, 1, 2))
+    return {"order": orders[int(rng.integers(len(orders)))]}
+
+
+def report(results: list[Result]) -> int:
+    """Print the tables; return 1 if a goal is missed."""
+    missed = 0
+    single = [r for r in results if r.case.part == "single"]
+    print("| what | size | recordings | found | right name | or a stated rival | false name |")
+    print("|---|---|---|---|---|---|---|")
+    for part in ("single", "pairs", "readout"):
+        chosen = [r for r in results if r.case.part == part]
+        for times in sorted({r.case.times for r in chosen}):
+            group = [r for r in chosen if r.case.times == times]
+            looked = [(r, n) for r in group for n in r.case.names]
+            n = len(looked)
+            found = sum(bool(r.answer["findings"] or r.answer["unexplained"]) for r, _ in looked)
+            right = sum(r.named(name) for r, name in looked)
+            among = sum(r.among(name) for r, name in looked)
+            false = sum(bool(r.false) for r in group)
+            print(
+                f"| {part} | {times:g} | {len(group)} | {found / n:.0%} | {right / n:.0%} | "
+                f"{among / n:.0%} | {false / len(group):.1%} |"
+            )
+            missed += part == "single" and times >= 1.5 and among / n < 0.98
+    for part in ("clean", "outside"):
+        group = [r for r in results if r.case.part == part]
+        if not group:
+            continue
+        false = sum(bool(r.false) for r in group)
+        line = f"\n{part}: {false} of {len(group)} recordings got a false name"
+        if part == "clean":
+            line += f", {sum(bool(r.answer['unexplained']) for r in group)} something unexplained"
+            missed += false / len(group) > 0.005
+        else:
+            line += f", {sum(r.overlap >= 0.5 for r in group)} unexplained in the right place"
+            missed += false / len(group) > 0.05
+            missed += sum(r.overlap >= 0.5 for r in group) / len(group) < 0.9
+        print(line)
+    real = [r for r in results if r.truth.setting.misaligned]
+    if real:
+        named = sum(r.named("gyro_misalignment") for r in real)
+        print(f"\ngyro misalignment of real parts: named in {named} of {len(real)}")
+    errors = [z for r in results for _, z in r.errors()]
+    if errors:
+        inside = float(np.mean(np.abs(errors) < 3))
+        print(f"\nparameters within 3 standard errors: {inside:.1%} of {len(errors)}")
+        missed += inside < 0.99
+    lost = sorted({n for r in single for n in r.case.names if not r.among(n)})
+    if lost:
+        print("\nnot named:", ", ".join(lost))
+    seconds = np.array([r.seconds for r in results])
+    print(f"\nCPU per recording: median {np.median(seconds):.1f} s, most {seconds.max():.1f} s")
+    return 1 if missed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
