@@ -19,7 +19,7 @@ from calib.mismatch.families import PHYSICAL
 from calib.mismatch.heldout import HeldOut, held_out
 from calib.mismatch.ranking import CLAIM
 from calib.mismatch.samples import Samples, look_at_samples
-from calib.mismatch.score import SCALES
+from calib.mismatch.score import SCALES, SHARES
 from calib.mismatch.search import Outcome, search
 from calib.model import SensorModel
 from calib.recording import CHANNELS, Recording
@@ -206,7 +206,7 @@ def bayes_factor(value: FloatArray, covariance: FloatArray, typical: FloatArray)
         gain = value @ np.linalg.solve(covariance, value) - value @ np.linalg.solve(wide, value)
         change = np.linalg.slogdet(covariance)[1] - np.linalg.slogdet(wide)[1]
         logs.append(0.5 * (gain + change))
-    return float(np.exp(min(max(logs), 690.0)) * np.exp(np.array(logs) - max(logs)).mean())
+    return float(np.exp(min(max(logs), 690.0)) * (SHARES @ np.exp(np.array(logs) - max(logs))))
 
 
 def _setup(

@@ -50,6 +50,9 @@ class Grid:
         Samples in each point.
     vibration : (n, 3) array, (m/s²)²
         Short-time variance of the specific force above its level at rest.
+    near : (n,) array of int
+        The pose whose noise and vibration a point shares: its own at rest; in a turn the one that
+        has not been left yet, or is reached already; -1 while the sensor moves.
     first, last : (s,) arrays of int
         Points ``[first, last)`` of each segment, in the order of time.
     interval : (s, 2) array, s
@@ -64,6 +67,7 @@ class Grid:
     count: IntArray
     vibration: FloatArray
     since_turn: FloatArray
+    near: IntArray
     first: IntArray
     last: IntArray
     interval: FloatArray
@@ -207,16 +211,22 @@ def _fill(recording: Recording, poses: Poses, bounds: IntArray, table: IntArray)
     interval = np.stack(
         (recording.time[bounds[first, 0]], recording.time[bounds[last - 1, 1] - 1]), axis=1
     )
-    ended = np.append(-np.inf, _turn_ends(recording, poses))
+    moving = _moving(recording, poses)
+    ended = np.append(-np.inf, moving[:, 1])
     since = time - ended[np.searchsorted(ended, time, side="right") - 1]
+    # Poses begin late and end early, to be sure: the rest of a rest is at the ends of its turns.
+    begun = np.searchsorted(moving[:, 0], time, side="right")
+    near = np.where(begun == np.searchsorted(ended[1:], time, side="left"), begun, -1)
+    near = np.where(rest, np.repeat(before, last - first), near)
     return Grid(
         time=time,
         accel=accel,
         gyro=mean(recording.gyro),
         temperature=temperature,
         count=count,
-        vibration=_vibration(recording, bounds, rest, first, last),
+        vibration=_vibration(recording, poses, near),
         since_turn=since,
+        near=near,
         first=first,
         last=last,
         interval=interval,
@@ -226,23 +236,23 @@ def _fill(recording: Recording, poses: Poses, bounds: IntArray, table: IntArray)
     )
 
 
-def _turn_ends(recording: Recording, poses: Poses) -> FloatArray:
-    """Return when each motion before a rest ended, s: the last sample that clearly still turned.
+def _moving(recording: Recording, poses: Poses) -> FloatArray:
+    """Return from when to when the sensor clearly turned between its rests, (k - 1, 2), s.
 
-    The detector of rests begins a rest late, to be sure; a settling is counted from the end of
-    motion itself.
+    A settling is counted from the end of motion itself.
     """
     if len(poses) < 2:
-        return np.zeros(0)
+        return np.zeros((0, 2))
     noise = np.array(
         [recording.gyro[a:b].std(axis=0) for a, b in zip(poses.start, poses.stop, strict=True)]
     )
     limit = 5.0 * np.median(noise, axis=0)
-    out = np.empty(len(poses) - 1)
+    out = np.empty((len(poses) - 1, 2))
     for k in range(1, len(poses)):
         a, b = int(poses.stop[k - 1]), int(poses.start[k]) + 1
-        moving = (np.abs(recording.gyro[a:b] - poses.gyro[k]) > limit).any(axis=1)
-        out[k - 1] = recording.time[a + int(np.flatnonzero(moving)[-1]) if moving.any() else b - 1]
+        moving = np.abs(recording.gyro[a:b] - poses.gyro[k]) > limit
+        at = np.flatnonzero(moving.any(axis=1))
+        out[k - 1] = recording.time[[a + at[0], a + at[-1]] if len(at) else [b - 1, b - 1]]
     return out
 
 
@@ -277,30 +287,31 @@ def _end_value(values: FloatArray) -> float:
     return float(values.mean() + slope * at[0])
 
 
-def _vibration(
-    recording: Recording, bounds: IntArray, rest: FloatArray, first: IntArray, last: IntArray
-) -> FloatArray:
-    """Variance of the specific force from its second differences, averaged over each segment."""
-    accel = recording.accel
-    out = np.zeros((len(bounds), 3))
-    if len(accel) < 5:
-        return out
-    second = np.zeros_like(accel)
-    # The variance of white noise is that of its second differences over six.
-    second[1:-1] = np.square(accel[2:] - 2 * accel[1:-1] + accel[:-2]) / 6.0
-    sums = np.concatenate((np.zeros((1, 3)), np.cumsum(second, axis=0)))
-    a, b = bounds[first, 0], bounds[last - 1, 1]
-    level = (sums[b] - sums[a]) / (b - a)[:, None]
-    resting = rest[first]
-    quiet = np.median(level[resting], axis=0) if resting.any() else np.inf
-    # Half of the noise again is vibration. A hand's motion is none: a turn counts as shaken only
-    # as much as the quieter of the rests beside it.
+def _vibration(recording: Recording, poses: Poses, near: IntArray) -> FloatArray:
+    """Return the variance of the specific force in the pose near each point, above that at rest.
+
+    A hand's motion is no vibration, though some of it looks so: while the sensor moves, it is
+    shaken as much as it then seems, but no more than in the quieter of the rests beside.
+    """
+    level = _shaking(recording.accel, poses.start, poses.stop)
+    quiet = np.median(level, axis=0)
+    # Half of the noise again is vibration.
     level = np.where(level > 1.5 * quiet, level - quiet, 0.0)
-    at = np.flatnonzero(resting)
-    if len(at):
-        before = np.maximum(np.searchsorted(at, np.arange(len(level)), side="right") - 1, 0)
-        after = np.minimum(before + 1, len(at) - 1)
-        beside = np.minimum(level[at[before]], level[at[after]])
-        level = np.where(resting[:, None], level, beside)
-    out[:] = np.repeat(level, last - first, axis=0)
-    return out
+    on_the_way = _shaking(recording.accel, poses.stop[:-1], poses.start[1:]) - quiet
+    beside = np.minimum(level[:-1], level[1:])
+    beside = np.append(np.clip(on_the_way, 0.0, beside), level[-1:], axis=0)
+    at = np.maximum.accumulate(near)
+    return np.where(near[:, None] >= 0, level[at], beside[at])
+
+
+def _shaking(accel: FloatArray, start: IntArray, stop: IntArray) -> FloatArray:
+    """Return the variance of what is faster than motion in samples ``[start, stop)``, (k, 3).
+
+    The median of squared second differences: the variance of white noise is theirs over six, and
+    their median 0.4549 of their mean. What shakes only the ends of a turn is none of its own.
+    """
+    out = np.zeros((len(start), 3))
+    for k, (a, b) in enumerate(zip(start, stop, strict=True)):
+        if b - a > 2:
+            out[k] = np.median(np.square(np.diff(accel[a:b], n=2, axis=0)), axis=0)
+    return out / (6.0 * 0.4549)

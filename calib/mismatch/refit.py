@@ -15,7 +15,7 @@ from calib.mismatch.noise import Whitener, contrast_variance, find_levels, make_
 from calib.mismatch.ranking import Accepted, fitted, make_stack
 from calib.mismatch.rivals import WINDOWED, window_columns
 from calib.mismatch.rows import Rows
-from calib.mismatch.score import SCALES, Candidate, Stack
+from calib.mismatch.score import LARGE, Candidate, Stack
 from calib.types import FloatArray
 
 
@@ -96,7 +96,7 @@ def prior_rows(rows: Rows, accepted: list[Accepted] | tuple[Accepted, ...]) -> F
 
     A smooth function can take the place of the baseline. Against a twin the two are exactly alike,
     and the smallest step is taken; against a truth with noise they are only nearly so, and what
-    keeps them apart is the size that the evidence gave the rival, at most the largest of `SCALES`.
+    keeps them apart is the size that the evidence gave the rival, at most `LARGE`.
     """
     start = rows.baseline.shape[1] + rows.nuisance.shape[1]
     width = start + sum(a.columns.shape[1] for a in accepted)
@@ -108,7 +108,7 @@ def prior_rows(rows: Rows, accepted: list[Accepted] | tuple[Accepted, ...]) -> F
         at += a.columns.shape[1]
     if not rows.aligned:
         index = []
-    out: FloatArray = np.eye(width)[np.array(index, np.int64)] / SCALES[-1]
+    out: FloatArray = np.eye(width)[np.array(index, np.int64)] / LARGE
     return out
 
 

@@ -61,7 +61,10 @@ def add_rivals(stack: Stack, rows: Rows, *, skip: tuple[str, ...] = ()) -> None:
     """
     found: list[tuple[str, Candidate]] = []
     for c in range(len(CHANNELS)):
-        found += _of_channel(stack, rows, c, typical_size(CHANNELS[c].split(".")[0]))
+        triad = CHANNELS[c].split(".")[0]
+        # Beside the bias, a window that is open at one end is a step of it, which has a name.
+        step = f"{triad}_bias_step" in effects() and f"{triad}_bias_step" not in skip
+        found += _of_channel(stack, rows, c, typical_size(triad), step=step)
     found = [(part, c) for part, c in found if c.name not in skip]
     # Every kind has its share, each of its parts (one length of window, say) the same of that.
     number = Counter((c.name, part) for part, c in found)
@@ -80,7 +83,9 @@ def typical_size(triad: str) -> float:
     return 0.02 if triad == "accel" else float(np.radians(0.05))
 
 
-def _of_channel(stack: Stack, rows: Rows, c: int, size: float) -> Iterator[tuple[str, Candidate]]:
+def _of_channel(
+    stack: Stack, rows: Rows, c: int, size: float, *, step: bool
+) -> Iterator[tuple[str, Candidate]]:
     """Yield candidates of a channel, each with the part of its kind that it belongs to."""
     state = rows.state
     own = (state.force if c < 3 else state.rate)[:, c % 3]
@@ -91,14 +96,16 @@ def _of_channel(stack: Stack, rows: Rows, c: int, size: float) -> Iterator[tuple
     pieces = stack.add(size * rows.pieces[c].toarray())
     gains = stack.add(size * (rows.functional[c] @ member).toarray())
     blank = Candidate("", pieces, 0.0, False, (CHANNELS[c],))
-    for a, b in windows(len(rows.interval)):
+    count = len(rows.interval)
+    for a, b in windows(count):
         interval = (float(rows.interval[a, 0]), float(rows.interval[b - 1, 1]))
         window = replace(blank, interval=interval)
         length = f"{b - a} segments"
-        yield (
-            length,
-            replace(window, name="bias in a window", index=pieces[a:b], summed=True),
-        )
+        if not (step and (a == 0 or b == count)):
+            yield (
+                length,
+                replace(window, name="bias in a window", index=pieces[a:b], summed=True),
+            )
         yield length, replace(window, name="gain in a window", index=gains[a:b], summed=True)
         if JUMPS[0] <= b - a <= JUMPS[1] and (b - a).bit_count() == 1:
             yield length, replace(window, name="jumps in a window", index=pieces[a:b])

@@ -26,10 +26,17 @@ from scipy import sparse
 from calib.mismatch.noise import Whitener
 from calib.types import FloatArray, IntArray
 
-SCALES = np.append(np.geomspace(0.01, 3.0, 8), [10.0, 30.0])
-"""Sizes that are tried, relative to the typical one; the last for what is far beyond typical."""
+LARGE = 30.0
+"""Size relative to the typical one beyond which a number is hardly physical."""
 
-_SHARES = np.log(np.append(np.full(8, 0.12), [0.02, 0.02]))
+SCALES = np.append(np.geomspace(0.01, 3.0, 8), [10.0, LARGE, 100.0, 300.0, 1000.0, 3000.0])
+"""Sizes that are tried, relative to the typical one. What is far beyond it is improbable, but what
+has the shape of an effect at that size has its name too."""
+
+SHARES = np.append(np.full(8, 0.115), [0.02, 0.02, 0.01, 0.01, 0.01, 0.01])
+"""How probable each of them is."""
+
+_LOG_SHARES = np.log(SHARES)
 
 _LOST = 1e-8
 
@@ -150,7 +157,7 @@ class Stack:
             power, along = _singles(index, projected, match, total)
             strength = np.square(SCALES)[:, None] * power
             gain = 0.5 * np.square(along) / np.maximum(power, 1e-300) * strength / (1 + strength)
-            out[single] = _average(gain - 0.5 * np.log1p(strength) + _SHARES[:, None])
+            out[single] = _average(gain - 0.5 * np.log1p(strength) + _LOG_SHARES[:, None])
         mixed: dict[tuple[int, int, int], list[int]] = {}
         for i in which:
             c = self.candidates[i]
@@ -194,7 +201,7 @@ def _joint(gram: FloatArray, match: FloatArray) -> FloatArray:
     square = np.square(SCALES)[:, None, None]
     strength = square * values
     gain = 0.5 * (along * square / (1 + strength)).sum(axis=2)
-    return _average(gain - 0.5 * np.log1p(strength).sum(axis=2) + _SHARES[:, None])
+    return _average(gain - 0.5 * np.log1p(strength).sum(axis=2) + _LOG_SHARES[:, None])
 
 
 def _average(log_factors: FloatArray) -> FloatArray:

@@ -413,7 +413,9 @@ def sample_noise(grid: Grid) -> FloatArray:
     # A ratio beyond four standard errors of its estimate is a rest with a level of its own.
     limit = 1.0 + 4.0 * np.sqrt(2.0 / np.maximum(number, 1))[:, None]
     level = floor * np.where(ratio > limit, ratio, 1.0)
-    each = np.where((pose >= 0)[:, None], level[np.maximum(pose, 0)], floor)
+    # While it moves, nobody knows: the common level.
+    near = grid.near
+    each = np.where((near >= 0)[:, None], level[np.maximum(near, 0)], floor)
     return np.asarray(each / grid.count[:, None])
 
 

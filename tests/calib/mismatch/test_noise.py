@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from scipy.stats import multivariate_normal
 
 from calib.mismatch.noise import (
@@ -13,7 +14,7 @@ from calib.mismatch.noise import (
     find_levels,
     make_whitener,
 )
-from calib.mismatch.score import SCALES, Candidate, Stack
+from calib.mismatch.score import SCALES, SHARES, Candidate, Stack
 
 from .bench import problem
 
@@ -81,12 +82,12 @@ def test_bayes_factors_agree_with_the_densities():
     stack.candidates.append(Candidate("both", index, 1.0, True, ("accel.x",)))
     stack.candidates.append(Candidate("first", index[:1], 1.0, True, ("accel.x",)))
     found = stack.log_bayes_factors(unit, whole)
-    shares = np.append(np.full(8, 0.12), [0.02, 0.02])
+    assert SHARES.sum() == pytest.approx(1.0)
     null = multivariate_normal(np.zeros(30), np.eye(30)).logpdf(y)
     for value, columns in zip(found, (z[:30], z[:30, :1]), strict=True):
         each = [
             multivariate_normal(np.zeros(30), np.eye(30) + s**2 * columns @ columns.T).logpdf(y)
             for s in SCALES
         ]
-        expected = np.log(np.sum(shares * np.exp(np.array(each) - null)))
+        expected = np.log(np.sum(SHARES * np.exp(np.array(each) - null)))
         np.testing.assert_allclose(value, expected, rtol=1e-8)

@@ -1,0 +1,55 @@
+"""The grid knows at each point which rest the sensor is in, and how much it is shaken there."""
+
+import numpy as np
+
+from calib.effects.base import Term
+from calib.mismatch import diagnose_recording
+from calib.mismatch.grid import make_grid
+from calib.model import SensorModel
+from calib.simulate import simulate
+from calib.simulation.bench import bench_protocol
+from calib.simulation.noise import CONSUMER
+from calib.statics import find_poses
+
+from .bench import GRAVITY
+
+SHAKEN = 0.4
+
+
+def shaken(*terms: Term):
+    """Return the motion of a bench that is shaken in some rests, and its recording."""
+    rng = np.random.default_rng(11)
+    motion = bench_protocol(rng, poses=24, vibration=SHAKEN)
+    model = SensorModel(terms=terms, reference_temperature=30.0)
+    return motion, simulate(motion, model, CONSUMER, rng=rng, rate=100.0)
+
+
+def test_near_is_the_rest_that_is_not_left_yet():
+    motion, recording = shaken()
+    grid = make_grid(recording, find_poses(recording))
+    rate = np.linalg.norm(motion.state(grid.time).rate, axis=1)
+    assert (rate[grid.near >= 0] < 0.1).all()
+    assert (grid.near[rate > 0.3] == -1).all()
+    pose = grid.pose
+    np.testing.assert_array_equal(grid.near[pose >= 0], pose[pose >= 0])
+
+
+def test_vibration_is_that_of_the_rest_to_its_very_end():
+    motion, recording = shaken()
+    grid = make_grid(recording, find_poses(recording))
+    # Points that lie whole in a rest: near one, and with no turn within a tenth of a second.
+    true = [motion.state(grid.time + d).vibration[:, 0] for d in (-0.1, 0.0, 0.1)]
+    inside = (grid.near >= 0) & (true[0] == true[1]) & (true[1] == true[2])
+    assert (inside & (grid.pose < 0)).sum() > 20
+    off = grid.vibration[inside] - true[1][inside, None]
+    np.testing.assert_allclose(off[true[1][inside] > 0] / SHAKEN**2, 0.0, atol=0.4)
+    np.testing.assert_array_equal(off[true[1][inside] == 0], 0.0)
+
+
+def test_rectified_vibration_is_named():
+    _, recording = shaken(Term("accel_vibration_rectification", {"kx": 0.5, "ky": 0.0, "kz": 0.0}))
+    diagnosis = diagnose_recording(recording, gravity=GRAVITY)
+    (finding,) = diagnosis.findings
+    assert finding.effect == "accel_vibration_rectification"
+    found = finding.parameters["kx"]
+    assert abs(found.value - 0.5) < 4 * found.sigma
