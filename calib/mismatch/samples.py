@@ -71,6 +71,9 @@ def look_at_samples(recording: Recording, poses: Poses) -> Samples:
                 clipped[at, c] = True
                 limit = max(limit, float(np.abs(values[at, c]).max()))
         if limit:
+            # The range is one: what another axis reached for a sample or two was cut there as well.
+            own = slice(first, first + 3)
+            clipped[:, own] |= np.abs(values[:, own]) >= limit - 1.5 * step[own]
             findings.append(_saturation(recording, clipped, triad, limit, unit))
     stuck = 0
     moving = np.ones(len(recording), bool)

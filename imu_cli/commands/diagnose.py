@@ -36,7 +36,16 @@ def diagnose(
     ] = None,
     profile: Annotated[str | None, typer.Option(help="Import profile of a foreign log.")] = None,
     imu: Annotated[int | None, typer.Option(help="Which sensor of a board, from 1.")] = None,
-    gravity: Annotated[float, typer.Option(help="Local gravity, m/s².")] = 9.80665,
+    gravity: Annotated[
+        float | None,
+        typer.Option(help="Local gravity, m/s²  [default: the calibration's, or 9.80665]"),
+    ] = None,
+    latitude: Annotated[
+        float | None, typer.Option(help="Latitude, °: gravity by the normal-gravity formula.")
+    ] = None,
+    height: Annotated[
+        float | None, typer.Option(help="Height, m, with --latitude  [default: 0]")
+    ] = None,
     output: Annotated[
         Path | None,
         typer.Option("-o", "--output", help="Write the sensor model that was found."),
@@ -57,17 +66,14 @@ def diagnose(
 
     # Matrices of a few hundred rows: more threads only cost CPU.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    from calib.calibration import Gravity
     from calib.mismatch import diagnose_against, diagnose_recording, diagnose_reference
     from drivers.calibration_file import load_calibration, save_calibration
     from drivers.formats import read_recording
     from drivers.reference_file import read_reference
+    from imu_cli.options import choose_gravity
     from imu_cli.output import print_json
 
-    if not 9.7 < gravity < 9.9:
-        raise typer.BadParameter(
-            f"expected m/s² between 9.7 and 9.9, got {gravity:g}", param_hint="--gravity"
-        )
+    local = choose_gravity(gravity, latitude, height)
     if against is not None and reference is not None:
         raise typer.BadParameter(
             "expected --against or --reference, got both", param_hint="--reference"
@@ -75,18 +81,20 @@ def diagnose(
     if reference_imu is not None and reference is None:
         raise typer.BadParameter("it needs --reference", param_hint="--reference-imu")
     known = None if calibration is None else load_calibration(calibration)
+    if known is not None and gravity is None and latitude is None:
+        local = known.gravity
     real = read_recording(recording, profile=profile, imu=imu)
     model = None if known is None else known.model
     if against is not None:
         simulated = read_recording(against)
-        found = diagnose_against(real, simulated, gravity=gravity, model=model)
+        found = diagnose_against(real, simulated, gravity=local.value, model=model)
     elif reference is not None:
         other = read_reference(reference, imu=reference_imu)
-        found = diagnose_reference(real, other, gravity=gravity, model=model)
+        found = diagnose_reference(real, other, gravity=local.value, model=model)
     else:
-        found = diagnose_recording(real, gravity=gravity, model=model)
+        found = diagnose_recording(real, gravity=local.value, model=model)
     if output is not None:
-        made = found.calibration(real, gravity=Gravity(gravity, "given"))
+        made = found.calibration(real, gravity=local)
         save_calibration(_signed(made, recording), output)
     if report is not None:
         from drivers.calibration_file import write_atomic

@@ -52,3 +52,19 @@ def test_a_missing_file_and_a_wrong_gravity_are_refused(log: Path, tmp_path: Pat
     wrong = CliRunner().invoke(app, ["diagnose", str(log), "--gravity", "32.2"])
     assert wrong.exit_code == 2
     assert "m/s²" in wrong.output
+
+
+def test_gravity_is_taken_from_the_latitude_or_from_the_calibration(
+    log: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "model.json"
+    place = ["--latitude", "60", "--height", "100"]
+    result = CliRunner().invoke(app, ["diagnose", str(log), *place, "-o", str(out)])
+    assert result.exit_code == 0, result.stderr
+    gravity = load_calibration(out).gravity
+    assert abs(gravity.value - 9.81884) < 1e-4
+    again = tmp_path / "again.json"
+    CliRunner().invoke(app, ["diagnose", str(log), "--calibration", str(out), "-o", str(again)])
+    assert load_calibration(again).gravity == gravity
+    both = CliRunner().invoke(app, ["diagnose", str(log), "--gravity", "9.81", *place])
+    assert both.exit_code == 2

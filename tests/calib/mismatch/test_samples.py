@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from calib.mismatch import diagnose_recording
+from calib.mismatch.samples import look_at_samples
 from calib.recording import Recording
 from calib.statics import find_poses
 
@@ -39,3 +40,21 @@ def test_a_hole_in_the_time_stamps_is_not_integrated_across() -> None:
     )
     found = diagnose_recording(holed, gravity=GRAVITY)
     assert {f.effect for f in found.findings} <= {"gyro_misalignment"}
+
+
+def test_what_one_axis_shows_of_the_range_is_the_range_of_all() -> None:
+    recording = simulated()
+    gyro = np.round(recording.gyro / 1e-4) * 1e-4
+    peak = np.abs(gyro).max(axis=0)
+    long = int(np.argmax(peak))
+    limit = 0.8 * peak[long]
+    gyro = np.clip(gyro, -limit, limit)
+    short = (long + 1) % 3
+    poses = find_poses(recording)
+    at = int(poses.stop[2] + poses.start[3]) // 2
+    gyro[at, short] = -limit
+    seen = look_at_samples(replace(recording, gyro=gyro), poses)
+    (finding,) = seen.findings
+    assert finding.effect == "saturation"
+    assert f"gyro.{'xyz'[short]}" in finding.channels
+    assert seen.spoilt[at]
