@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
+from scipy import linalg
 
 from calib.effects.base import (
     PRESENCE,
@@ -80,15 +81,40 @@ def low_pass(time: FloatArray, values: FloatArray, cutoff: float, *, order: int)
     """Return (n, k) values through the low-pass, which starts settled at the first of them."""
     if len(time) < 2:
         return values
-    w0 = 2 * np.pi * cutoff
-    denominator = [1 / w0, 1.0] if order == 1 else [1 / w0**2, np.sqrt(2) / w0, 1.0]
-    step = float(np.median(np.diff(time)))
-    from scipy.signal import cont2discrete, lfilter, lfilter_zi  # half a second to import
+    num, den = _discrete(2 * np.pi * cutoff, float(np.median(np.diff(time))), order)
+    # den[0] y[k] + den[1] y[k-1] + ... = num[0] x[k] + num[1] x[k-1] + ..., all x and y before the
+    # first being the first value: a lower triangular band.
+    early = np.concatenate((np.repeat(values[:1], order, axis=0), values))
+    right = sum(c * early[order - k : len(early) - k] for k, c in enumerate(num))
+    for k in range(1, order + 1):
+        right[: min(k, len(right))] -= den[k] * values[0]
+    band = np.repeat(den[:, None], len(values), axis=1)
+    out, _ = linalg.lapack.dtbtrs(band, right, uplo="L")
+    return np.asarray(out)
 
-    num, den, _ = cont2discrete(([1.0], denominator), step, method="foh")
-    initial = lfilter_zi(num.ravel(), den)[:, None] * values[0]
-    out: FloatArray = lfilter(num.ravel(), den, values, axis=0, zi=initial)[0]
-    return out
+
+def _discrete(w0: float, step: float, order: int) -> tuple[FloatArray, FloatArray]:
+    """Return numerator and denominator in ``1/z`` for an input that is linear between samples.
+
+    References
+    ----------
+    .. [1] Franklin, Powell, Workman, "Digital Control of Dynamic Systems", 3rd ed., section 6.3.2
+       (triangle-hold equivalent): from the exponential of the augmented system matrix.
+    """
+    system = np.zeros((order + 2, order + 2))
+    if order == 1:
+        system[0, :2] = -w0 * step, w0 * step
+    else:
+        system[0, :3] = -np.sqrt(2) * w0 * step, -(w0**2) * step, w0**2 * step
+        system[1, 0] = step
+    system[-2, -1] = 1.0
+    held = linalg.expm(system)
+    state, level, slope = held[:order, :order], held[:order, -2], held[:order, -1]
+    drive = level - slope + state @ slope
+    den = np.poly(state)
+    # Impulse response at the output, the last state.
+    response = [slope[-1], drive[-1], (state @ drive)[-1]][: order + 1]
+    return np.convolve(den, response)[: order + 1], np.asarray(den)
 
 
 def _sharpen(time: FloatArray, values: FloatArray, cutoff: float, *, order: int) -> FloatArray:

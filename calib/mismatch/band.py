@@ -10,7 +10,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.signal import butter, coherence, sosfiltfilt
 
 from calib.mismatch.alignment import Alignment
 from calib.mismatch.comparison import Truth
@@ -103,6 +102,8 @@ def common_band(
     Derivatives of captured orientations and positions grow with frequency, and so does their
     noise. The lower of what the rates and what the specific forces allow holds for both.
     """
+    from scipy.signal import coherence  # half a second to import
+
     at = alignment.times(real.time)
     state = truth.state(np.clip(at, *truth.span))
     rate = 1.0 / real.interval
@@ -125,6 +126,8 @@ def low_passed(recording: Recording, bandwidth: float) -> Recording:
     rate = 1.0 / recording.interval
     if bandwidth >= 0.45 * rate or len(recording) < 32:
         return recording
+    from scipy.signal import butter, sosfiltfilt  # half a second to import
+
     sos = butter(4, bandwidth, fs=rate, output="sos")
     return replace(
         recording,

@@ -29,6 +29,7 @@ from calib.mismatch.twin import (
     DRIFT_TIME,
     SPREAD,
     baseline_column,
+    drift_components,
     flicker_covariance,
 )
 from calib.model import SensorModel
@@ -420,23 +421,16 @@ def _components(
     flicker = flicker_covariance(middle, length)
     out = []
     for c, name in enumerate(CHANNELS):
-        response = pieces[c][:dense].toarray()
         triad = name.split(".")[0]
         drift = DRIFT[triad] ** 2 * density[c]
-        for label, matrix, share in (
-            ("jitter", response @ response.T, 0.1),
-            ("flicker", response @ flicker @ response.T, 1.0),
-            ("walk", response @ walk @ response.T, 1.0),
-        ):
-            out.append(Component(f"{name} {label}", matrix, share * drift, SPREAD, triad))
+        out += drift_components(name, pieces[c][:dense], flicker, walk, drift, SPREAD)
     return tuple(out)
 
 
 def robust_step(rows: Rows) -> FloatArray:
     """Return the Gauss-Newton step of baseline and nuisances, by Huber's weights."""
     p = rows.baseline.shape[1]
-    variance = np.diag(rows.white) + sum(c.expected * np.diag(c.matrix) for c in rows.components)
-    sigma = np.sqrt(np.concatenate((variance, rows.white_diagonal)))
+    sigma = np.sqrt(np.concatenate((rows.expected_variance(), rows.white_diagonal)))
     design = np.hstack((rows.baseline, rows.nuisance)) / sigma[:, None]
     y = rows.residual / sigma
     loose = np.array([_LOOSE[n.split(".")[1]] for n in rows.names])

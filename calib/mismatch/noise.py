@@ -18,7 +18,7 @@ import numpy as np
 from scipy import linalg
 
 from calib.mismatch.rows import Rows
-from calib.types import FloatArray
+from calib.types import FloatArray, IntArray
 
 WITHIN = 0.7
 """How much levels of one group differ among each other: standard deviation of the logarithm of a
@@ -36,8 +36,24 @@ class Levels:
 def covariance(rows: Rows, levels: FloatArray) -> FloatArray:
     """Return the covariance of the dense rows."""
     out = rows.white.copy()
-    for level, component in zip(levels, rows.components, strict=True):
-        out += level * component.matrix
+    at = 0
+    for index, matrices in _by_rows(rows):
+        part = sum(levels[at + k] * matrix for k, matrix in enumerate(matrices))
+        out[np.ix_(index, index)] += part
+        at += len(matrices)
+    return out
+
+
+def _by_rows(rows: Rows) -> list[tuple[IntArray, list[FloatArray]]]:
+    """Return the components' matrices in their order, those on the same rows side by side.
+
+    The drift of a channel acts on its own rows, a fraction of all: so that is where to work.
+    """
+    out: list[tuple[IntArray, list[FloatArray]]] = []
+    for c in rows.components:
+        if not out or not np.array_equal(out[-1][0], c.index):
+            out.append((c.index, []))
+        out[-1][1].append(c.matrix)
     return out
 
 
@@ -74,7 +90,6 @@ def estimate_levels(
         Levels to start from.
     """
     y = rows.residual[: rows.n_dense]
-    matrices = [c.matrix for c in rows.components]
     centre = np.log(expected_levels(rows))
     precision = prior_precision(rows)
     basis = range_basis(mean)
@@ -97,15 +112,14 @@ def estimate_levels(
         if gain < 0.02:
             break
         py = projector @ y
-        vpy = np.stack(
-            [level * (v @ py) for level, v in zip(levels, matrices, strict=True)], axis=1
-        )
-        trace = np.array(
-            [
-                level * float(np.vdot(projector, v))
-                for level, v in zip(levels, matrices, strict=True)
-            ]
-        )
+        vpy, trace = np.zeros((len(py), len(levels))), np.empty(len(levels))
+        at = 0
+        for index, matrices in _by_rows(rows):
+            own = projector[np.ix_(index, index)]
+            for matrix in matrices:
+                vpy[index, at] = levels[at] * (matrix @ py[index])
+                trace[at] = levels[at] * float(np.vdot(own, matrix))
+                at += 1
         gradient = 0.5 * (vpy.T @ py - trace) - precision @ (logs - centre)
         information = 0.5 * vpy.T @ projector @ vpy + precision
         # Average information is poor far from the optimum: never less than half the trace's own.
@@ -150,14 +164,18 @@ def range_basis(mean: FloatArray, *, tolerance: float = 1e-9) -> FloatArray:
 
 def _projector(cov: FloatArray, basis: FloatArray, y: FloatArray) -> tuple[FloatArray, float]:
     """Return ``P = inv(V) - inv(V) X inv(X' inv(V) X) X' inv(V)`` and the restricted likelihood."""
-    factor = linalg.cholesky(cov, lower=True)
-    inverse, _ = linalg.lapack.dpotri(factor, lower=1)
-    inverse = np.tril(inverse) + np.tril(inverse, -1).T
-    weighted = inverse @ basis
-    inner = linalg.cholesky(basis.T @ weighted, lower=True)
-    half = linalg.solve_triangular(inner, weighted.T, lower=True)
-    projector = inverse - half.T @ half
-    log_det = 2 * np.log(np.diag(factor)).sum() + 2 * np.log(np.diag(inner)).sum()
+    # In Fortran's order and lower triangles, so that LAPACK copies nothing and does half the work.
+    factor = linalg.cholesky(cov.T, lower=True, check_finite=False)
+    log_det = 2 * np.log(np.diag(factor)).sum()
+    projector, _ = linalg.lapack.dpotri(factor, lower=1, overwrite_c=1)
+    if basis.size:
+        weighted = linalg.blas.dsymm(1.0, projector, basis, lower=1)
+        inner = linalg.cholesky(basis.T @ weighted, lower=True, check_finite=False)
+        half = linalg.blas.dtrsm(1.0, inner, weighted, side=1, lower=1, trans_a=1, overwrite_b=1)
+        projector = linalg.blas.dsyrk(-1.0, half, beta=1.0, c=projector, lower=1, overwrite_c=1)
+        log_det += 2 * np.log(np.diag(inner)).sum()
+    projector = np.tril(projector)
+    projector += np.tril(projector, -1).T
     return projector, float(-0.5 * (log_det + y @ projector @ y))
 
 

@@ -28,7 +28,6 @@ from calib.mismatch.samples import look_at_samples
 from calib.mismatch.truths import MotionTruth, RecordingTruth
 from calib.model import SensorModel
 from calib.recording import Recording
-from calib.simulation.recorded import motion_from_reference
 from calib.statics import find_poses
 from calib.types import BoolArray, FloatArray
 
@@ -63,6 +62,8 @@ class ReferenceMotion:
 
     def truth(self, *, gravity: float, bandwidth: float | None) -> MotionTruth:
         """Return the motion, band-limited."""
+        from calib.simulation.recorded import motion_from_reference  # a second to import
+
         good = self.known
         if good.sum() < 4:
             raise ValueError(f"the reference has {good.sum()} finite rows, expected at least four")

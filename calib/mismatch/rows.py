@@ -33,15 +33,23 @@ class Kind(IntEnum):
 class Component:
     """One unknown variance: ``level * matrix`` adds to the covariance of the dense rows.
 
-    ``expected`` is the level that the prior is centred on, ``spread`` the standard deviation of
-    its logarithm. Components of one ``group`` have similar levels.
+    ``matrix`` (k, k) covers the k dense rows ``index`` that it acts on; the drift of one channel
+    acts on few. ``expected`` is the level that the prior is centred on, ``spread`` the standard
+    deviation of its logarithm. Components of one ``group`` have similar levels.
     """
 
     name: str
+    index: IntArray
     matrix: FloatArray
     expected: float
     spread: float = 2.5
     group: str = ""
+
+    def without(self, keep: BoolArray) -> Component:
+        """Return this for the dense rows in `keep`, (n_dense,) bool."""
+        own = keep[self.index]
+        place = np.cumsum(keep) - 1
+        return replace(self, index=place[self.index[own]], matrix=self.matrix[np.ix_(own, own)])
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,6 +112,13 @@ class Rows:
         """How many rows have a dense covariance."""
         return len(self.white)
 
+    def expected_variance(self) -> FloatArray:
+        """Return the variance of each dense row, every component at the level expected of it."""
+        out = np.diag(self.white).copy()
+        for c in self.components:
+            out[c.index] += c.expected * np.diag(c.matrix)
+        return out
+
     def column(self, signals: Mapping[str, FloatArray]) -> FloatArray:
         """Return the (m,) row column of what a term adds to the signals, by channel."""
         out = np.zeros(len(self.residual))
@@ -128,9 +143,7 @@ class Rows:
             functional=tuple(f[keep] for f in self.functional),
             white=self.white[np.ix_(dense, dense)],
             white_diagonal=self.white_diagonal[rest],
-            components=tuple(
-                replace(c, matrix=c.matrix[np.ix_(dense, dense)]) for c in self.components
-            ),
+            components=tuple(c.without(dense) for c in self.components),
             kind=self.kind[keep],
             channel=self.channel[keep],
             segment=self.segment[keep],

@@ -40,6 +40,9 @@ _LOG_SHARES = np.log(SHARES)
 
 _LOST = 1e-8
 
+PART = 256
+"""Columns that are worked on at a time: whitening and summing need copies."""
+
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
@@ -141,14 +144,14 @@ class Stack:
         used = np.unique(np.concatenate([self.candidates[i].index for i in which]))
         place = np.zeros(self._count, np.int64)
         place[used] = np.arange(len(used))
-        projected = np.empty((self._rows, len(used)))
-        # In parts: whitening needs copies.
-        for part in np.array_split(np.arange(len(used)), 1 + len(used) // 256):
-            projected[:, part] = whitener.whiten(self.columns[:, used[part]])
-        total = np.einsum("ij,ij->j", projected, projected)
-        basis = whitener.basis
-        projected -= basis @ (basis.T @ projected)
-        projected[:, np.einsum("ij,ij->j", projected, projected) < _LOST * total] = 0.0
+        projected, total = np.empty((self._rows, len(used))), np.empty(len(used))
+        for first in range(0, len(used), PART):
+            part = slice(first, first + PART)
+            white = whitener.whiten(self.columns[:, used[part]])
+            total[part] = np.einsum("ij,ij->j", white, white)
+            white -= whitener.basis @ (whitener.basis.T @ white)
+            white[:, np.einsum("ij,ij->j", white, white) < _LOST * total[part]] = 0.0
+            projected[:, part] = white
         match = y @ projected
         out = np.full(len(self.candidates), -np.inf)
         single = [i for i in which if self.candidates[i].is_single]
@@ -159,16 +162,18 @@ class Stack:
             gain = 0.5 * np.square(along) / np.maximum(power, 1e-300) * strength / (1 + strength)
             out[single] = _average(gain - 0.5 * np.log1p(strength) + _LOG_SHARES[:, None])
         mixed: dict[tuple[int, int, int], list[int]] = {}
+        several: dict[int, list[int]] = {}
         for i in which:
             c = self.candidates[i]
             if c.mixing is not None:
                 # Those of one channel share all columns, and so their Gram matrix.
                 mixed.setdefault((int(c.index[0]), *c.mixing.shape), []).append(i)
             elif not c.is_single:
-                own = place[c.index]
-                out[i] = _joint((projected[:, own].T @ projected[:, own])[None], match[own][None])[
-                    0
-                ]
+                several.setdefault(len(c.index), []).append(i)
+        for items in several.values():
+            index = [place[self.candidates[i].index] for i in items]
+            grams = np.stack([projected[:, own].T @ projected[:, own] for own in index])
+            out[items] = _joint(grams, match[np.stack(index)])
         for items in mixed.values():
             own = place[self.candidates[items[0]].index]
             gram = projected[:, own].T @ projected[:, own]
@@ -186,8 +191,10 @@ def _singles(
         (np.ones(len(column)), (np.concatenate(index), column)),
         shape=(projected.shape[1], len(index)),
     )
-    summed = (pick.T @ projected.T).T
-    power = np.square(summed).sum(axis=0)
+    power, turned = np.empty(len(index)), np.ascontiguousarray(projected.T)
+    for first in range(0, len(index), PART):
+        part = slice(first, first + PART)
+        power[part] = np.square(pick[:, part].T @ turned).sum(axis=1)
     lost = power < _LOST * (pick.T @ total)
     power[lost] = 0.0
     return power, np.where(lost, 0.0, pick.T @ match)

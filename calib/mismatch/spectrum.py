@@ -7,7 +7,7 @@ frequency above its neighbours (a line), or in some rests above the others (a bu
 from __future__ import annotations
 
 import numpy as np
-from scipy.stats import chi2, f, linregress
+from scipy.special import chdtrc, fdtrc, stdtr
 
 from calib.mismatch.diagnosis import Unexplained
 from calib.poses import Poses
@@ -92,7 +92,7 @@ def _lines(recording: Recording, power: FloatArray, channel: str) -> list[Unexpl
     # What the floor itself scatters by, beyond what chance does, widens every test.
     scatter = np.median(np.abs(np.log(mean / floor))) / 0.6745
     freedom = min(2.0 * number, 2.0 / max(scatter**2, 1e-9) + 2.0)
-    p = chi2.sf(freedom * mean / floor, freedom) * bins * len(CHANNELS)
+    p = chdtrc(freedom, freedom * mean / floor) * bins * len(CHANNELS)
     k = int(np.argmin(p))
     # A Hann window spreads a line over three frequencies.
     near = slice(max(k - 1, 0), k + 2)
@@ -125,9 +125,9 @@ def _bursts(
     # Real rests differ in noise; their own scatter sets the degrees of freedom.
     scatter = 1.4826 * float(np.median(np.abs(np.log(total))))
     freedom = min(2.0 * len(power) * float(np.median(count)), 2.0 / max(scatter**2, 1e-9))
-    p_all = f.sf(total, freedom, freedom) * len(found) * len(CHANNELS)
+    p_all = fdtrc(freedom, freedom, total) * len(found) * len(CHANNELS)
     loud = (p_all < CLAIM) & (total > _LOUDER)
-    each = chi2.sf(2.0 * count * ratio / total, 2.0 * count) * ratio.size * len(CHANNELS)
+    each = chdtrc(2.0 * count, 2.0 * count * ratio / total) * ratio.size * len(CHANNELS)
     extra = np.where(each < CLAIM, mean - usual, 0.0).sum(axis=0) / usual.sum()
     narrow = (each.min(axis=0) < CLAIM) & (extra > _SHARE)
     out = []
@@ -168,9 +168,9 @@ def _changes(
     for name, values in known.items():
         if np.ptp(values) <= 0:
             continue
-        fit = linregress(values, level)
-        p = float(fit.pvalue) * len(known) * len(CHANNELS)
-        if p < best[0] and abs(fit.slope) * np.ptp(values) > np.log(_STEADY):
+        slope, chance = _trend(values, level)
+        p = chance * len(known) * len(CHANNELS)
+        if p < best[0] and abs(slope) * np.ptp(values) > np.log(_STEADY):
             best = (p, name)
     if not best[1]:
         return []
@@ -178,3 +178,13 @@ def _changes(
     return [
         Unexplained((channel,), (where,), f"the {best[1]}: the level of noise follows it", best[0])
     ]
+
+
+def _trend(at: FloatArray, values: FloatArray) -> tuple[float, float]:
+    """Return the slope of a straight line, and the p-value of Student's test that it is zero."""
+    at, values = at - at.mean(), values - values.mean()
+    square = float(at @ at)
+    slope = float(at @ values) / square
+    freedom = len(at) - 2
+    error = float(np.square(values - slope * at).sum()) / freedom / square
+    return slope, 2 * float(stdtr(freedom, -abs(slope) / np.sqrt(max(error, 1e-300))))

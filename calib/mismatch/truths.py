@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.interpolate import BSpline, make_interp_spline
 
 from calib.effects.base import State
 from calib.recording import Recording
 from calib.simulation.kinematics import Motion
 from calib.types import BoolArray, FloatArray
+
+if TYPE_CHECKING:
+    from scipy.interpolate import BSpline
 
 DEGREE = 7
 """Of the interpolating spline: a sinusoid at a fifth of the rate is off by 5e-6; by a cubic one 0.3
@@ -42,6 +45,8 @@ class RecordingTruth:
     _spline: BSpline = field(init=False)
 
     def __post_init__(self) -> None:
+        from scipy.interpolate import make_interp_spline  # a third of a second to import
+
         r = self.recording
         good = np.ones(len(r), bool) if self.spoilt is None else ~self.spoilt
         signals = np.hstack((r.accel, r.gyro))[good]

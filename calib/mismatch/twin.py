@@ -339,6 +339,40 @@ def flicker_covariance(time: FloatArray, length: FloatArray) -> FloatArray:
     return np.asarray(out * np.log(3.0) / np.pi)
 
 
+def drift_components(
+    channel: str,
+    pieces: sparse.csr_matrix,
+    flicker: FloatArray,
+    walk: FloatArray,
+    drift: float,
+    spread: float,
+) -> list[Component]:
+    """Return the drift of one channel's bias: jitter, flicker and random walk.
+
+    Parameters
+    ----------
+    channel : str
+    pieces : sparse (n_dense, s) matrix
+        Response to a constant on that channel in each segment.
+    flicker, walk : (s, s) arrays
+        Covariances of the mean bias of the segments, for a level of one.
+    drift : float
+        Expected level.
+    spread : float
+    """
+    index = np.flatnonzero(np.diff(pieces.indptr))
+    response = pieces[index].toarray()
+    triad = channel.split(".")[0]
+    return [
+        Component(f"{channel} {label}", index, matrix, share * drift, spread, triad)
+        for label, matrix, share in (
+            ("jitter", response @ response.T, 0.1),
+            ("flicker", response @ flicker @ response.T, 1.0),
+            ("walk", response @ walk @ response.T, 1.0),
+        )
+    ]
+
+
 def _components(
     grid: Grid,
     pieces: tuple[sparse.csr_matrix, ...],
@@ -362,15 +396,8 @@ def _components(
     flicker = flicker_covariance(middle, np.ptp(grid.interval, axis=1))
     out = []
     for c, name in enumerate(CHANNELS):
-        response = pieces[c][:dense].toarray()
-        triad = name.split(".")[0]
-        drift = DRIFT[triad] ** 2 * density[c]
-        for label, matrix, share in (
-            ("jitter", response @ response.T, 0.1),
-            ("flicker", response @ flicker @ response.T, 1.0),
-            ("walk", response @ walk @ response.T, 1.0),
-        ):
-            out.append(Component(f"{name} {label}", matrix, share * drift, spread, triad))
+        drift = DRIFT[name.split(".")[0]] ** 2 * density[c]
+        out += drift_components(name, pieces[c][:dense], flicker, walk, drift, spread)
     for label, which, scale in (
         ("attitude", Kind.ATTITUDE, None),
         ("attitude by angle", Kind.ATTITUDE, angle),
@@ -383,9 +410,8 @@ def _components(
         turn_of = np.searchsorted(np.flatnonzero(~grid.is_rest), segment[rows])
         size = np.ones(len(rows)) if scale is None else np.square(scale[turn_of])
         typical = float(np.median(np.diag(white)[rows]))
-        matrix = np.zeros((dense, dense))
-        matrix[rows, rows] = size
-        out.append(Component(label, matrix, 0.02 * typical / max(float(np.median(size)), 1e-12)))
+        expected = 0.02 * typical / max(float(np.median(size)), 1e-12)
+        out.append(Component(label, rows, np.diag(size), expected))
     return tuple(out)
 
 
@@ -435,9 +461,7 @@ def fit_twin(grid: Grid, twin: Twin, noise: FloatArray, *, iterations: int = 8) 
 def _step(rows: Rows, twin: Twin, loose: FloatArray) -> tuple[Twin, float]:
     p = len(twin.names)
     dense = rows.n_dense
-    sigma = np.sqrt(
-        np.diag(rows.white) + sum(c.expected * np.diag(c.matrix) for c in rows.components)
-    )
+    sigma = np.sqrt(rows.expected_variance())
     design = np.hstack((rows.baseline, rows.nuisance))[:dense] / sigma[:, None]
     y = rows.residual[:dense] / sigma
     now = {**twin.model.accel.parameters("accel"), **twin.model.gyro.parameters("gyro")}
