@@ -4,8 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import signal
 
 from calib.effects import effects, get_effect
+from calib.effects.bandwidth import low_pass
 from calib.effects.base import PRESENCE, Effect, Signals, State, Term, TransformEffect
 from calib.effects.observed import short_time_variance, time_since_turn
 from calib.model import SensorModel, Triad
@@ -293,6 +295,21 @@ def test_bandwidth_has_the_gain_of_its_filter_and_is_undone(order: int) -> None:
     np.testing.assert_allclose(found.gyro[200:, 0], expected[200:], atol=0.01)
     back = effect.inverse(TIME, found, parameters)
     np.testing.assert_allclose(back.gyro[200:-50], true[200:-50], atol=0.02)
+
+
+@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("samples", [2, 3, 400])
+def test_bandwidth_agrees_with_another_filter(order: int, samples: int) -> None:
+    rng = np.random.default_rng(samples)
+    values = rng.normal(size=(samples, 3)).cumsum(axis=0)
+    for cutoff in (1.0, 20.0, 200.0):
+        w0 = 2 * np.pi * cutoff
+        analogue = [1 / w0, 1.0] if order == 1 else [1 / w0**2, np.sqrt(2) / w0, 1.0]
+        num, den, _ = signal.cont2discrete(([1.0], analogue), 0.01, method="foh")
+        start = signal.lfilter_zi(num.ravel(), den)[:, None] * values[0]
+        expected = signal.lfilter(num.ravel(), den, values, axis=0, zi=start)[0]
+        found = low_pass(0.01 * np.arange(samples), values, cutoff, order=order)
+        np.testing.assert_allclose(found, expected, atol=1e-9)
 
 
 def test_saturation_cuts_and_keeps_the_rest() -> None:

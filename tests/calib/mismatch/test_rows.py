@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from calib.mismatch.grid import make_grid
+from calib.mismatch.noise import covariance, expected_levels
 from calib.mismatch.rows import Kind
 from calib.mismatch.twin import build_rows
 from calib.statics import find_poses
@@ -57,6 +58,12 @@ def test_rows_without_some_segments_keep_their_own():
     assert len(fewer.residual) == len(rows.residual) - drop.sum()
     assert fewer.white.shape == (fewer.n_dense, fewer.n_dense)
     np.testing.assert_array_equal(fewer.residual, rows.residual[~drop])
+    levels = expected_levels(rows)
+    kept = ~drop[: rows.n_dense]
+    np.testing.assert_allclose(
+        covariance(fewer, levels), covariance(rows, levels)[np.ix_(kept, kept)], rtol=1e-12
+    )
+    np.testing.assert_allclose(rows.expected_variance(), np.diag(covariance(rows, levels)))
 
 
 def test_a_common_lever_arm_drops_out_of_the_velocity_closure():
