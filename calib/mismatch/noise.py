@@ -146,8 +146,8 @@ def find_levels(rows: Rows, mean: FloatArray, start: FloatArray) -> Levels:
         own = size > 0
         if own.any():
             # The median of chi-squared with one degree of freedom is 0.4549.
-            size = np.median(square[component.index[own]] / size[own]) / 0.4549
-            above[i] = max(above[i], float(size))
+            level = float(np.median(square[component.index[own]] / size[own])) / 0.4549
+            above[i] = max(above[i], level)
     starts = [start] if np.array_equal(start, above) else [start, above]
     found = [estimate_levels(rows, mean, at) for at in starts]
     return max(found, key=lambda levels: levels.log_likelihood)
