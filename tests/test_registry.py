@@ -141,7 +141,7 @@ def test_an_emulator_gives_samples_of_a_resting_sensor(name: str) -> None:
 
 # At rest, and in turns by hand, a sensor shows these by itself; the others need a reference, a
 # vibration, the samples themselves (their own tests), or two of a kind.
-ELSEWHERE = {"earth_rate", "clock_scale", "bandwidth", "dropped_samples"}
+ELSEWHERE = {"clock_scale", "bandwidth", "dropped_samples"}
 
 
 def _shows_by_itself(effect: Effect) -> bool:

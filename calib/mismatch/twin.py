@@ -11,9 +11,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import sparse
 
+from calib.effects import get_effect
 from calib.effects.base import State
 from calib.mismatch.closure import across, close_turn
 from calib.mismatch.grid import Grid
+from calib.mismatch.heading import orient
 from calib.mismatch.rows import Component, Kind, Rows
 from calib.model import SensorModel, Triad
 from calib.recording import AXES, CHANNELS
@@ -87,6 +89,9 @@ def true_state(grid: Grid, twin: Twin) -> State:
         gravity=twin.gravity,
     )
     corrected = twin.model.correct(measured)
+    measured = replace(measured, mat_ns=orient(grid, twin.up, corrected.gyro))
+    if any("mat_ns" in get_effect(term.effect).reads for term in twin.model.terms):
+        corrected = twin.model.correct(measured)
     pose = grid.pose
     rest = pose >= 0
     force, rate = corrected.accel.copy(), corrected.gyro.copy()
