@@ -8,18 +8,19 @@ from calib.effects.base import Column, Effect, G, State, axis_columns, per_axis
 
 
 class AccelBiasTemperature(Effect):
-    """``f_m,i += k_i T + q_i T²``."""
+    """``f_m,i += k_i T + q_i T² + c_i T³``."""
 
     slug = "accel_bias_temperature"
     title = "accel bias temperature coefficient"
-    equation = "f_m,i += k_i T + q_i T²"
+    equation = "f_m,i += k_i T + q_i T² + c_i T³"
     source = (
         "MPU-6050 product specification rev. 3.4: zero-g output varies by 35 to 60 mg over "
-        "70 K, 0.5 mg/K; the square is an estimate, a third of it at 30 K"
+        "70 K, 0.5 mg/K; square and cube are estimates, each a third of the one before at 30 K"
     )
     parameters = (
         *per_axis("accel", "k", "(m/s²)/K", 0.5e-3 * G),
         *per_axis("accel", "q", "(m/s²)/K²", 0.005e-3 * G),
+        *per_axis("accel", "c", "(m/s²)/K³", 5e-8 * G),
     )
     follows = "temperature"
     needs = "a temperature span that does not just rise with time or pose"
@@ -34,12 +35,13 @@ class AccelBiasTemperature(Effect):
     reads = ("temperature",)
 
     def columns(self, state: State, shape: Mapping[str, float]) -> dict[str, Column]:
-        """Return temperature and its square, on each axis; nothing where it was not measured."""
+        """Return three powers of temperature, on each axis; nothing where it was not measured."""
         if state.warmth is None:
             return {}
         return {
             **axis_columns("accel", "k", state.warmth),
             **axis_columns("accel", "q", state.warmth**2),
+            **axis_columns("accel", "c", state.warmth**3),
         }
 
 

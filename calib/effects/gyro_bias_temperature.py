@@ -10,18 +10,20 @@ from calib.effects.base import Column, Effect, State, axis_columns, per_axis
 
 
 class GyroBiasTemperature(Effect):
-    """``w_m,i += k_i T + q_i T²``."""
+    """``w_m,i += k_i T + q_i T² + c_i T³``."""
 
     slug = "gyro_bias_temperature"
     title = "gyro bias temperature coefficient"
-    equation = "w_m,i += k_i T + q_i T²"
+    equation = "w_m,i += k_i T + q_i T² + c_i T³"
     source = (
         "MPU-6050 product specification rev. 3.4: zero-rate output varies by +-20 dps over "
-        "125 K, 0.05 dps/K on one side; the square is an estimate, a third of it at 30 K"
+        "125 K, 0.05 dps/K on one side; square and cube are estimates, each a third of "
+        "the one before at 30 K"
     )
     parameters = (
         *per_axis("gyro", "k", "(rad/s)/K", np.radians(0.05)),
         *per_axis("gyro", "q", "(rad/s)/K²", np.radians(0.0005)),
+        *per_axis("gyro", "c", "(rad/s)/K³", np.radians(5e-6)),
     )
     follows = "temperature"
     needs = "a temperature span that does not just rise with time or pose"
@@ -31,12 +33,13 @@ class GyroBiasTemperature(Effect):
     reads = ("temperature",)
 
     def columns(self, state: State, shape: Mapping[str, float]) -> dict[str, Column]:
-        """Return temperature and its square, on each axis; nothing where it was not measured."""
+        """Return three powers of temperature, on each axis; nothing where it was not measured."""
         if state.warmth is None:
             return {}
         return {
             **axis_columns("gyro", "k", state.warmth),
             **axis_columns("gyro", "q", state.warmth**2),
+            **axis_columns("gyro", "c", state.warmth**3),
         }
 
 

@@ -105,6 +105,10 @@ class Finding:
                 "unit": held.unit,
                 "rows": held.rows,
                 "log_likelihood_gain": held.gain,
+                "channels": {
+                    name: {"before": before, "after": after}
+                    for name, (before, after) in held.channels.items()
+                },
             },
             "held_out_reason": self.held_out_reason or None,
             "rivals": [{"effect": r.effect, "odds": r.odds} for r in self.rivals],

@@ -2,14 +2,25 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
+from calib.calibration import Quantity
 from calib.effects import effects
 from calib.effects.base import TransformEffect
 from calib.errors import InsufficientMotionError
-from calib.mismatch.diagnosis import Diagnosis
+from calib.mismatch.diagnosis import Diagnosis, Finding
 from calib.mismatch.explain import changes, explain, verdict
-from calib.mismatch.grid import SHORTEST_CELL, Grid, connected, make_grid, one_rest, steady
+from calib.mismatch.grid import (
+    SHORTEST_CELL,
+    UNCLOCKED,
+    Grid,
+    connected,
+    make_grid,
+    one_rest,
+    steady,
+)
 from calib.mismatch.samples import Samples, look_at_samples
 from calib.mismatch.search import Outcome, search
 from calib.mismatch.selfmode import SelfProblem
@@ -91,6 +102,11 @@ def diagnose_recording(
     findings, unexplained, (known, covariance) = explain(
         outcome, problem.twin.model, reference=False, names=names
     )
+    final = problem.twin.model
+    if timeless:
+        known, covariance = _without_rates(known, covariance)
+        final = replace(final, terms=tuple(t for t in final.terms if not _is_rate(t.effect)))
+        findings = [_by_sample(f, len(recording)) if _is_rate(f.effect) else f for f in findings]
     findings = [*seen.findings, *findings]
     unexplained = [*seen.unexplained, *unexplained, *noisy]
     change, likelihood = changes(outcome)
@@ -106,11 +122,41 @@ def diagnose_recording(
         hidden=_hidden(outcome),
         changes=change,
         log_likelihood=likelihood,
-        model=problem.twin.model,
+        model=final,
         names=known,
         covariance=covariance,
         summary=_summary(recording, poses),
     )
+
+
+def _is_rate(slug: str) -> bool:
+    return slug.endswith("_temperature_rate")
+
+
+def _by_sample(item: Finding, samples: int) -> Finding:
+    """Return a finding that follows a rate in K per sample: of this recording, not of the sensor.
+
+    Nobody knows how long a sample took, so that the term fits no other stream.
+    """
+    interval = UNCLOCKED / (samples - 1)
+    values = {
+        name: Quantity(
+            q.value / interval,
+            None if q.sigma is None else q.sigma / interval,
+            q.unit.replace("K/s", "K/sample"),
+        )
+        for name, q in item.parameters.items()
+    }
+    note = "Its size is per sample, as the clock is invalid, and fits this recording alone."
+    return replace(item, kind="event", parameters=values, sentence=f"{item.sentence} {note}")
+
+
+def _without_rates(
+    names: tuple[str, ...], covariance: FloatArray
+) -> tuple[tuple[str, ...], FloatArray]:
+    """Return names and covariance without rates."""
+    keep = [i for i, n in enumerate(names) if not _is_rate(n.split(".")[0])]
+    return tuple(names[i] for i in keep), covariance[np.ix_(keep, keep)]
 
 
 def distinct_directions(accel: FloatArray, *, angle: float = 0.26) -> int:
@@ -180,6 +226,11 @@ def _missing(recording: Recording, poses: Poses) -> tuple[str, ...]:
         out.append("temperature: effects of temperature cannot be told from drift")
     elif np.ptp(recording.temperature) == 0:
         out.append("a temperature that changes: its reading is stuck at one value")
+    elif directions == 1:
+        out.append(
+            "another pose at these temperatures: in one, a bias and a scale factor that follow "
+            "temperature look alike"
+        )
     return tuple(out)
 
 

@@ -86,7 +86,10 @@ def effect_columns(
 
 
 def _subsets(names: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], float]]:
-    """Yield each parameter alone, those that differ only in axis together, and all together."""
+    """Yield each parameter alone, those that differ only in axis together, and all together.
+
+    Of several such groups (powers of temperature) also the first two, the first three, and so on.
+    """
     if not names:
         return
     if len(names) == 1:
@@ -96,6 +99,7 @@ def _subsets(names: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], float]]:
     for name in names:
         kinds.setdefault(re.sub(r"[xyz]+$", "", name), []).append(name)
     groups = [tuple(v) for v in kinds.values() if 1 < len(v) < len(names)]
+    groups += [tuple(n for g in groups[:k] for n in g) for k in range(2, len(groups))]
     parts: list[list[tuple[str, ...]]] = [[(n,) for n in names], [names]]
     if groups:
         parts.append(groups)

@@ -12,6 +12,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from calib.effects.base import SLOPE_WINDOW, local_slope
 from calib.poses import Poses
 from calib.recording import Recording
 from calib.types import BoolArray, FloatArray, IntArray
@@ -36,6 +37,11 @@ CELLS = 150
 """At most so many cells (parts of a rest, each with a mean and two contrasts)."""
 
 
+UNCLOCKED = 600.0
+"""s that a recording of unknown length is taken to last where a rate of temperature is wanted: the
+windows that it is fitted through are made for recordings of ten minutes."""
+
+
 @dataclass(frozen=True, eq=False)
 class Grid:
     """Points (means over ``[edge, edge + count)`` samples), and the segments that they belong to.
@@ -56,6 +62,8 @@ class Grid:
     first, last : (s,) arrays of int
         Points ``[first, last)`` of each segment, in the order of time.
     interval : (s, 2) array, s
+    temperature_slope : (n,) array or None
+        Rate of temperature, only where no seconds are known: as if all had taken `UNCLOCKED`.
     before, after : (s,) arrays of int
         Pose at either end of a segment: the same for a cell of a rest, neighbours for a turn.
     """
@@ -74,6 +82,7 @@ class Grid:
     before: IntArray
     after: IntArray
     n_poses: int
+    temperature_slope: FloatArray | None = None
 
     @property
     def is_rest(self) -> BoolArray:
@@ -206,7 +215,14 @@ def _fill(recording: Recording, poses: Poses, bounds: IntArray, table: IntArray)
     first, last, before, after = table.T
     accel = mean(recording.accel)
     time = mean(recording.time)
-    temperature = None if recording.temperature is None else mean(smooth_temperature(recording))
+    temperature, slope = None, None
+    if recording.temperature is not None:
+        timed = recording
+        if recording.clock == "invalid":
+            even = np.linspace(0.0, UNCLOCKED, len(recording))
+            timed = replace(recording, time=even)
+            slope = mean(local_slope(even, recording.temperature, window=SLOPE_WINDOW))
+        temperature = mean(smooth_temperature(timed))
     rest = np.repeat(before == after, last - first)
     interval = np.stack(
         (recording.time[bounds[first, 0]], recording.time[bounds[last - 1, 1] - 1]), axis=1
@@ -233,6 +249,7 @@ def _fill(recording: Recording, poses: Poses, bounds: IntArray, table: IntArray)
         before=before,
         after=after,
         n_poses=len(poses),
+        temperature_slope=slope,
     )
 
 

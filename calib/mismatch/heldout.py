@@ -1,6 +1,7 @@
 """Held-out blocks: what a finding is worth on poses and turns that did not see it.
 
-Folds take every fifth pose with the turn that follows it. With ``r`` the whitened residual after
+Folds take every fifth pose with the turn that follows it; where there are fewer poses than folds,
+every fifth part of a rest. With ``r`` the whitened residual after
 the fit of all rows and ``Q`` an orthonormal basis of the fitted columns, what a fit *without* the
 rows B would have left there is ``(I - Q_B Q_B')^-1 r_B``: no fit is repeated. Directions that only
 B determines (the attitude of a pose that is held out) have no prediction and are left out.
@@ -8,6 +9,7 @@ B determines (the attitude of a pose that is held out) have no prediction and ar
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -31,6 +33,7 @@ class HeldOut(NamedTuple):
     unit: str
     rows: str
     gain: float
+    channels: Mapping[str, tuple[float, float]] = {}
 
 
 def held_out(
@@ -62,8 +65,9 @@ def held_out(
     Returns
     -------
     HeldOut
-        RMS in physical units over the kind of rows in which the finding shows most; ``gain`` is the
-        log-likelihood gained on all held-out rows, drift being noise.
+        RMS in physical units over the kind of rows in which the finding shows most, and before and
+        after on each channel of these; ``gain`` is the log-likelihood gained on all held-out rows,
+        drift being noise.
     """
     # Parameters alone predict what is held out: drift is not interpolated, but weighs as jitter.
     still = np.array(levels)
@@ -74,19 +78,25 @@ def held_out(
             still[i] = 0.0
     after = np.hstack((fitted_before, columns))
     which, label, unit = _telling_rows(rows, fitted_before, columns, still, contrast, channels)
-    size = [
-        _leave_out(rows, mean, residual, still, contrast, which) for mean in (fitted_before, after)
-    ]
+    squares = [_leave_out(rows, mean, residual, still, contrast) for mean in (fitted_before, after)]
+    size = [[float(np.sqrt(v[which].mean())) for v in pair] for pair in squares]
     gain, errors = _gain(rows, fitted_before, after, residual, levels, contrast)
     if gain > 0 and size[1][0] >= size[0][0]:
         # Small beside the jitter of single rows, but not beside the noise of all of them.
         return HeldOut(errors[0], errors[1], 1.0, "1", "all rows, in standard errors", gain)
-    return HeldOut(size[0][0], size[1][0], size[1][1], unit, label, gain)
+    each = {}
+    for c in np.unique(rows.channel[which & (rows.channel >= 0)]):
+        own = which & (rows.channel == c)
+        before, with_it = (float(np.sqrt(pair[0][own].mean())) for pair in squares)
+        each[CHANNELS[c]] = (before, with_it)
+    return HeldOut(size[0][0], size[1][0], size[1][1], unit, label, gain, each)
 
 
 def fold_of(rows: Rows) -> IntArray:
     """Return the fold of each row."""
     _, order = np.unique(rows.block, return_inverse=True)
+    if order.max() < FOLDS - 1:
+        _, order = np.unique(rows.segment, return_inverse=True)
     return np.asarray(order % FOLDS)
 
 
@@ -124,13 +134,12 @@ def _leave_out(
     residual: FloatArray,
     levels: FloatArray,
     contrast: FloatArray,
-    which: BoolArray,
-) -> tuple[float, float]:
-    """Return the held-out RMS over the rows `which`, and the RMS that noise alone leaves."""
+) -> tuple[FloatArray, FloatArray]:
+    """Return the held-out error of each row squared, and the square that noise alone leaves."""
     whitener = make_whitener(rows, levels, contrast, mean)
     left, basis = whitener.project(residual), whitener.basis
     fold = fold_of(rows)
-    square, floor, number = 0.0, 0.0, 0
+    square, floor = np.zeros(len(left)), np.zeros(len(left))
     for k in range(FOLDS):
         own = np.flatnonzero(fold == k)
         if not len(own):
@@ -143,13 +152,9 @@ def _leave_out(
         spread = _colour(
             rows, whitener.factor, whitener.scale, own, vectors[:, good] / np.sqrt(values[good])
         )
-        seen = which[own]
-        square += float(np.square(error[seen]).sum())
-        floor += float(np.square(spread[seen]).sum())
-        number += int(seen.sum())
-    if not number:
-        return 0.0, 0.0
-    return float(np.sqrt(square / number)), float(np.sqrt(floor / number))
+        square[own] = np.square(error).sum(axis=1)
+        floor[own] = np.square(spread).sum(axis=1)
+    return square, floor
 
 
 def _colour(

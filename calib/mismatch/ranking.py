@@ -222,6 +222,6 @@ def _physics(stack: Stack) -> FloatArray:
             shapes.setdefault(c.name, []).append(c)
     for items in shapes.values():
         each = list(dict.fromkeys(int(k) for c in items for k in c.index))
-        limit = 6
+        limit = 6 if items[0].shape else len(each)
         index += each if len(each) <= limit else each[:: -(-len(each) // limit)]
     return stack.columns[:, index]

@@ -86,6 +86,7 @@ def true_state(grid: Grid, twin: Twin) -> State:
         power_on=float(grid.time[0]),
         since_turn=grid.since_turn,
         vibration=grid.vibration,
+        temperature_slope=grid.temperature_slope,
         gravity=twin.gravity,
     )
     corrected = twin.model.correct(measured)
