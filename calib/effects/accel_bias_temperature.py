@@ -20,7 +20,7 @@ class AccelBiasTemperature(Effect):
     parameters = (
         *per_axis("accel", "k", "(m/s²)/K", 0.5e-3 * G),
         *per_axis("accel", "q", "(m/s²)/K²", 0.005e-3 * G),
-        *per_axis("accel", "c", "(m/s²)/K³", 5e-8 * G),
+        *per_axis("accel", "c", "(m/s²)/K³", 5e-8 * G, refining=True),
     )
     follows = "temperature"
     needs = "a temperature span that does not just rise with time or pose"

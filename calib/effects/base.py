@@ -63,7 +63,8 @@ class Parameter:
 
     ``typical`` is the size that a consumer part has, in ``unit``; it sets the prior.
     ``reference_only`` marks a parameter that a recording shows only against a reference (motion
-    capture, a commanded profile, a second sensor), never by itself.
+    capture, a commanded profile, a second sensor), never by itself. ``refining`` marks a higher
+    order that no sensor has without the others.
     """
 
     name: str
@@ -71,6 +72,7 @@ class Parameter:
     typical: float
     channels: tuple[str, ...]
     reference_only: bool = False
+    refining: bool = False
 
 
 @dataclass(frozen=True)
@@ -339,11 +341,18 @@ def seconds_of_samples(seconds: float, interval: float) -> int:
 
 
 def per_axis(
-    triad: str, prefix: str, unit: str, typical: float, *, reference_only: bool = False
+    triad: str,
+    prefix: str,
+    unit: str,
+    typical: float,
+    *,
+    reference_only: bool = False,
+    refining: bool = False,
 ) -> tuple[Parameter, ...]:
     """Return one parameter for each axis of a triad: ``kx``, ``ky``, ``kz`` for prefix ``k``."""
     return tuple(
-        Parameter(f"{prefix}{a}", unit, typical, (f"{triad}.{a}",), reference_only) for a in AXES
+        Parameter(f"{prefix}{a}", unit, typical, (f"{triad}.{a}",), reference_only, refining)
+        for a in AXES
     )
 
 

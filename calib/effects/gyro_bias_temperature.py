@@ -23,7 +23,7 @@ class GyroBiasTemperature(Effect):
     parameters = (
         *per_axis("gyro", "k", "(rad/s)/K", np.radians(0.05)),
         *per_axis("gyro", "q", "(rad/s)/K²", np.radians(0.0005)),
-        *per_axis("gyro", "c", "(rad/s)/K³", np.radians(5e-6)),
+        *per_axis("gyro", "c", "(rad/s)/K³", np.radians(5e-6), refining=True),
     )
     follows = "temperature"
     needs = "a temperature span that does not just rise with time or pose"

@@ -47,12 +47,13 @@ def _add(stack: Stack, effect: Effect, rows: Rows, *, reference: bool, weight: f
     """Add an effect's candidates; their weights sum to `weight`."""
     shapes = list(_shapes(effect, rows))
     channels = {p.name: p.channels for p in effect.parameters}
+    refining = tuple(p.name for p in effect.parameters if p.refining)
     for shape in shapes:
         found = effect_columns(effect, rows, shape, reference=reference)
         if not found:
             continue
         index = dict(zip(found, stack.add(np.stack(list(found.values()), axis=1)), strict=True))
-        for names, share in _subsets(tuple(found)):
+        for names, share in _subsets(tuple(found), refining):
             touched: tuple[str, ...] = tuple(dict.fromkeys(c for n in names for c in channels[n]))
             stack.candidates.append(
                 Candidate(
@@ -85,22 +86,26 @@ def effect_columns(
     return out
 
 
-def _subsets(names: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], float]]:
+def _subsets(
+    names: tuple[str, ...], refining: tuple[str, ...]
+) -> Iterator[tuple[tuple[str, ...], float]]:
     """Yield each parameter alone, those that differ only in axis together, and all together.
 
-    Of several such groups (powers of temperature) also the first two, the first three, and so on.
+    Those that refine the others come with all of them only.
     """
+    every = names
+    names = tuple(n for n in every if n not in refining)
     if not names:
         return
-    if len(names) == 1:
-        yield names, 1.0
+    if len(every) == 1:
+        yield every, 1.0
         return
     kinds: dict[str, list[str]] = {}
     for name in names:
         kinds.setdefault(re.sub(r"[xyz]+$", "", name), []).append(name)
     groups = [tuple(v) for v in kinds.values() if 1 < len(v) < len(names)]
-    groups += [tuple(n for g in groups[:k] for n in g) for k in range(2, len(groups))]
-    parts: list[list[tuple[str, ...]]] = [[(n,) for n in names], [names]]
+    together = list(dict.fromkeys((names, every)))
+    parts: list[list[tuple[str, ...]]] = [[(n,) for n in names], together]
     if groups:
         parts.append(groups)
     for part in parts:

@@ -218,10 +218,11 @@ def _physics(stack: Stack) -> FloatArray:
     index: list[int] = []
     shapes: dict[str, list[Candidate]] = {}
     for c in stack.candidates:
-        if c.physical:
+        # Every parameter is tried alone, but for refinements of others.
+        if c.physical and c.is_single:
             shapes.setdefault(c.name, []).append(c)
     for items in shapes.values():
         each = list(dict.fromkeys(int(k) for c in items for k in c.index))
-        limit = 6 if items[0].shape else len(each)
+        limit = 6
         index += each if len(each) <= limit else each[:: -(-len(each) // limit)]
     return stack.columns[:, index]

@@ -5,13 +5,19 @@ import pytest
 
 from calib.calibration import Gravity
 from calib.document import from_document, to_document
+from calib.effects import effects
 from calib.effects.base import Term
 from calib.mismatch import Diagnosis, diagnose_recording
+from calib.mismatch.families import PHYSICAL
+from calib.mismatch.grid import make_grid
+from calib.mismatch.ranking import make_stack
+from calib.mismatch.selfmode import SelfProblem
 from calib.model import SensorModel, Triad
 from calib.recording import Recording
 from calib.simulate import Sampling, simulate
 from calib.simulation.motions import thermal_soak
 from calib.simulation.noise import CONSUMER
+from calib.statics import find_poses
 
 from .bench import GRAVITY
 
@@ -79,3 +85,18 @@ def test_a_stuck_thermometer_names_no_temperature():
     found = diagnose_recording(stuck, gravity=GRAVITY)
     assert not [f for f in found.findings if "temperature" in f.effect]
     assert any("stuck" in text for text in found.missing)
+
+
+def test_a_cube_comes_only_with_all_lower_powers():
+    problem = SelfProblem(
+        make_grid(real := chamber(clock="device"), find_poses(real)),
+        None,
+        gravity=GRAVITY,
+        full_gyro=False,
+    )
+    stack = make_stack(problem.rows(), skip=(), reference=False)
+    own = [c for c in stack.candidates if c.name == "accel_bias_temperature"]
+    cubes = [c for c in own if any(n.startswith("c") for n in c.parameters)]
+    assert [len(c.parameters) for c in cubes] == [9]
+    assert {len(c.parameters) for c in own} == {1, 3, 6, 9}
+    assert sum(c.weight for c in own) == pytest.approx(PHYSICAL / len(effects()))
