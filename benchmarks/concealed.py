@@ -29,19 +29,15 @@ from calib.effects.base import Effect, State, Term, TransformEffect
 from calib.mismatch import diagnose_recording
 from calib.mismatch.families import shape_grid
 from calib.mismatch.grid import make_grid
-from calib.mismatch.noise import (
-    contrast_variance,
-    estimate_levels,
-    expected_levels,
-    make_whitener,
-)
+from calib.mismatch.noise import Whitener, make_whitener
 from calib.mismatch.rows import Rows
 from calib.mismatch.selfmode import SelfProblem
+from calib.mismatch.twin import DRIFT_TIME
 from calib.model import SensorModel, Triad
 from calib.recording import CHANNELS, Recording
 from calib.simulate import simulate
 from calib.simulation.bench import bench_protocol
-from calib.simulation.noise import CONSUMER
+from calib.simulation.noise import CONSUMER, NoiseModel
 from calib.statics import find_poses
 
 GRAVITY = 9.80665
@@ -223,17 +219,33 @@ def run(case: Case) -> Result:
     return result
 
 
-def oracle(clean: Recording) -> tuple[Rows, object]:
-    """Return rows of the clean recording and the whitener of its own noise."""
+def oracle(clean: Recording) -> tuple[Rows, Whitener]:
+    """Return rows of the clean recording and the whitener of the noise that it was made with."""
     grid = make_grid(clean, find_poses(clean))
     problem = SelfProblem(grid, None, gravity=GRAVITY, full_gyro=False)
     rows = problem.rows()
     mean = np.hstack((rows.baseline, rows.nuisance))
-    levels = estimate_levels(rows, mean[: rows.n_dense], expected_levels(rows)).values
-    return rows, make_whitener(rows, levels, contrast_variance(rows), mean)
+    return rows, make_whitener(rows, true_levels(rows, CONSUMER), rows.white_diagonal, mean)
 
 
-def sized_term(effect: Effect, rows: Rows, whitener, power: float, rng) -> Term:
+def true_levels(rows: Rows, noise: NoiseModel) -> np.ndarray:
+    """Return the levels of drift of a noise model; the closures have no errors of their own."""
+    known = {
+        "accel": (noise.accel_bias_instability, noise.accel_random_walk),
+        "gyro": (noise.gyro_bias_instability, noise.gyro_random_walk),
+    }
+    out = []
+    for component in rows.components:
+        triad, _, label = component.name.partition(".")
+        flicker, walk = known.get(triad, (0.0, 0.0))
+        size = {"flicker": flicker, "walk": walk * np.sqrt(DRIFT_TIME)}.get(label[2:], 0.0)
+        out.append(max(size**2, 1e-6 * component.expected))
+    return np.array(out)
+
+
+def sized_term(
+    effect: Effect, rows: Rows, whitener: Whitener, power: float, rng: np.random.Generator
+) -> Term:
     """Return the effect with random signs and axes, sized to the oracle's non-centrality."""
     shape: dict[str, float] = {}
     optional = [s for s in effect.shape if s.optional and s.spacing != "integer"]
@@ -270,7 +282,14 @@ def sized_term(effect: Effect, rows: Rows, whitener, power: float, rng) -> Term:
         }
         scale = 1.0
     if chosen is not None:
-        # A presence is 1: its size is the shape itself. Keep the sign and let power be what it is.
+        # A presence is 1: its size is the shape itself, and power falls with it.
+        used = list(columns)
+        low, high = np.log([chosen.low, 10 * chosen.high])
+        for _ in range(30):
+            shape[chosen.name] = float(np.exp(0.5 * (low + high)))
+            found = effect.columns(rows.state, shape)
+            strong = np.square(whitener.project(sum(map(rows.column, found.values())))).sum()
+            low, high = (0.5 * (low + high), high) if strong > power else (low, 0.5 * (low + high))
         return Term(effect.slug, {**dict.fromkeys(used, 1.0), **shape})
     return Term(effect.slug, {**{n: scale * w for n, w in weights.items()}, **shape})
 
