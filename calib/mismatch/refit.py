@@ -143,25 +143,31 @@ def _refine(
         return last
     whitener = make_whitener(rows, levels, contrast, fitted(rows, accepted[:-1]))
     y = whitener.project(rows.residual)
-    effect = get_effect(last.candidate.name)
-    best = last
+    candidate, columns = refined(
+        rows, last.candidate, last.columns, whitener, y, reference=problem.reference
+    )
+    return replace(last, candidate=candidate, columns=columns)
 
-    def gain(a: Accepted) -> float:
-        return likelihood_gain(whitener.project(a.columns), y)
 
-    value = gain(best)
-    for shape in neighbours(effect, rows, last.candidate.shape):
-        found = effect_columns(effect, rows, shape, reference=problem.reference)
-        if not all(n in found for n in last.candidate.parameters):
-            continue
-        tried = replace(
-            last,
-            candidate=replace(last.candidate, shape=shape),
-            columns=np.stack([found[n] for n in last.candidate.parameters], axis=1),
-        )
-        new = gain(tried)
-        if new > value:
-            best, value = tried, new
+def refined(
+    rows: Rows,
+    candidate: Candidate,
+    columns: FloatArray,
+    whitener: Whitener,
+    y: FloatArray,
+    *,
+    reference: bool,
+) -> tuple[Candidate, FloatArray]:
+    """Return the candidate and its columns at that shape near its own which explains most."""
+    effect = get_effect(candidate.name)
+    best, value = (candidate, columns), likelihood_gain(whitener.project(columns), y)
+    for shape in neighbours(effect, rows, candidate.shape):
+        found = effect_columns(effect, rows, shape, reference=reference)
+        if all(n in found for n in candidate.parameters):
+            tried = np.stack([found[n] for n in candidate.parameters], axis=1)
+            new = likelihood_gain(whitener.project(tried), y)
+            if new > value:
+                best, value = (replace(candidate, shape=shape), tried), new
     return best
 
 

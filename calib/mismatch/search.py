@@ -19,7 +19,7 @@ from calib.mismatch.noise import (
     make_whitener,
 )
 from calib.mismatch.ranking import CLAIM, Accepted, Ranking, fitted, grouped, make_stack, rank
-from calib.mismatch.refit import Problem, likelihood_gain, refit
+from calib.mismatch.refit import Problem, refined, refit
 from calib.mismatch.rows import Rows
 from calib.mismatch.score import Candidate, Stack
 from calib.types import FloatArray
@@ -33,6 +33,10 @@ KEEP = 0.0
 TWIN = 0.01
 """The same for another effect of the catalogue: what sizes are typical is a weak argument between
 two that a recording cannot tell apart."""
+
+MIMICKED = 9.0
+"""Power of a finding, in units of the noise, that a twin does not mimic, below which the two are a
+tie: the likelihood then favours the wrong one in 1 of 15."""
 
 ROUNDS = 8
 """At most so many findings are tried."""
@@ -77,7 +81,10 @@ def search(problem: Problem, *, skip: tuple[str, ...] = ()) -> Outcome:
     contrast = contrast_variance(rows)
     levels = find_levels(rows, fitted(rows, accepted)[: rows.n_dense], ranking.levels).values
     accepted = [
-        replace(a, posterior=_posterior(rows, stack, accepted, i, levels))
+        replace(
+            a,
+            posterior=_posterior(rows, stack, accepted, i, levels, reference=problem.reference),
+        )
         for i, a in enumerate(accepted)
     ]
     return Outcome(rows, tuple(accepted), levels, contrast, ranking.total, tuple(stack.candidates))
@@ -161,7 +168,13 @@ def _superfluous(rows: Rows, accepted: list[Accepted], levels: FloatArray) -> Ac
 
 
 def _posterior(
-    rows: Rows, stack: Stack, accepted: list[Accepted], which: int, levels: FloatArray
+    rows: Rows,
+    stack: Stack,
+    accepted: list[Accepted],
+    which: int,
+    levels: FloatArray,
+    *,
+    reference: bool,
 ) -> dict[str, float]:
     """Return the posterior of every group in the place of one finding, the others kept."""
     others = [b for i, b in enumerate(accepted) if i != which]
@@ -171,18 +184,33 @@ def _posterior(
     residual = rows.residual
     if own.in_model:
         residual = residual + own.columns @ (own.values / own.typical)
-    scores = stack.log_bayes_factors(whitener, whitener.project(residual))
+    y = whitener.project(residual)
+    scores = stack.log_bayes_factors(whitener, y)
     evidence = scores + np.log(np.array([c.weight for c in stack.candidates]))
     best, groups = grouped(stack, evidence)
     total = logsumexp(list(groups.values()))
     out = {g: float(np.exp(v - total)) for g, v in groups.items() if v - total > np.log(1e-3)}
     if own.candidate.physical:
-        y = whitener.project(residual)
-        reached = likelihood_gain(whitener.project(own.columns), y)
+        explained = _fit(whitener.project(own.columns), y)
         for g, candidate in best.items():
             # A twin fits as well with no more parameters, whatever size it then has.
-            few = len(candidate.index) <= own.columns.shape[1]
-            small = candidate.physical and few and out.get(g, 0.0) < 2 * TWIN
-            if small and likelihood_gain(whitener.project(stack.of(candidate)), y) > reached - 2.0:
+            few = candidate.physical and len(candidate.index) <= own.columns.shape[1]
+            if g == own.candidate.group or not few or out.get(g, 0.0) >= 2 * TWIN:
+                continue
+            columns = stack.of(candidate)
+            if _left(whitener.project(columns), explained) > 4.0 * MIMICKED:
+                continue
+            _, columns = refined(rows, candidate, columns, whitener, y, reference=reference)
+            if _left(whitener.project(columns), explained) < MIMICKED:
                 out[g] = 2 * TWIN
     return out
+
+
+def _fit(columns: FloatArray, y: FloatArray) -> FloatArray:
+    """Return what whitened columns explain of y."""
+    return np.asarray(columns @ np.linalg.lstsq(columns, y, rcond=1e-9)[0])
+
+
+def _left(columns: FloatArray, y: FloatArray) -> float:
+    """Return the power of y that whitened columns do not mimic."""
+    return float(np.square(y - _fit(columns, y)).sum())
