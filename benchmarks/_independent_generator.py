@@ -212,6 +212,8 @@ class Motion:
     rests: np.ndarray
     """(poses, 2), s."""
     setting: Setting
+    earth_up: float
+    """The Earth's rate about the vertical, rad/s."""
 
     def pick(self, values: np.ndarray) -> np.ndarray:
         """Return the samples of a fine signal: its value, or its mean over the sample interval."""
@@ -293,8 +295,8 @@ def make_motion(rng: np.random.Generator, setting: Setting) -> Motion:
     rate = logarithm(multiply(q[:-1] * [1, -1, -1, -1], q[1:])) / step
     middle = multiply(q[:-1], exponential(0.5 * step * rate))
     time = node[:-1] + 0.5 * step
+    latitude = rng.uniform(20, 65) * DPS
     if setting.earth:
-        latitude = rng.uniform(20, 65) * DPS
         earth = EARTH * np.array([0, np.cos(latitude), np.sin(latitude)])
         rate = rate + np.einsum("nji,j->ni", matrix(middle), earth)
     last = np.searchsorted(rests[1:, 0], time, side="right")
@@ -309,7 +311,7 @@ def make_motion(rng: np.random.Generator, setting: Setting) -> Motion:
         force = force + np.sqrt(vibration) * rng.normal(size=force.shape)
     return Motion(
         time, step, stride, force, rate, middle, _temperature(rng, setting, time), since_turn,
-        vibration, rests, setting,
+        vibration, rests, setting, EARTH * np.sin(latitude),
     )  # fmt: skip
 
 

@@ -50,6 +50,8 @@ SMALLEST = 45.0
 """Non-centrality of the smallest size."""
 CAP = 3.0
 """Times the typical size, at most."""
+SHAKEN_CAP = 30.0
+"""The same for what only a shaker shows at typical size."""
 PARTS = ("single", "clean", "pairs", "outside", "readout")
 READOUT = ("saturation", "quantization", "dropped_samples", "unit_error", "axis_error")
 STRESS: dict[str, dict[str, object]] = {
@@ -145,7 +147,8 @@ class Result:
                 continue
             for name, q in said.items():
                 if q["sigma"] and name in truth:
-                    yield f"{f['effect']}.{name}", (q["value"] - truth[name]) / q["sigma"]
+                    value = q["value"] - (self.truth.setting.start if name == "moment" else 0.0)
+                    yield f"{f['effect']}.{name}", (value - truth[name]) / q["sigma"]
 
     @property
     def failed(self) -> bool:
@@ -266,6 +269,7 @@ def run(case: Case, keep: Path | None) -> Result:
         }
     if setting.earth:
         truth.allowed += ("earth_rate",)
+        truth.parameters["earth_rate"] = {"up": motion.earth_up}
     samples = motion.pick(output)
     samples = samples + noise(rng, motion, len(samples))
     time, values, temperature = read_out(motion, samples, **reading)
@@ -361,7 +365,8 @@ def sized(
         weights = {n: physics.typical[n] * float(rng.choice([-1.0, 1.0])) for n in names}
     change = distort(motion, clean, name, {**weights, **shape}) - clean
     factor = np.sqrt(power / max(oracle.power(motion.pick(change))[0], 1e-12))
-    factor = min(factor, *(CAP * physics.typical[n] / abs(w) for n, w in weights.items()), 1e6)
+    cap = SHAKEN_CAP if "shaken" in physics.needs else CAP
+    factor = min(factor, *(cap * physics.typical[n] / abs(w) for n, w in weights.items()), 1e6)
     return {**{n: factor * w for n, w in weights.items()}, **shape}
 
 

@@ -26,6 +26,9 @@ CLAIM = 1e-4
 _LOUDER = 4.0
 """A rest counts as louder only if its noise power is this many times the usual."""
 
+_HERE = 0.01
+"""The same for whether one rest has a line that is known to be in the recording."""
+
 _STEADY = 2.0
 """Noise power whose trend over the recording stays below this factor counts as steady."""
 
@@ -60,9 +63,9 @@ def look_at_spectrum(recording: Recording, poses: Poses) -> tuple[Unexplained, .
         own = power[:, :, c]
         if not np.median(own) > 0:
             continue
-        out += _lines(recording, own, channel)
-        bursts = _bursts(recording, poses, own, pose, channel)
-        out += bursts or _changes(recording, poses, own, pose, channel)
+        line = _lines(recording, poses, own, pose, channel)
+        bursts = _bursts(recording, poses, own, pose, channel, narrow=not line)
+        out += line + (bursts or _changes(recording, poses, own, pose, channel))
     return tuple(_merged(out))
 
 
@@ -82,8 +85,13 @@ def _merged(found: list[Unexplained]) -> list[Unexplained]:
     return out
 
 
-def _lines(recording: Recording, power: FloatArray, channel: str) -> list[Unexplained]:
-    """A line: mean power over all rests, compared with that of its neighbours in frequency."""
+def _lines(
+    recording: Recording, poses: Poses, power: FloatArray, pose: IntArray, channel: str
+) -> list[Unexplained]:
+    """A line: mean power over all rests, compared with that of its neighbours in frequency.
+
+    It reaches from the first to the last rest that has it by itself.
+    """
     bins, number = power.shape
     mean = power.mean(axis=1)
     padded = np.pad(mean, NEIGHBOURS, mode="reflect")
@@ -99,41 +107,55 @@ def _lines(recording: Recording, power: FloatArray, channel: str) -> list[Unexpl
     if p[k] >= CLAIM or (mean[near] - floor[near]).sum() < _SHARE * floor.sum():
         return []
     frequency = (k + 2) / (LENGTH * recording.interval)
-    return [
-        Unexplained(
-            (channel,),
-            ((float(recording.time[0]), float(recording.time[-1])),),
-            f"a line at {frequency:.3g} Hz",
-            float(p[k]),
-        )
-    ]
+    found, of = np.unique(pose, return_inverse=True)
+    # Beside the frequencies that the line spreads over, each rest shows its own floor.
+    beside = np.r_[max(k - NEIGHBOURS, 0) : max(k - 2, 0), k + 3 : min(k + NEIGHBOURS + 1, bins)]
+    count = np.bincount(of)
+    own = np.bincount(of, power[k]) / count
+    quiet = np.median([power[beside][:, of == i].mean(axis=1) for i in range(len(found))], axis=1)
+    here = found[chdtrc(2.0 * count, 2.0 * count * own / quiet) * len(found) < _HERE]
+    where = (float(recording.time[0]), float(recording.time[-1]))
+    # In most of them: throughout.
+    if 0 < len(here) < 0.8 * len(found):
+        where = (float(poses.interval[here[0], 0]), float(poses.interval[here[-1], 1]))
+    return [Unexplained((channel,), (where,), f"a line at {frequency:.3g} Hz", float(p[k]))]
 
 
 def _bursts(
-    recording: Recording, poses: Poses, power: FloatArray, pose: IntArray, channel: str
+    recording: Recording,
+    poses: Poses,
+    power: FloatArray,
+    pose: IntArray,
+    channel: str,
+    *,
+    narrow: bool,
 ) -> list[Unexplained]:
-    """A burst: some rests have more power than the others, in all or at one frequency."""
+    """A burst: some rests have more power than others, in all or (`narrow`) at one frequency."""
     found = np.unique(pose)
     if len(found) < 6:
         return []
     count = np.bincount(pose, minlength=len(poses))[found]
     mean = np.stack([power[:, pose == k].mean(axis=1) for k in found], axis=1)
-    usual = np.median(mean, axis=1, keepdims=True)
-    ratio = mean / usual
-    total = ratio.mean(axis=0)
+    # The floor of each rest, and the usual spectrum over floors. Where some rests are shaken, the
+    # median of their powers would be a shaken one at one frequency and a quiet one at the next.
+    level = np.median(mean, axis=0)
+    usual = np.median(mean / level, axis=1, keepdims=True)
+    floor = level * usual
+    ratio = mean / floor
+    total = level * ratio.mean(axis=0)
     total /= np.median(total)
     # Real rests differ in noise; their own scatter sets the degrees of freedom.
     scatter = 1.4826 * float(np.median(np.abs(np.log(total))))
     freedom = min(2.0 * len(power) * float(np.median(count)), 2.0 / max(scatter**2, 1e-9))
     p_all = fdtrc(freedom, freedom, total) * len(found) * len(CHANNELS)
     loud = (p_all < CLAIM) & (total > _LOUDER)
-    each = chdtrc(2.0 * count, 2.0 * count * ratio / total) * ratio.size * len(CHANNELS)
-    extra = np.where(each < CLAIM, mean - usual, 0.0).sum(axis=0) / usual.sum()
-    narrow = (each.min(axis=0) < CLAIM) & (extra > _SHARE)
+    each = chdtrc(2.0 * count, 2.0 * count * ratio) * ratio.size * len(CHANNELS)
+    extra = np.where(each < CLAIM, mean - floor, 0.0).sum(axis=0) / np.median(floor.sum(axis=0))
+    thin = (each.min(axis=0) < CLAIM) & (extra > _SHARE) & narrow
     out = []
     for which, follows, p in (
         (loud, "the time: noise is louder there", p_all),
-        (narrow & ~loud, "the time: power at one frequency there", each.min(axis=0)),
+        (thin & ~loud, "the time: power at one frequency there", each.min(axis=0)),
     ):
         # What most rests have is no event of some of them.
         if not which.any() or which.mean() > 0.5:

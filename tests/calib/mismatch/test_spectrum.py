@@ -1,0 +1,63 @@
+"""Lines and bursts in the samples at rest."""
+
+import numpy as np
+
+from calib.mismatch.spectrum import look_at_spectrum
+from calib.poses import Poses
+from calib.recording import Recording
+from calib.statics import find_poses
+from calib.types import FloatArray
+
+RATE = 100.0
+SECONDS = 8.0
+POSES = 20
+
+
+def rests(seed: int, loud: FloatArray) -> tuple[Recording, Poses]:
+    """Return rests with turns of 90 degrees between them; `loud` multiplies the noise of each."""
+    rng = np.random.default_rng(seed)
+    still, turn = int(SECONDS * RATE), int(RATE)
+    n = POSES * still + (POSES - 1) * turn
+    accel, gyro = np.zeros((n, 3)), np.zeros((n, 3))
+    scale = np.ones(n)
+    for k in range(POSES):
+        a = k * (still + turn)
+        accel[a : a + still, k % 3] = 9.8
+        scale[a : a + still] = loud[k]
+        if k + 1 < POSES:
+            wave = np.sin(np.pi * np.arange(turn) / turn)[:, None]
+            gyro[a + still : a + still + turn, (k + 2) % 3] = (np.pi**2 / 4 * wave)[:, 0]
+            part = slice(a + still, a + still + turn)
+            blend = np.linspace(0, np.pi / 2, turn)
+            accel[part, k % 3] = 9.8 * np.cos(blend)
+            accel[part, (k + 1) % 3] = 9.8 * np.sin(blend)
+    accel += 0.015 * scale[:, None] * rng.normal(size=(n, 3))
+    gyro += 1e-3 * rng.normal(size=(n, 3))
+    recording = Recording(np.arange(n) / RATE, accel, gyro, "device")
+    poses = find_poses(recording)
+    assert len(poses) == POSES
+    return recording, poses
+
+
+def test_rests_that_are_shaken_at_several_levels_have_no_line() -> None:
+    for seed in range(6):
+        loud = np.random.default_rng(seed).permutation(
+            np.repeat([1.0, 5.0, 10.0, 17.0], [9, 4, 2, 5])
+        )
+        for item in look_at_spectrum(*rests(seed, loud)):
+            assert "one frequency" not in item.follows
+            assert "line" not in item.follows
+
+
+def test_a_line_in_some_rests_is_said_to_be_there() -> None:
+    recording, poses = rests(7, np.ones(POSES))
+    start, stop = poses.interval[8, 0], poses.interval[13, 1]
+    inside = (recording.time >= start) & (recording.time <= stop)
+    accel = np.array(recording.accel)
+    accel[:, 1] += 0.02 * inside * np.sin(2 * np.pi * 21.0 * recording.time)
+    found = look_at_spectrum(Recording(recording.time, accel, recording.gyro, "device"), poses)
+    (line,) = found
+    assert line.channels == ("accel.y",)
+    assert abs(line.intervals[0][0] - start) < 1.0
+    assert abs(line.intervals[0][1] - stop) < 1.0
+    assert line.follows in ("a line at 21.1 Hz", "the time: power at one frequency there")
