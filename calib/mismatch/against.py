@@ -68,7 +68,7 @@ def diagnose_against(
     if still:
         return undetermined(still, summary)
     alignment = align(real.time, real.gyro, simulated.time, simulated.gyro)
-    limited, truth, spoilt = matched(
+    common = matched(
         real,
         simulated,
         find_poses(simulated),
@@ -77,9 +77,15 @@ def diagnose_against(
         gravity=gravity,
         spoilt=seen.spoilt,
     )
-    skip = _SELDOM_ALONE if limited is real else (*_SELDOM_ALONE, "bandwidth")
+    skip = (*_SELDOM_ALONE, "bandwidth") if common.limited else _SELDOM_ALONE
     problem = ComparisonProblem(
-        limited, truth, alignment, gravity=gravity, model=model, spoilt=spoilt
+        common.real,
+        common.truth,
+        alignment,
+        gravity=gravity,
+        model=model,
+        spoilt=common.spoilt,
+        blur=common.blur,
     )
     # When a simulation starts is nobody's fault; what its clock does to the motion is.
     return conclude(problem, seen, summary, setups=("clock_scale",), skip=skip)

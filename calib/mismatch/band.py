@@ -2,12 +2,15 @@
 
 The noise of a truth is in every regressor that is made of it: an effect that acts on high
 frequencies (a low-pass, a delay) would be found in noise alone. So where the truth is noisy, rests
-are made still, and both sides go through the same low-pass, up to where they agree.
+are made still, and both sides go through the same low-pass, up to where they agree. Where they
+agree as far as the samples reach there is motion that samples do not resolve: its derivative, and
+so the angular acceleration that a lever arm feels, is not known. There the differences are blurred.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -28,8 +31,25 @@ NARROWEST = 5.0
 KEPT = 6.0
 """Samples kept for each period of the highest frequency that is compared."""
 
+BLUR = 1.1
+"""Sample intervals: passes 40 % at a fifth of the rate, up to where a spline through samples gives
+derivatives, and 3 % at 0.4 of it."""
+
 QUIET = 0.1
 """Noise of a truth, relative to the recording's, up to which it counts as exact."""
+
+
+class Matched(NamedTuple):
+    """A recording and its truth, limited to what both know.
+
+    ``blur`` is the standard deviation (s) of the Gaussian through which differences are seen.
+    """
+
+    real: Recording
+    truth: Truth
+    spoilt: BoolArray
+    limited: bool = False
+    blur: float = 0.0
 
 
 def matched(
@@ -42,23 +62,25 @@ def matched(
     gravity: float,
     spoilt: BoolArray,
     other_spoilt: BoolArray | None = None,
-) -> tuple[Recording, Truth, BoolArray]:
+) -> Matched:
     """Return a recording and another as its truth, in the band that both share.
 
     The recording comes back as it is if the other has little noise beside it.
     """
     plain = RecordingTruth(other, gravity, other_spoilt)
     if (noise_of(other) <= QUIET * noise_of(real)).all():
-        return real, plain, spoilt
+        return Matched(real, plain, spoilt)
     bandwidth = common_band(real, plain, alignment, mat, forces=False)
     other = stilled(other, poses)
     if bandwidth is None:
-        return real, RecordingTruth(other, gravity, other_spoilt), spoilt
+        blur = BLUR * max(real.interval, other.interval)
+        truth = RecordingTruth(other, gravity, other_spoilt)
+        return Matched(real, truth, spoilt, limited=True, blur=blur)
     if other_spoilt is not None:
         other_spoilt = widened(other_spoilt, bandwidth, other.interval)
     truth = RecordingTruth(low_passed(other, bandwidth), gravity, other_spoilt)
     limited_real, wide = limited(real, bandwidth, spoilt)
-    return limited_real, truth, wide
+    return Matched(limited_real, truth, wide, limited=True)
 
 
 def noise_of(recording: Recording) -> FloatArray:

@@ -24,7 +24,7 @@ from calib.mismatch.families import effect_columns
 from calib.mismatch.heldout import HeldOut, held_out
 from calib.mismatch.noise import make_whitener, range_basis
 from calib.mismatch.ranking import Accepted, fitted
-from calib.mismatch.refit import prior_rows
+from calib.mismatch.refit import cut, prior_rows, solve
 from calib.mismatch.rows import Kind, Rows
 from calib.mismatch.search import TIE, TWIN, Outcome
 from calib.model import SensorModel
@@ -45,29 +45,49 @@ class Estimate:
 
 def estimate(outcome: Outcome, *, reference: bool) -> Estimate:
     """Fit baseline, nuisances and all findings jointly, shape parameters along with them."""
-    rows = outcome.rows
-    mean = fitted(rows, outcome.accepted)
-    shapes = [_shape_columns(rows, a, reference=reference) for a in outcome.accepted]
+    rows, accepted = outcome.rows, outcome.accepted
+    mean = fitted(rows, accepted)
+    start = rows.baseline.shape[1] + rows.nuisance.shape[1]
+    at = [start]
+    for a in accepted:
+        at.append(at[-1] + a.columns.shape[1])
+    first = solve(rows, accepted, outcome.levels, outcome.contrast)
+    shapes = [
+        _shape_columns(rows, a, a.values / a.typical + first[i:j], reference=reference)
+        for a, i, j in zip(accepted, at, at[1:], strict=False)
+    ]
     full = np.hstack((mean, *shapes))
     scale = np.linalg.norm(full, axis=0)
     scale[scale == 0] = 1.0
     whitener = make_whitener(rows, outcome.levels, outcome.contrast, mean[:, :0])
-    prior = prior_rows(rows, outcome.accepted)
+    prior = prior_rows(rows, accepted)
     prior = np.pad(prior, ((0, 0), (0, full.shape[1] - prior.shape[1]))) / scale
     design = np.vstack((whitener.whiten(full / scale), prior))
     y = np.append(whitener.whiten(rows.residual), np.zeros(len(prior)))
+    aside = np.pad(cut(rows, accepted), (0, full.shape[1] - mean.shape[1]))
+    inverse = np.zeros(design.T.shape)
+    inverse[~aside] = _inverse(design[:, ~aside])
+    step = inverse @ y
+    if aside.any():
+        inverse[aside] = _inverse(design[:, aside])
+        step[aside] = inverse[aside] @ (y - design @ step)
+    covariance = inverse @ inverse.T
+    if aside.any():
+        # Its part within reach of the physics is not seen, but of the size of what is.
+        size = step[aside] / scale[aside]
+        hidden = inverse[~aside] @ design[:, aside] * scale[aside]
+        covariance[np.ix_(~aside, ~aside)] += np.mean(size**2) * hidden @ hidden.T
+    step, covariance = step / scale, covariance / np.outer(scale, scale)
+    return Estimate(step, covariance, tuple(at), at[-1], rows.residual - full @ step)
+
+
+def _inverse(design: FloatArray) -> FloatArray:
     u, s, vt = np.linalg.svd(design, full_matrices=False)
     good = s > 1e-9 * s[0]
-    half = (vt[good].T / s[good]) / scale[:, None]
-    step = half @ (u[:, good].T @ y)
-    start = rows.baseline.shape[1] + rows.nuisance.shape[1]
-    at = [start]
-    for a in outcome.accepted:
-        at.append(at[-1] + a.columns.shape[1])
-    return Estimate(step, half @ half.T, tuple(at), at[-1], rows.residual - full @ step)
+    return np.asarray((vt[good].T / s[good]) @ u[:, good].T)
 
 
-def _shape_columns(rows: Rows, a: Accepted, *, reference: bool) -> FloatArray:
+def _shape_columns(rows: Rows, a: Accepted, values: FloatArray, *, reference: bool) -> FloatArray:
     """Return the derivative of a finding by each of its shape parameters (per its logarithm)."""
     if not a.candidate.physical or not a.candidate.shape:
         return np.zeros((len(rows.residual), 0))
@@ -81,7 +101,7 @@ def _shape_columns(rows: Rows, a: Accepted, *, reference: bool) -> FloatArray:
             shape = {**a.candidate.shape, item.name: a.candidate.shape[item.name] * factor}
             found = effect_columns(effect, rows, shape, reference=reference)
             parts = [found.get(n, np.zeros(len(rows.residual))) for n in a.candidate.parameters]
-            pair.append(np.stack(parts, axis=1) @ (a.values / a.typical))
+            pair.append(np.stack(parts, axis=1) @ values)
         out.append((pair[0] - pair[1]) / (2 * np.log(1.02)))
     return np.stack(out, axis=1) if out else np.zeros((len(rows.residual), 0))
 

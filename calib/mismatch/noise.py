@@ -13,6 +13,7 @@ References
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from scipy import linalg
@@ -184,6 +185,8 @@ def _projector(cov: FloatArray, basis: FloatArray, y: FloatArray) -> tuple[Float
 def contrast_variance(rows: Rows) -> FloatArray:
     """Return the variance of the contrast rows: white noise times one robust factor a channel.
 
+    Restless segments have a factor of their own, each.
+
     Drift within a rest and correlated noise lift it above white noise. What repeats in every rest
     or goes with time (an effect) is taken out first.
     """
@@ -194,10 +197,12 @@ def contrast_variance(rows: Rows) -> FloatArray:
     order = (
         np.tile(np.repeat([0, 1], 6), len(y) // 12) if len(y) % 12 == 0 else np.zeros(len(y), int)
     )
-    for c in range(6):
+    restless = rows.restless[start:] if rows.restless.size else np.zeros(len(y), bool)
+    for c, moved in product(range(6), (False, True)):
+        mine = (channel == c) & (restless == moved)
         squares = []
         for k in (0, 1):
-            own = np.flatnonzero((channel == c) & (order == k))
+            own = np.flatnonzero(mine & (order == k))
             if len(own) < 5:
                 continue
             scaled = y[own] / np.sqrt(variance[own])
@@ -210,9 +215,19 @@ def contrast_variance(rows: Rows) -> FloatArray:
         # The median of chi-squared with one degree of freedom is 0.4549.
         level = float(np.median(values)) / 0.4549
         level = max(level, float(np.minimum(values, 9.0 * max(level, 1e-12)).mean()))
-        shrunk = (len(values) * level + 6.0) / (len(values) + 6.0)
-        variance[channel == c] *= max(1.0, shrunk)
+        variance[mine] *= _inflation(len(values) * level, len(values))
+        if not moved:
+            continue
+        # A knock or a slip errs by far more than shaking does elsewhere.
+        for s in np.unique(rows.segment[start:][mine]):
+            own = mine & (rows.segment[start:] == s)
+            variance[own] *= _inflation(float(np.square(y[own]) @ (1 / variance[own])), own.sum())
     return variance
+
+
+def _inflation(total: float, count: int) -> float:
+    """Return a factor on variance from a sum of squares, shrunk to 1 as by six more; at least 1."""
+    return max(1.0, (total + 6.0) / (count + 6.0))
 
 
 @dataclass(frozen=True, eq=False)

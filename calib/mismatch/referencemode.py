@@ -21,7 +21,7 @@ from calib.mismatch.against import (
     unfit,
 )
 from calib.mismatch.alignment import Alignment, align
-from calib.mismatch.band import common_band, limited, matched
+from calib.mismatch.band import Matched, common_band, limited, matched
 from calib.mismatch.comparison import ComparisonProblem, Truth
 from calib.mismatch.diagnosis import Diagnosis
 from calib.mismatch.samples import look_at_samples
@@ -133,7 +133,7 @@ def diagnose_reference(
         poses = find_poses(reference)
         alignment = align(real.time, real.gyro, reference.time, reference.gyro)
         mat = mounting(real, RecordingTruth(reference, gravity), alignment)[0]
-        limited_real, truth, spoilt = matched(
+        common = matched(
             real,
             reference,
             poses,
@@ -146,20 +146,25 @@ def diagnose_reference(
     else:
         if reference.position is None:
             summary["position"] = "not known: the point of the reference counts as at rest"
-        limited_real, truth, alignment, mat, spoilt = _captured(
-            real, reference, gravity, seen.spoilt
-        )
+        common, alignment, mat = _captured(real, reference, gravity, seen.spoilt)
     # What both were limited to hides the sensor's own low-pass.
-    skip = () if limited_real is real else ("bandwidth",)
+    skip = ("bandwidth",) if common.limited else ()
     problem = ComparisonProblem(
-        limited_real, truth, alignment, gravity=gravity, model=model, mat_sr=mat, spoilt=spoilt
+        common.real,
+        common.truth,
+        alignment,
+        gravity=gravity,
+        model=model,
+        mat_sr=mat,
+        spoilt=common.spoilt,
+        blur=common.blur,
     )
     return conclude(problem, seen, summary, setups=SETUPS, skip=skip)
 
 
 def _captured(
     real: Recording, reference: ReferenceMotion, gravity: float, spoilt: BoolArray
-) -> tuple[Recording, Truth, Alignment, FloatArray, BoolArray]:
+) -> tuple[Matched, Alignment, FloatArray]:
     """Align a captured motion, and limit both to the band that they share."""
     found: tuple[float, ReferenceMotion, Alignment, FloatArray] | None = None
     for item in (reference, reference.inverted()):
@@ -175,10 +180,10 @@ def _captured(
     truth = item.truth(gravity=gravity, bandwidth=None)
     bandwidth = common_band(real, truth, alignment, mat, forces=item.position is not None)
     if bandwidth is None:
-        return real, truth, alignment, mat, spoilt
+        return Matched(real, truth, spoilt), alignment, mat
     truth = item.truth(gravity=gravity, bandwidth=bandwidth)
     real, spoilt = limited(real, bandwidth, spoilt)
-    return real, truth, alignment, mat, spoilt
+    return Matched(real, truth, spoilt, limited=True), alignment, mat
 
 
 def mounting(real: Recording, truth: Truth, alignment: Alignment) -> tuple[FloatArray, float]:

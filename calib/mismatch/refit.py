@@ -16,7 +16,7 @@ from calib.mismatch.ranking import Accepted, fitted, make_stack
 from calib.mismatch.rivals import WINDOWED, window_columns
 from calib.mismatch.rows import Rows
 from calib.mismatch.score import LARGE, Candidate, Stack
-from calib.types import FloatArray
+from calib.types import BoolArray, FloatArray
 
 
 class Problem(Protocol):
@@ -118,17 +118,42 @@ def solve(
     levels: FloatArray,
     contrast: FloatArray,
 ) -> FloatArray:
-    """Return the generalised least-squares step of all that is fitted."""
+    """Return the generalised least-squares step of all that is fitted; `cut` columns stay."""
     mean = fitted(rows, accepted)
+    kept = ~cut(rows, accepted)
+    step = np.zeros(mean.shape[1])
+    mean = mean[:, kept]
     whitener = make_whitener(rows, levels, contrast, mean[:, :0])
     scale = np.maximum(np.linalg.norm(mean, axis=0), 1e-300)
-    prior = prior_rows(rows, accepted) / scale
-    step = np.linalg.lstsq(
+    prior = prior_rows(rows, accepted)[:, kept] / scale
+    found = np.linalg.lstsq(
         np.vstack((whitener.whiten(mean / scale), prior)),
         np.append(whitener.whiten(rows.residual), np.zeros(len(prior))),
         rcond=1e-9,
     )[0]
-    return np.asarray(step / scale)
+    step[kept] = found / scale
+    return step
+
+
+def cut(rows: Rows, accepted: list[Accepted] | tuple[Accepted, ...]) -> BoolArray:
+    """Return which fitted columns must not move the physics, (p,) bool.
+
+    Beside a reference these are the rivals that act everywhere: a smooth function of the motion can
+    take the place of a lever arm or of a rotation, and nobody knows its size. What stays
+    unexplained is then fitted to what the physics leaves. A rival in a window takes its window out.
+
+    References
+    ----------
+    .. [1] Liu, Bayarri, Berger, "Modularization in Bayesian analysis", Bayesian Analysis 4, 2009.
+    .. [2] Brynjarsdottir, O'Hagan, "Learning about physical parameters: the importance of model
+       discrepancy", Inverse Problems 30, 2014.
+    """
+    start = rows.baseline.shape[1] + rows.nuisance.shape[1]
+    parts = [np.zeros(start, bool)]
+    for a in accepted:
+        smooth = not a.candidate.physical and a.candidate.interval is None
+        parts.append(np.full(a.columns.shape[1], bool(rows.aligned) and smooth))
+    return np.concatenate(parts)
 
 
 def _refine(

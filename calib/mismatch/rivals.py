@@ -173,10 +173,12 @@ def _smooth(state: State, c: int) -> Iterator[tuple[str, FloatArray]]:
     if warmth is not None and np.ptp(warmth) > 0:
         scaled = (warmth - warmth.min()) / np.ptp(warmth)
         yield "temperature", np.cos(np.pi * scaled[:, None] * order[:5]) / order[:5]
-    yield "direction of gravity", _harmonics(state.force / state.gravity)
-    speed = np.linalg.norm(state.rate, axis=1) / FAST
+    # Of unit length where it shakes, too: powers of 16 g would take the place of any physics.
+    yield "direction of gravity", _harmonics(state.gravity_direction)
+    rates = state.rate / max(FAST, float(np.abs(state.rate).max()))
+    speed = np.linalg.norm(rates, axis=1)
     yield "speed of rotation", np.stack((speed, speed**2, speed**3, np.sqrt(speed)), axis=1)
-    rate = state.rate[:, c % 3] / FAST
+    rate = rates[:, c % 3]
     odd = (rate, np.abs(rate), rate * np.abs(rate), rate**2, rate**3, rate**4, np.tanh(5 * rate))
     yield "its own rate", np.stack(odd, axis=1)
 

@@ -86,6 +86,8 @@ class Rows:
         Response to a constant on each channel in each segment (functional times indicator).
     aligned : tuple of str
         Parameters (``effect.name``) that `nuisance` fits: an alignment in time, a rotation.
+    restless : (m,) array of bool
+        Rows of segments where the truth itself errs with the motion; empty if it does nowhere.
     """
 
     residual: FloatArray
@@ -106,6 +108,7 @@ class Rows:
     is_rest: BoolArray
     pieces: tuple[Any, ...] = field(default=())
     aligned: tuple[str, ...] = ()
+    restless: BoolArray = field(default_factory=lambda: np.zeros(0, bool))
 
     @property
     def n_dense(self) -> int:
@@ -149,4 +152,5 @@ class Rows:
             segment=self.segment[keep],
             block=self.block[keep],
             pieces=tuple(p[keep] for p in self.pieces),
+            restless=self.restless[keep] if self.restless.size else self.restless,
         )

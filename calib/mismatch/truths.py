@@ -22,6 +22,9 @@ DEGREE = 7
 GAP = 3.5
 """Sample intervals over which a truth is interpolated; beyond, it is not known."""
 
+REACH = 2
+"""Samples about a spoilt one at which an interpolating spline still feels it."""
+
 
 def near(known: FloatArray, time: FloatArray) -> BoolArray:
     """Return where times lie between known ones that are no gap apart, (n,) bool."""
@@ -48,10 +51,14 @@ class RecordingTruth:
         from scipy.interpolate import make_interp_spline  # a third of a second to import
 
         r = self.recording
-        good = np.ones(len(r), bool) if self.spoilt is None else ~self.spoilt
-        signals = np.hstack((r.accel, r.gyro))[good]
+        good = np.ones(len(r), bool)
+        if self.spoilt is not None:
+            good = np.convolve(self.spoilt, np.ones(2 * REACH + 1), mode="same") < 0.5
+        signals = np.hstack((r.accel, r.gyro))
         object.__setattr__(self, "_good", r.time[good])
-        object.__setattr__(self, "_spline", make_interp_spline(r.time[good], signals, k=DEGREE))
+        # Through all samples: a clipped one is nearer to the truth than what a spline makes of a
+        # hole.
+        object.__setattr__(self, "_spline", make_interp_spline(r.time, signals, k=DEGREE))
 
     @property
     def span(self) -> tuple[float, float]:

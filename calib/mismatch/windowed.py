@@ -1,0 +1,286 @@
+"""Windows of the differences between a recording and a truth, and the rows that they make.
+
+In each window and on each channel a difference is projected on its mean and on given shapes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from scipy import sparse
+
+from calib.effects.base import State
+from calib.mismatch.rows import Component, Kind, Rows
+from calib.mismatch.twin import (
+    DRIFT,
+    DRIFT_TIME,
+    SPREAD,
+    baseline_column,
+    drift_components,
+    flicker_covariance,
+)
+from calib.recording import CHANNELS
+from calib.types import BoolArray, FloatArray, IntArray
+
+SEGMENTS = 80
+"""Windows that a recording is cut into, at most."""
+
+SHORTEST = 1.0
+"""s of a window, at least."""
+
+SHAPES = 1200
+"""Rows that follow a shape within a window, at most: the strongest ones are kept."""
+
+VISIBLE = 0.1
+"""A shape that effects of typical size reach by less than this, in standard errors, is no row."""
+
+RESTLESS = 4.0
+"""A window whose samples scatter by this much more (in variance) than in quiet ones holds motion
+that the truth does not follow: shaking beyond its band, play between the two."""
+
+_LOOSE = {"bias": 2.0, "scale_factor_error": 0.5, "misalignment": 0.3}
+
+
+@dataclass(frozen=True, eq=False)
+class Shapes:
+    """Windows ``[first, last)`` of points, and the shapes (unit vectors) that are rows there."""
+
+    first: IntArray
+    last: IntArray
+    segment: IntArray
+    channel: IntArray
+    vectors: tuple[FloatArray, ...]
+    noise: FloatArray
+
+
+class Blur(NamedTuple):
+    """A low-pass: (m, n) ``matrix`` from n points to the m that are ``seen``.
+
+    ``power`` is the share of white noise that passes.
+    """
+
+    matrix: sparse.csr_matrix
+    seen: IntArray
+    power: float
+
+
+def cut(time: FloatArray) -> tuple[IntArray, IntArray]:
+    """Return windows ``[first, last)`` of equal length with at least 12 points each."""
+    span = time[-1] - time[0]
+    count = int(np.clip(span / SHORTEST, 1, SEGMENTS))
+    edges = np.searchsorted(time, time[0] + span * np.arange(count + 1) / count)
+    edges[-1] = len(time)
+    keep = np.diff(edges) >= 12
+    return edges[:-1][keep], edges[1:][keep]
+
+
+def gaussian(time: FloatArray, width: float, interval: float) -> Blur:
+    """Return the blur of points at (n,) times; those near a gap have none, and are not seen.
+
+    Parameters
+    ----------
+    time : (n,) array, s
+    width : float, s
+        Standard deviation; 0 leaves the points as they are.
+    interval : float, s
+        Between neighbours.
+    """
+    n = len(time)
+    reach = int(np.ceil(3.0 * width / interval))
+    if not reach:
+        return Blur(sparse.identity(n, format="csr"), np.arange(n), 1.0)
+    tap = np.exp(-0.5 * np.square(np.arange(-reach, reach + 1) * interval / width))
+    tap /= tap.sum()
+    steps = np.concatenate(([0], np.cumsum(np.diff(time) > 1.5 * interval)))
+    seen = np.arange(reach, n - reach)
+    seen = seen[steps[seen + reach] == steps[seen - reach]]
+    column = seen[:, None] + np.arange(-reach, reach + 1)
+    row = np.repeat(np.arange(len(seen)), len(tap))
+    matrix = sparse.csr_matrix(
+        (np.tile(tap, len(seen)), (row, column.ravel())), shape=(len(seen), n)
+    )
+    return Blur(matrix, seen, float(tap @ tap))
+
+
+def find_shapes(
+    time: FloatArray, left: FloatArray, columns: list[tuple[str, FloatArray]], *, blur: Blur
+) -> Shapes:
+    """Return windows, the shapes that columns have in each, and the noise of its samples.
+
+    Parameters
+    ----------
+    time : (n,) array, s
+    left : (n, 6) array
+        Recording minus model.
+    columns : list of (channel, (n,) values)
+    blur : Blur
+        Windows and shapes are of the m points that it leaves.
+    """
+    first, last = cut(time[blur.seen])
+    left = blur.matrix @ left
+    noise = np.empty((len(first), 6))
+    found: list[tuple[float, int, int, FloatArray]] = []
+    for c, name in enumerate(CHANNELS):
+        own = blur.matrix @ np.stack([v for channel, v in columns if channel == name], axis=1)
+        rough = float(np.median(np.abs(np.diff(left[:, c], n=2)))) / 0.6745 / np.sqrt(6.0)
+        rough = max(rough, 1e-9)
+        for s, (a, b) in enumerate(zip(first, last, strict=True)):
+            part = own[a:b] - own[a:b].mean(axis=0)
+            values, vectors = np.linalg.eigh(part.T @ part)
+            size = np.sqrt(np.maximum(values[::-1], 0.0)) / rough
+            keep = (size > VISIBLE) & (size > 1e-6 * size[0])
+            keep[max((b - a) // 3, 1) :] = False
+            shapes = part @ vectors[:, ::-1][:, keep]
+            shapes /= np.linalg.norm(shapes, axis=0)
+            y = left[a:b, c] - left[a:b, c].mean()
+            rest = y - shapes @ (shapes.T @ y)
+            noise[s, c] = float(rest @ rest) / (b - a - 1 - shapes.shape[1])
+            found += [(float(v), s, c, x) for v, x in zip(size[keep], shapes.T, strict=True)]
+    floor = np.maximum(np.median(noise, axis=0), 1e-18)
+    strongest = sorted(found, key=lambda item: -item[0])[:SHAPES]
+    strongest.sort(key=lambda item: (item[2], item[1]))
+    return Shapes(
+        first,
+        last,
+        np.array([item[1] for item in strongest], np.int64),
+        np.array([item[2] for item in strongest], np.int64),
+        tuple(item[3] for item in strongest),
+        np.maximum(noise, floor),
+    )
+
+
+def make_rows(
+    shapes: Shapes,
+    state: State,
+    left: FloatArray,
+    *,
+    blur: Blur,
+    names: tuple[str, ...],
+    nuisance: list[Mapping[str, FloatArray]],
+    aligned: tuple[str, ...],
+) -> Rows:
+    """Return the rows: the mean of every window and channel, and what follows the shapes there.
+
+    Each is scaled such that white samples give it the variance of a mean.
+    """
+    first, last = shapes.first, shapes.last
+    count = last - first
+    time = state.time[blur.seen]
+    n, k = len(time), len(first)
+    dense, m = 6 * k, 6 * k + len(shapes.vectors)
+    channel = np.concatenate((np.tile(np.arange(6), k), shapes.channel))
+    segment = np.concatenate((np.repeat(np.arange(k), 6), shapes.segment))
+    kind = np.full(m, int(Kind.CONTRAST))
+    kind[:dense] = Kind.MEAN
+    weights = [np.full(count[s], 1.0 / count[s]) for s in segment[:dense]]
+    weights += [v / np.sqrt(len(v)) for v in shapes.vectors]
+    functional = []
+    for c in range(6):
+        own = np.flatnonzero(channel == c)
+        row = np.repeat(own, count[segment[own]])
+        points = np.concatenate([np.arange(first[s], last[s]) for s in segment[own]])
+        values = np.concatenate([weights[i] for i in own])
+        functional.append(sparse.csr_matrix((values, (row, points)), shape=(m, n)) @ blur.matrix)
+    # White noise of the samples, of which the blur leaves a share.
+    noise = shapes.noise[segment, channel] / blur.power
+    variance = noise * sum(np.asarray(f.power(2).sum(axis=1)).ravel() for f in functional)
+    quiet = np.quantile(shapes.noise, 0.2, axis=0)
+    restless = shapes.noise[segment, channel] > RESTLESS * quiet[channel]
+    interval = np.stack((time[first], time[last - 1]), axis=1)
+    point_segment = np.clip(np.searchsorted(interval[:, 0], state.time, side="right") - 1, 0, k - 1)
+    inside = np.flatnonzero(
+        (state.time >= interval[point_segment, 0]) & (state.time <= interval[point_segment, 1])
+    )
+    member = sparse.csr_matrix(
+        (np.ones(len(inside)), (inside, point_segment[inside])), shape=(len(state.time), k)
+    )
+    pieces = tuple((f @ member).tocsr() for f in functional)
+
+    def column(signals: Mapping[str, FloatArray]) -> FloatArray:
+        out = np.zeros(m)
+        for name, values in signals.items():
+            out += functional[CHANNELS.index(name)] @ values
+        return out
+
+    residual = column(dict(zip(CHANNELS, left.T, strict=True)))
+    return Rows(
+        residual=residual,
+        baseline=np.stack([column(baseline_column(x, state)) for x in names], axis=1),
+        names=names,
+        nuisance=np.stack([column(x) for x in nuisance], axis=1),
+        functional=tuple(functional),
+        state=state,
+        point_segment=point_segment,
+        white=np.diag(variance[:dense]),
+        white_diagonal=variance[dense:],
+        components=_components(pieces, dense, interval, shapes.noise, count)
+        + _motion(variance[:dense], restless[:dense], channel[:dense]),
+        kind=kind,
+        channel=channel,
+        segment=segment,
+        block=segment,
+        interval=interval,
+        is_rest=np.zeros(k, bool),
+        pieces=pieces,
+        aligned=aligned,
+        restless=restless,
+    )
+
+
+def _motion(variance: FloatArray, restless: BoolArray, channel: IntArray) -> tuple[Component, ...]:
+    """Return what the truth's errors, which go with the motion, add to means of such windows.
+
+    They are no white noise: neighbouring samples err alike, so that a mean is off by more.
+    """
+    out = []
+    for k, triad in enumerate(("accel", "gyro")):
+        index = np.flatnonzero(restless & (channel // 3 == k))
+        if index.size:
+            out.append(Component(f"{triad} motion", index, np.diag(variance[index]), 1.0))
+    return tuple(out)
+
+
+def _components(
+    pieces: tuple[sparse.csr_matrix, ...],
+    dense: int,
+    interval: FloatArray,
+    noise: FloatArray,
+    count: IntArray,
+) -> tuple[Component, ...]:
+    """Return the drift of each channel: jitter, flicker and walk, as in the twin's rows."""
+    length = np.ptp(interval, axis=1)
+    step = length / np.maximum(count - 1, 1)
+    density = np.median(2 * noise * step[:, None], axis=0)
+    middle = interval.mean(axis=1)
+    walk = np.minimum.outer(middle - middle[0], middle - middle[0]) / DRIFT_TIME
+    flicker = flicker_covariance(middle, length)
+    out = []
+    for c, name in enumerate(CHANNELS):
+        drift = DRIFT[name.split(".")[0]] ** 2 * density[c]
+        out += drift_components(name, pieces[c][:dense], flicker, walk, drift, SPREAD)
+    return tuple(out)
+
+
+def robust_step(rows: Rows) -> FloatArray:
+    """Return the Gauss-Newton step of baseline and nuisances, by Huber's weights."""
+    p = rows.baseline.shape[1]
+    sigma = np.sqrt(np.concatenate((rows.expected_variance(), rows.white_diagonal)))
+    design = np.hstack((rows.baseline, rows.nuisance)) / sigma[:, None]
+    y = rows.residual / sigma
+    loose = np.array([_LOOSE[n.split(".")[1]] for n in rows.names])
+    ridge = np.zeros((p, design.shape[1]))
+    ridge[:, :p] = np.diag(1.0 / loose)
+    size = np.maximum(np.linalg.norm(design, axis=0), 1e-12)
+    weight = np.ones(len(y))
+    step = np.zeros(design.shape[1])
+    for _ in range(5):
+        root = np.sqrt(weight)
+        stacked = np.vstack((design * root[:, None], ridge)) / size
+        step = np.linalg.lstsq(stacked, np.append(y * root, np.zeros(p)), rcond=1e-10)[0] / size
+        left = np.abs(y - design @ step)
+        scale = max(float(np.median(left)) / 0.6745, 1.0)
+        weight = np.minimum(1.0, 3.0 * scale / np.maximum(left, 1e-12)) / scale**2
+    return np.asarray(step)

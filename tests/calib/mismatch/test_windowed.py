@@ -1,0 +1,106 @@
+"""Windows of differences: the blur, and rows where the truth errs with the motion."""
+
+import numpy as np
+
+from calib.effects.base import State
+from calib.mismatch.noise import contrast_variance
+from calib.mismatch.ranking import Accepted
+from calib.mismatch.refit import cut
+from calib.mismatch.rows import Kind, Rows
+from calib.mismatch.score import Candidate
+from calib.mismatch.truths import RecordingTruth
+from calib.mismatch.windowed import find_shapes, gaussian, make_rows
+from calib.recording import CHANNELS, Recording
+
+STEP = 0.02
+
+
+def test_a_blur_passes_slow_signals_and_skips_what_is_near_a_gap():
+    time = np.delete(STEP * np.arange(500), np.arange(200, 210))
+    blur = gaussian(time, 2.0 * STEP, STEP)
+    seen = time[blur.seen]
+    slow = np.sin(2 * np.pi * 1.0 * time)
+    damped = np.exp(-0.5 * np.square(2 * np.pi * 2.0 * STEP))
+    assert np.allclose(blur.matrix @ slow, damped * np.sin(2 * np.pi * seen), atol=1e-3)
+    assert not ((seen > 193.5 * STEP) & (seen < 215.5 * STEP)).any()
+    noise = np.random.default_rng(1).normal(size=(len(time), 400))
+    assert np.isclose((blur.matrix @ noise).var(), blur.power, rtol=0.02)
+
+
+def test_no_blur_leaves_every_point():
+    blur = gaussian(STEP * np.arange(50), 0.0, STEP)
+    assert len(blur.seen) == 50
+    assert blur.power == 1.0
+
+
+def rows_of(left: np.ndarray, *, width: float = 0.0, aligned: tuple[str, ...] = ()) -> Rows:
+    time = STEP * np.arange(len(left))
+    blur = gaussian(time, width, STEP)
+    rate = np.stack([np.sin(2 * np.pi * f * time) for f in (0.5, 0.7, 1.1)], axis=1)
+    state = State(time, np.tile([0.0, 0.0, 9.8], (len(time), 1)), rate)
+    columns = [(c, rate[:, i % 3]) for i, c in enumerate(CHANNELS)]
+    return make_rows(
+        find_shapes(time, left, columns, blur=blur),
+        state,
+        left,
+        blur=blur,
+        names=("gyro.bias.x",),
+        nuisance=[{"gyro.x": np.ones(len(time))}],
+        aligned=aligned,
+    )
+
+
+def test_white_noise_has_the_variance_that_rows_say_blurred_or_not():
+    rng = np.random.default_rng(2)
+    for width in (0.0, 1.5 * STEP):
+        rows = rows_of(rng.normal(size=(16000, 6)), width=width)
+        variance = np.append(np.diag(rows.white), rows.white_diagonal)
+        for kind in (Kind.MEAN, Kind.CONTRAST):
+            own = rows.kind == kind
+            assert np.isclose(np.mean(rows.residual[own] ** 2 / variance[own]), 1.0, atol=0.2)
+
+
+def test_where_the_truth_errs_rows_are_restless_and_a_knock_weighs_little():
+    rng = np.random.default_rng(3)
+    left = rng.normal(size=(16000, 6))
+    left[12800:] *= 30.0
+    plain = contrast_variance(rows_of(left))
+    # One knock that has the shape of the motion: no noise of samples tells of it.
+    time = STEP * np.arange(len(left))
+    window = (time >= 264.0) & (time < 268.0)
+    left[window, 3] += 400.0 * np.sin(2 * np.pi * 0.5 * time[window])
+    rows = rows_of(left)
+    assert 0 < rows.restless.sum() < 0.5 * len(rows.restless)
+    assert rows.interval[rows.segment[rows.restless], 1].min() > 250.0
+    contrast = rows.segment[rows.n_dense :], rows.channel[rows.n_dense :]
+    hit = (contrast[0] == int(266.0 // (320.0 / 80))) & (contrast[1] == 3)
+    assert hit.any()
+    assert (contrast_variance(rows)[hit] > 4 * plain[hit]).all()
+
+
+def accepted(name: str, *, physical: bool = False, interval=None) -> Accepted:
+    candidate = Candidate(name, np.arange(2), 0.1, physical, ("gyro.x",), interval=interval)
+    return Accepted(candidate, np.ones((1, 2)), np.ones(2), np.zeros(2), False, 1.0)
+
+
+def test_smooth_rivals_move_no_physics_beside_a_reference_and_windows_do():
+    found = (
+        accepted("direction of gravity"),
+        accepted("bias in a window", interval=(0.0, 1.0)),
+        accepted("accel_lever_arm", physical=True),
+    )
+    left = np.random.default_rng(4).normal(size=(1000, 6))
+    beside = cut(rows_of(left, aligned=("time_offset.delay",)), found)
+    assert beside.tolist() == [False, False, True, True, False, False, False, False]
+    assert not cut(rows_of(left), found).any()
+
+
+def test_a_truth_is_not_believed_beside_a_spoilt_sample():
+    time = STEP * np.arange(100)
+    signals = np.stack([np.sin(time + k) for k in range(6)], axis=1)
+    spoilt = np.arange(100) == 50
+    truth = RecordingTruth(Recording(time, signals[:, :3], signals[:, 3:], "device"), 9.8, spoilt)
+    known = truth.covers(time)
+    assert not known[48:53].any()
+    assert known[:48].all()
+    assert known[54:].all()
