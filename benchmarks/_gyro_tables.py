@@ -11,7 +11,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.closure import TurnSteps, pose_directions
+from calib.closure import TurnSteps
+from calib.directions import pose_directions
 from calib.fit import Fit
 from calib.model import Triad
 from calib.poses import Poses, average_poses

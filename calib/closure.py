@@ -21,15 +21,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.model import Triad
-from calib.poses import Poses
 from calib.recording import Recording
 from calib.rotation import (
     cumulative_quat_segments,
     mat_from_quat,
     quat_from_rotvec,
     quat_multiply,
-    rate_increments,
 )
 from calib.turns import Turns
 from calib.types import BoolArray, FloatArray, IntArray
@@ -59,14 +56,22 @@ class TurnSteps:
     first: IntArray
 
     @classmethod
-    def of(cls, recording: Recording, turns: Turns) -> TurnSteps:
-        """Integrate the steps of some turns; very fine ones are summed (`FINEST_STEP`)."""
+    def of(cls, recording: Recording, turns: Turns, *, gain: FloatArray | None = None) -> TurnSteps:
+        """Integrate the steps of some turns; very fine ones are summed (`FINEST_STEP`).
+
+        `gain` (n - 1,) multiplies the steps between the recording's n samples, 1 if None: the share
+        of the rate, and of its bias and noise, that is taken for motion.
+        """
         length = turns.stop - turns.start - 1
         first = np.concatenate([[0], np.cumsum(length)])
         begin = np.arange(first[-1]) + np.repeat(turns.start - first[:-1], length)
         step = recording.time[begin + 1] - recording.time[begin]
         angle = 0.5 * step[:, None] * (recording.gyro[begin] + recording.gyro[begin + 1])
         missed = roughness(recording.gyro[begin + 1] - recording.gyro[begin], step, first)
+        if gain is not None:
+            share = gain[begin]
+            angle, step = share[:, None] * angle, share * step
+            missed = share[:, None] ** 2 * missed
         width = int(FINEST_STEP / recording.interval) if recording.interval else 1
         if width > 1:
             # Groups of `width` steps, each turn's last one shorter.
@@ -217,85 +222,3 @@ def horizontal_basis(up: FloatArray) -> FloatArray:
     first = np.cross(up, helper)
     first /= np.linalg.norm(first, axis=-1, keepdims=True)
     return np.stack([first, np.cross(up, first)], axis=1)
-
-
-@dataclass(frozen=True, eq=False)
-class Directions:
-    """Direction of gravity at k poses, from the calibrated accelerometer.
-
-    Parameters
-    ----------
-    up : (k, 3) array
-        Unit vectors of specific force, in frame s.
-    covariance : (k, 3, 3) array, rad²
-        Of ``up``; its part along ``up`` has no meaning.
-    """
-
-    up: FloatArray
-    covariance: FloatArray
-
-
-def pose_directions(poses: Poses, accel: Triad) -> Directions:
-    """Return the direction of gravity at each pose, with its covariance."""
-    force = accel.correct(poses.accel)
-    norm = np.linalg.norm(force, axis=1, keepdims=True)
-    inverse = np.linalg.inv(accel.matrix)
-    covariance = inverse @ poses.accel_covariance @ inverse.T
-    return Directions(force / norm, covariance / norm[..., None] ** 2)
-
-
-def from_middles(
-    recording: Recording, poses: Poses, turns: Turns, accel: Triad, gyro: Triad
-) -> tuple[Turns, Directions]:
-    """Return turns from the middle of a pose to that of the next, and directions at the middles.
-
-    A hand that holds a sensor still sways: gravity's mean direction over the pose is then not that
-    at its ends, where turns begin. Here each reading is turned back to the middle of its pose by
-    the gyroscope (``mean of R(middle, t) a(t)``, in which an error of the bias cancels to first
-    order), and turns are integrated from middle to middle.
-    """
-    middle = (poses.start + poses.stop) // 2
-    count = poses.stop - poses.start
-    first = np.concatenate([[0], np.cumsum(count)])
-    held = np.arange(first[-1]) + np.repeat(poses.start - first[:-1], count)
-    quat = np.empty((first[-1], 4))
-    rate = gyro.correct(recording.gyro[held])
-    quat[1:] = quat_from_rotvec(rate_increments(recording.time[held], rate))
-    quat[first[:-1]] = [1.0, 0.0, 0.0, 0.0]
-    mats = mat_from_quat(cumulative_quat_segments(quat, first))
-    seen = np.einsum("nij,nj->ni", mats, accel.correct(recording.accel[held]))
-    mean = np.add.reduceat(seen, first[:-1], axis=0) / count[:, None]
-    force = np.einsum("ki,kij->kj", mean, mats[first[:-1] + middle - poses.start])
-    up = force / np.linalg.norm(force, axis=1, keepdims=True)
-    start, stop = middle[turns.before], middle[turns.after] + 1
-    interval = np.stack([recording.time[start], recording.time[stop - 1]], axis=1)
-    return (
-        Turns(turns.before, turns.after, start, stop, interval),
-        Directions(up, pose_directions(poses, accel).covariance),
-    )
-
-
-def closure_errors(
-    recording: Recording,
-    poses: Poses,
-    turns: Turns,
-    accel: Triad,
-    gyro: Triad,
-    *,
-    held: bool = False,
-) -> FloatArray:
-    """Return the closure error of each turn as rotation vectors (m, 3), rad, at its start.
-
-    It is what is left between gravity's direction before a turn and that predicted from its
-    direction after the turn and the corrected rate; perpendicular to gravity, so 2 degrees of
-    freedom. With `held` turns run from the middles of poses, see `from_middles`.
-    """
-    if not len(turns):
-        return np.zeros((0, 3))
-    directions = pose_directions(poses, accel)
-    if held:
-        turns, directions = from_middles(recording, poses, turns, accel, gyro)
-    up = directions.up
-    motion = propagate(TurnSteps.of(recording, turns), gyro.matrix, gyro.bias)
-    predicted = np.einsum("mij,mj->mi", motion.mat, up[turns.after])
-    return closure_residual(up[turns.before], predicted)

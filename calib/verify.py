@@ -23,8 +23,9 @@ from calib.allowance import beyond, thermal, wander
 from calib.apply import correct_recording
 from calib.calibrate import calibrate, usable_turns
 from calib.calibration import Calibration
-from calib.closure import TurnSteps, closure_residual, horizontal_basis, pose_directions, propagate
+from calib.closure import TurnSteps, closure_residual, horizontal_basis, propagate
 from calib.compare import SIGNIFICANCE, Comparison, compare, device_mismatch
+from calib.directions import pose_directions
 from calib.errors import InsufficientMotionError
 from calib.fit import Exclusion
 from calib.model import SensorModel, Triad

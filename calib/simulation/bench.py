@@ -35,6 +35,14 @@ class _Script:
     lift: FloatArray  # (m, 3) m, on the way
 
 
+@dataclass(frozen=True, eq=False)
+class _Hand:
+    """How a hand moves what it holds: how much, and six functions of time, angles then places."""
+
+    strength: Callable[[IntArray, FloatArray], Angle]
+    motion: list[Callable[[FloatArray], Angle]]
+
+
 def bench_protocol(
     rng: np.random.Generator,
     *,
@@ -46,6 +54,8 @@ def bench_protocol(
     travel: float = 0.15,
     tremor: float = 1.0,
     hold_tremor: float = 0.0,
+    sway: float = 0.0,
+    swayed: float = 1.0,
     temperature: float | None = 28.0,
     warm_up: float = 6.0,
     warm_up_time: float = 180.0,
@@ -73,6 +83,9 @@ def bench_protocol(
         4-11 Hz, which is physiological hand tremor.
     hold_tremor : float
         The same while it is held still, for hand-held pauses; 0 is laid down.
+    sway : float
+        Slow wandering of a hand that holds still, in multiples of 0.2° and 2 mm rms at 0.1-0.7 Hz,
+        in a share `swayed` of the poses, and in the turns beside them.
     temperature : float or None, °C
         Of the start; it rises by `warm_up` (K) with time constant `warm_up_time` (s) from
         `power_on` (s, 0 or before).
@@ -95,11 +108,20 @@ def bench_protocol(
     turn = rng.uniform(*turn_duration, poses - 1)
     stop = np.cumsum(rest) + np.concatenate([[0.0], np.cumsum(turn)])
     script = _random_script(rng, stop[:-1], turn, mixed=mixed, travel=travel)
-    shake = [random_sinusoids(rng, rms=np.radians(0.3), low=4, high=11) for _ in range(3)]
-    sway = [random_sinusoids(rng, rms=0.2e-3, low=4, high=11) for _ in range(3)]
-    envelope = _envelope(script, tremor=tremor, hold=hold_tremor)
+    hands = [
+        _Hand(
+            _envelope(script, tremor=tremor, hold=hold_tremor),
+            [random_sinusoids(rng, rms=np.radians(0.3), low=4, high=11) for _ in range(3)]
+            + [random_sinusoids(rng, rms=0.2e-3, low=4, high=11) for _ in range(3)],
+        )
+    ]
     shaken = np.flatnonzero(rng.random(poses) < vibrated) if vibration else np.zeros(0, np.int64)
     begin, end = (stop - rest)[shaken], stop[shaken]
+    if sway:
+        strength = _fading(script, np.where(rng.random(poses) < swayed, sway, 0.0))
+        slow = [random_sinusoids(rng, rms=np.radians(0.2), low=0.1, high=0.7) for _ in range(3)]
+        slow += [random_sinusoids(rng, rms=2e-3, low=0.1, high=0.7) for _ in range(3)]
+        hands.append(_Hand(strength, slow))
     segments = []
     for i in range(poses):
         segments.append(Segment("static", stop[i] - rest[i], stop[i], f"pose {i + 1}"))
@@ -109,7 +131,7 @@ def bench_protocol(
     return Motion(
         "bench",
         float(stop[-1]),
-        lambda time: _kinematics(script, envelope, shake, sway, time),
+        lambda time: _kinematics(script, hands, time),
         tuple(segments),
         temperature=None
         if temperature is None
@@ -184,11 +206,20 @@ def _envelope(
     return at
 
 
+def _fading(script: _Script, strength: FloatArray) -> Callable[[IntArray, FloatArray], Angle]:
+    """Return the strength of each pose, and between them a smooth way from one to the next."""
+
+    def at(turn: IntArray, u: FloatArray) -> Angle:
+        step = evaluate(MINIMUM_JERK, u, script.duration[turn])
+        fade = scaled(step, (strength[1:] - strength[:-1])[turn])
+        return Angle(strength[turn] + fade.value, fade.rate, fade.acceleration)
+
+    return at
+
+
 def _kinematics(
     script: _Script,
-    envelope: Callable[[IntArray, FloatArray], Angle],
-    shake: list[Callable[[FloatArray], Angle]],
-    sway: list[Callable[[FloatArray], Angle]],
+    hands: list[_Hand],
     time: FloatArray,
 ) -> Kinematics:
     n = len(time)
@@ -208,18 +239,20 @@ def _kinematics(
         for step_part, hump_part in zip(step, hump, strict=True)
     ]
     moves[0] += script.place[turn]
-    # Tremor only where its envelope is not zero: most of a recording is at rest.
-    strength = envelope(turn, u)
-    some = np.flatnonzero((strength.value != 0) | (strength.acceleration != 0))
-    if len(some):
+    for hand in hands:
+        # Only where its strength is not zero: most of a recording is at rest.
+        strength = hand.strength(turn, u)
+        some = np.flatnonzero((strength.value != 0) | (strength.acceleration != 0))
+        if not len(some):
+            continue
         part = Angle(*(value[some] for value in strength))
-        shaken = Turning(*(value[some] for value in turning))
+        moved = Turning(*(value[some] for value in turning))
         for axis in range(3):
-            angle = combine(part, shake[axis](time[some]))
-            shaken = shaken.then(np.eye(3)[axis], angle)
-            for move, value in zip(moves, combine(part, sway[axis](time[some])), strict=True):
+            moved = moved.then(np.eye(3)[axis], combine(part, hand.motion[axis](time[some])))
+            place = combine(part, hand.motion[3 + axis](time[some]))
+            for move, value in zip(moves, place, strict=True):
                 move[some, axis] += value
         turning = Turning(*(value.copy() for value in turning))
-        for whole, value in zip(turning, shaken, strict=True):
+        for whole, value in zip(turning, moved, strict=True):
             whole[some] = value
     return Kinematics(turning, Path(*moves))

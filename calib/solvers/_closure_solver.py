@@ -6,14 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.closure import (
-    Kinematics,
-    TurnSteps,
-    by_quaternions,
-    closure_errors,
-    from_middles,
-    pose_directions,
-)
+from calib.closure import Kinematics, TurnSteps, by_quaternions
+from calib.directions import Sway, closure_errors, find_sway, follow, pose_directions
 from calib.fit import Exclusion, Fit
 from calib.model import Triad
 from calib.poses import Poses
@@ -43,8 +37,8 @@ AMBIGUOUS = "the turn is so long that its angle is uncertain by more than gravit
 SWAY = 1e-3
 """A hand sways by more than this, rad."""
 WORTH = 0.5
-"""Turns are tried from the middles of the poses if what that changes in their closure is at least
-this part of their scatter (squares),"""
+"""Turns are tried from the middles of all poses if what that changes in their closure is at least
+this part of their scatter, and the noise that it adds is less (squares),"""
 BETTER = 0.5
 """and run that way if it divides their squared scatter by two."""
 
@@ -62,8 +56,9 @@ def solve_closures(
 ) -> Fit:
     """Solve the parameters of a model (a mask (12,)) from closures and the bias at rest.
 
-    Turns run from the end of a pose to the beginning of the next; or, where that closes clearly
-    better, from middle to middle, which follows a hand that sways (`calib.closure.from_middles`).
+    Turns run from the end of a pose to the beginning of the next. Where both sensors see a pose
+    sway they begin at its middle (`calib.directions`); and at that of all poses where that closes
+    clearly better, as it does when a hand trembles faster than the accelerometer can tell.
 
     With `static_bias_only` the bias is that of the poses, and its error is part of the closures'
     covariance; without, both kinds of equations are solved together.
@@ -103,8 +98,7 @@ def solve_closures(
             kinematics,
         )
         fit = fit_closures(system, static)
-        swaying = _follow_hand(system, fit, static, recording, poses, accel)
-        system, fit = (system, fit) if swaying is None else swaying
+        system, fit = _follow_hand(system, fit, static, recording, poses, accel)
         gravity = float(np.linalg.norm(accel.correct(poses.accel), axis=1).mean())
         moved = np.tensordot(
             fit.direction_gain, direction_sensitivity(system.directions, accel, gravity), 2
@@ -120,29 +114,44 @@ def _follow_hand(
     recording: Recording,
     poses: Poses,
     accel: Triad,
-) -> tuple[ClosureSystem, ClosureFit] | None:
-    """Return the system from middle to middle and its fit, if that closes clearly better."""
+) -> tuple[ClosureSystem, ClosureFit]:
+    """Return the system that follows the sway within poses, and its fit; as it was if none does."""
     turns, gyro = system.turns, unpack(fit.values)
-    plain = closure_errors(recording, poses, turns, accel, gyro)
-    held = closure_errors(recording, poses, turns, accel, gyro, held=True)
-    if _scatter(held - plain) < max(SWAY**2, WORTH * _scatter(plain)):
-        return None
-    for _ in range(2):  # the second time with the first's calibration
-        middle, directions = from_middles(recording, poses, turns, accel, gyro)
-        system = replace(
+
+    def closures(sway: Sway, gyro: Triad) -> FloatArray:
+        return closure_errors(recording, poses, turns, accel, gyro, gain=sway.gain)
+
+    def run(sway: Sway, gyro: Triad) -> tuple[ClosureSystem, ClosureFit]:
+        steps, directions = follow(recording, poses, turns, accel, gyro, sway.gain)
+        still = sway.gain == 0
+        new = replace(
             system,
-            steps=TurnSteps.of(recording, middle),
-            turns=middle,
+            steps=steps,
             directions=directions,
-            # What the rate does at rest is the hand's here, neither noise nor drift: the inflation
-            # alone will tell.
-            noise=np.zeros((3, 3)),
-            deviation=np.zeros_like(system.deviation),
+            # At rest in a hand the rate is the hand's too, neither noise nor drift.
+            noise=np.minimum(system.noise, sway.noise * np.eye(3)),
+            deviation=system.deviation * (still[turns.before] & still[turns.after])[:, None],
         )
-        fit = fit_closures(system, static)
-        gyro = unpack(fit.values)
-    held = closure_errors(recording, poses, turns, accel, gyro, held=True)
-    return (system, fit) if _scatter(held) < BETTER * _scatter(plain) else None
+        return new, fit_closures(new, static)
+
+    found = []
+    sway, everywhere = find_sway(recording, poses, accel, gyro), Sway(np.ones(len(poses)))
+    if sway.gain.any():
+        found.append((sway, *run(sway, gyro)))
+    plain, held = closures(Sway(np.zeros(len(poses))), gyro), closures(everywhere, gyro)
+    rest = float(np.median(poses.interval[:, 1] - poses.interval[:, 0]))
+    # Two components at two poses, each moved by the noise of a walk that is known at its middle.
+    cost, scatter = 4 * sway.noise * rest / 3, _scatter(plain)
+    change = _scatter(held - plain)
+    if change >= max(SWAY**2, WORTH * scatter) and cost < WORTH * scatter:
+        tried = run(everywhere, gyro)
+        tried = run(everywhere, unpack(tried[1].values))  # now with the first's calibration
+        if _scatter(closures(everywhere, unpack(tried[1].values))) < BETTER * scatter:
+            found.append((everywhere, *tried))
+    if not found:
+        return system, fit
+    best = min(found, key=lambda each: _scatter(closures(each[0], unpack(each[2].values))))
+    return best[1:]
 
 
 def _scatter(errors: FloatArray) -> float:

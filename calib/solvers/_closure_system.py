@@ -9,7 +9,6 @@ from functools import cached_property
 import numpy as np
 
 from calib.closure import (
-    Directions,
     Kinematics,
     Propagation,
     TurnSteps,
@@ -18,6 +17,7 @@ from calib.closure import (
     horizontal_basis,
     propagate,
 )
+from calib.directions import Directions
 from calib.model import Triad
 from calib.rotation import skew
 from calib.turns import Turns

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.closure import Directions, TurnSteps, propagate
+from calib.closure import TurnSteps, propagate
+from calib.directions import Directions
 from calib.model import Triad
 from calib.recording import AXES
 from calib.turns import Turns

@@ -31,7 +31,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.closure import Directions, TurnSteps, pose_directions
+from calib.closure import TurnSteps
+from calib.directions import Directions, pose_directions
 from calib.fit import Exclusion, Fit
 from calib.model import Triad
 from calib.poses import Poses

@@ -19,6 +19,9 @@ MOTIONS = {
     "bench in the hand": lambda: bench_protocol(
         np.random.default_rng(2), poses=4, mixed=1.0, hold_tremor=0.3
     ),
+    "bench that sways": lambda: bench_protocol(
+        np.random.default_rng(4), poses=5, first_pose=0.5, sway=1.0, swayed=0.5
+    ),
     "paper": paper_sinusoid,
     "pendulum": lambda: pendulum(hold=1.025, amplitude=2.0, duration=12.0),
     "pendulum mounted aslant": lambda: pendulum(
@@ -292,6 +295,22 @@ def test_vibration_shakes_some_poses_and_nothing_else() -> None:
     assert not np.array(sizes)[~shaken].any()
     start, stop = motion.turns[0]
     assert not left[(recording.time > start) & (recording.time < stop)].any()
+
+
+def test_sway_moves_some_poses_and_fades_in_the_turns_beside_them() -> None:
+    options = {"poses": 20, "tremor": 0.0}
+    still = bench_protocol(np.random.default_rng(9), **options)
+    swaying = bench_protocol(np.random.default_rng(9), **options, sway=1.0, swayed=0.4)
+    angles = []
+    for start, stop in still.statics:
+        time = np.linspace(start, stop, 200)
+        change = still.state(time).mat_ns.transpose(0, 2, 1) @ swaying.state(time).mat_ns
+        angles.append(np.sqrt(np.mean(np.square(change - np.eye(3)))))
+    moved = np.array(angles) > 1e-6
+    assert 2 < moved.sum() < 14
+    # Each axis by 0.2 degrees: two of three elements of the skew matrix a row.
+    size = np.sqrt(np.mean(np.square(np.array(angles)[moved])))
+    np.testing.assert_allclose(np.degrees(size) * np.sqrt(1.5), 0.2, rtol=0.25)
 
 
 def test_vibration_rectifies() -> None:
