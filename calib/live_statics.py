@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.recording import Recording
+from calib.recording import Recording, join
 from calib.statics import DRIFT, LASTING, NORM, Limits, find_limits, stillest_rate
 from calib.stillness import (
     WIDTH,
@@ -15,6 +15,7 @@ from calib.stillness import (
     block_size,
     cut_blocks,
     find_units,
+    join_blocks,
     moving_mean,
     slide,
     spill,
@@ -79,7 +80,7 @@ class LiveStatics:
             The next samples of the same device; time goes on from the batch before.
         """
         if self._rest is not None:
-            samples = _concatenate(self._rest, samples)
+            samples = join((self._rest, samples))
         if not self._size:
             if len(samples) < 8:
                 self._rest = samples
@@ -104,7 +105,7 @@ class LiveStatics:
         if self._blocks is not None:
             gap = ends[0] - self._times[-1] > (2.5 * self._size) * self._interval
             fresh.broken[0] |= gap
-            fresh = _append(self._blocks, fresh)
+            fresh = join_blocks((self._blocks, fresh))
         times = np.concatenate((self._times, ends))
         self._blocks, self._times = _cut(fresh, -HISTORY), times[-HISTORY:]
         if len(fresh) < WIDTH:
@@ -149,17 +150,6 @@ class LiveStatics:
         return still
 
 
-def _append(first: Blocks, second: Blocks) -> Blocks:
-    return replace(
-        second,
-        accel=np.concatenate((first.accel, second.accel)),
-        gyro=np.concatenate((first.gyro, second.gyro)),
-        accel_power=np.concatenate((first.accel_power, second.accel_power)),
-        gyro_power=np.concatenate((first.gyro_power, second.gyro_power)),
-        broken=np.concatenate((first.broken, second.broken)),
-    )
-
-
 def _cut(blocks: Blocks, start: int) -> Blocks:
     return replace(
         blocks,
@@ -168,14 +158,4 @@ def _cut(blocks: Blocks, start: int) -> Blocks:
         accel_power=blocks.accel_power[start:],
         gyro_power=blocks.gyro_power[start:],
         broken=blocks.broken[start:],
-    )
-
-
-def _concatenate(first: Recording, second: Recording) -> Recording:
-    return Recording(
-        np.concatenate((first.time, second.time)),
-        np.concatenate((first.accel, second.accel)),
-        np.concatenate((first.gyro, second.gyro)),
-        second.clock,
-        device=second.device,
     )

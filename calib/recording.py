@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any, Literal
@@ -151,6 +151,28 @@ class Recording:
         triad, axis = name.split(".")
         values: FloatArray = getattr(self, triad)
         return values[:, AXES.index(axis)]
+
+
+def join(parts: Sequence[Recording]) -> Recording:
+    """Return parts that follow each other as one recording."""
+    if len(parts) == 1:
+        return parts[0]
+    if not parts:
+        raise EmptyRecordingError("no row of the recording can be used")
+    temperatures = [part.temperature for part in parts if part.temperature is not None]
+    notes: dict[str, str] = {}
+    for part in parts:
+        notes |= part.notes
+    return replace(
+        parts[0],
+        time=np.concatenate([part.time for part in parts]),
+        accel=np.concatenate([part.accel for part in parts]),
+        gyro=np.concatenate([part.gyro for part in parts]),
+        temperature=np.concatenate(temperatures) if len(temperatures) == len(parts) else None,
+        lost=np.concatenate([part.lost for part in parts if part.lost is not None]),
+        complete=all(part.complete for part in parts),
+        notes=notes,
+    )
 
 
 def _readonly(value: object, dtype: type[Any]) -> NDArray[Any]:

@@ -21,7 +21,7 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from calib.poses import Poses, average_poses, resolution
-from calib.recording import Recording
+from calib.recording import Recording, join
 from calib.stillness import (
     FACTOR,
     MOST_FORCE,
@@ -35,12 +35,13 @@ from calib.stillness import (
     block_size,
     cut_blocks,
     find_units,
+    join_blocks,
     moving_mean,
     runs,
     slide,
     spill,
 )
-from calib.types import BoolArray, FloatArray
+from calib.types import BoolArray, FloatArray, IntArray
 
 SCALES: tuple[int, ...] = (1, 5, 10, 20)
 """Lengths over which a run is compared with rest, in blocks."""
@@ -82,34 +83,84 @@ def find_poses(recording: Recording, *, minimum_duration: float = 1.0) -> Poses:
     minimum_duration : float, s
         The shortest rest that counts as a pose.
     """
-    none = np.zeros(0, np.int64)
-    time: FloatArray = recording.time
-    interval, scales = recording.interval, SCALES
-    if recording.clock == "invalid":
-        # Durations mean nothing: blocks of ten samples, and nothing that takes long.
-        time = np.arange(len(time), dtype=np.float64) * 0.01
-        interval, scales = 0.01, SCALES[:1]
-    if interval <= 0:
-        return average_poses(recording, none, none)
-    blocks = cut_blocks(
-        time,
-        recording.accel,
-        recording.gyro,
-        size=block_size(interval),
-        interval=interval,
-    )
-    if len(blocks) < WIDTH:
-        return average_poses(recording, none, none)
-    bias = stillest_rate(blocks)
-    units = find_units(blocks, bias)
-    windows = slide(blocks, bias)
-    candidates = covered(windows, find_limits(windows, units), len(blocks)) & ~blocks.broken
-    least = max(3, round(minimum_duration / blocks.duration) - 2)
-    segments = _refine(blocks, candidates, least, resolution(recording), units, scales)
-    size = blocks.size
-    start = np.array([a * size for a, _ in segments], np.int64)
-    stop = np.array([b * size for _, b in segments], np.int64)
-    return average_poses(recording, start, stop)
+    finder = RestFinder(recording)
+    finder.add(recording)
+    return average_poses(recording, *finder.find(minimum_duration=minimum_duration))
+
+
+class RestFinder:
+    """Finds the rests of a recording that comes in parts; `find_poses` explains how.
+
+    What it keeps is a mean of every 0.1 s.
+
+    Parameters
+    ----------
+    first : Recording
+        Its first part, whole if it is short: it tells clock, interval and resolution.
+    """
+
+    def __init__(self, first: Recording) -> None:
+        self.interval = first.interval
+        self.scales = SCALES
+        self._ordered = first.clock == "invalid"
+        if self._ordered:
+            # Durations mean nothing: blocks of ten samples, and nothing that takes long.
+            self.interval, self.scales = 0.01, SCALES[:1]
+        self._steps = resolution(first)
+        self._size = block_size(self.interval) if self.interval > 0 else 0
+        self._parts: list[Blocks] = []
+        self._rest: Recording | None = None
+        self._before: float | None = None
+        self._count = 0
+        self._blocks: Blocks | None = None
+
+    def add(self, part: Recording) -> None:
+        """Take in the next part of the recording."""
+        if not self._size:
+            return
+        whole = part if self._rest is None else join((self._rest, part))
+        time: FloatArray = whole.time
+        if self._ordered:
+            time = 0.01 * np.arange(self._count, self._count + len(whole), dtype=np.float64)
+        used = len(whole) // self._size * self._size
+        self._parts.append(
+            cut_blocks(
+                time,
+                whole.accel,
+                whole.gyro,
+                size=self._size,
+                interval=self.interval,
+                before=self._before,
+            )
+        )
+        self._rest = whole.slice(used, len(whole)) if used < len(whole) else None
+        if used:
+            self._before = float(time[used - 1])
+        self._count += used
+
+    def find(self, *, minimum_duration: float = 1.0) -> tuple[IntArray, IntArray]:
+        """Return the samples ``[start, stop)`` of the rests of all parts together."""
+        none = np.zeros(0, np.int64)
+        if not self._parts:
+            return none, none
+        blocks = self._blocks = join_blocks(self._parts)
+        self._parts = [blocks]
+        if len(blocks) < WIDTH:
+            return none, none
+        bias = stillest_rate(blocks)
+        units = find_units(blocks, bias)
+        windows = slide(blocks, bias)
+        candidates = covered(windows, find_limits(windows, units), len(blocks)) & ~blocks.broken
+        least = max(3, round(minimum_duration / blocks.duration) - 2)
+        found = _refine(blocks, candidates, least, self._steps, units, self.scales)
+        segments = np.array(found, np.int64).reshape(-1, 2) * blocks.size
+        return segments[:, 0], segments[:, 1]
+
+    def accel(self, start: IntArray, stop: IntArray) -> FloatArray:
+        """Return the mean specific force over rests that were found, (k, 3)."""
+        assert self._blocks is not None
+        spans = zip(start // self._size, stop // self._size, strict=True)
+        return np.array([self._blocks.accel[a:b].mean(axis=0) for a, b in spans]).reshape(-1, 3)
 
 
 def stillest_rate(blocks: Blocks) -> FloatArray:

@@ -7,7 +7,8 @@ found from how gravity turns in the sensor's frame, ``d(u)/dt = u x rate``.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -57,14 +58,26 @@ def block_size(interval: float) -> int:
 
 
 def cut_blocks(
-    time: FloatArray, accel: FloatArray, gyro: FloatArray, *, size: int, interval: float
+    time: FloatArray,
+    accel: FloatArray,
+    gyro: FloatArray,
+    *,
+    size: int,
+    interval: float,
+    before: float | None = None,
 ) -> Blocks:
-    """Return the blocks of `size` samples; what is left over at the end is not used."""
+    """Return the blocks of `size` samples; what is left over at the end is not used.
+
+    ``before`` (s) is the time of the sample before the first, where there is one.
+    """
     n = len(time) // size
     accel_mean, accel_power = _moments(accel, n, size)
     gyro_mean, gyro_power = _moments(gyro, n, size)
     gap = np.zeros(n * size, bool)
-    gap[1:] = np.diff(time[: n * size]) > max(LONGEST_GAP, 2.5 * interval)
+    longest = max(LONGEST_GAP, 2.5 * interval)
+    gap[1:] = np.diff(time[: n * size]) > longest
+    if before is not None and n:
+        gap[0] = time[0] - before > longest
     broken: BoolArray = np.asarray(gap.reshape(n, size).any(axis=1))
     return Blocks(size, size * interval, accel_mean, gyro_mean, accel_power, gyro_power, broken)
 
@@ -79,6 +92,18 @@ def _moments(values: FloatArray, n: int, size: int) -> tuple[FloatArray, FloatAr
         rest = block - mean[part, None]
         power[part] = np.einsum("nsc,nsc->n", rest, rest) / size
     return mean, power
+
+
+def join_blocks(parts: Sequence[Blocks]) -> Blocks:
+    """Return blocks that follow each other as one."""
+    return replace(
+        parts[0],
+        accel=np.concatenate([part.accel for part in parts]),
+        gyro=np.concatenate([part.gyro for part in parts]),
+        accel_power=np.concatenate([part.accel_power for part in parts]),
+        gyro_power=np.concatenate([part.gyro_power for part in parts]),
+        broken=np.concatenate([part.broken for part in parts]),
+    )
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
@@ -55,6 +57,16 @@ def write_bytes(data: bytes) -> None:
 def warn(text: str) -> None:
     """Say something that the user should know but that does not stop the work."""
     messages().print(f"[yellow]warning:[/] {text}", soft_wrap=True)
+
+
+@contextmanager
+def working(text: str) -> Iterator[Callable[[str], None]]:
+    """Say on standard error what is being done, while it is; only to a terminal."""
+    if not sys.stderr.isatty():
+        yield lambda _: None
+        return
+    with messages().status(text) as status:
+        yield status.update
 
 
 def show_unit(serial_number: str, attempts: list[dict[str, Any]], *, as_json: bool) -> None:

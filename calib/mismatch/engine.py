@@ -10,6 +10,7 @@ from calib.calibration import Quantity
 from calib.effects import effects
 from calib.effects.base import TransformEffect
 from calib.errors import InsufficientMotionError
+from calib.mismatch.choice import choose_poses
 from calib.mismatch.diagnosis import Diagnosis, Finding
 from calib.mismatch.explain import changes, explain, verdict
 from calib.mismatch.grid import (
@@ -21,14 +22,13 @@ from calib.mismatch.grid import (
     one_rest,
     steady,
 )
-from calib.mismatch.samples import Samples, look_at_samples
 from calib.mismatch.search import Outcome, search
 from calib.mismatch.selfmode import SelfProblem
 from calib.mismatch.spectrum import look_at_spectrum
+from calib.mismatch.thin import Thinned, thin
 from calib.model import SensorModel
 from calib.poses import Poses
 from calib.recording import Recording
-from calib.statics import find_poses
 from calib.types import BoolArray, FloatArray
 
 UNKNOWN_DRIFT = 4.0
@@ -48,7 +48,6 @@ def diagnose_recording(
     *,
     gravity: float,
     model: SensorModel | None = None,
-    poses: Poses | None = None,
 ) -> Diagnosis:
     """Find what a recording has that its twin lacks.
 
@@ -59,26 +58,33 @@ def diagnose_recording(
     model : SensorModel, optional
         A calibration: the twin then has its misalignment and further terms too. Otherwise the
         twin has the paper's model. Either way the baseline is fitted to the recording.
-    poses : Poses, optional
-        Where they are already known.
 
     Raises
     ------
     InsufficientMotionError
         If the recording holds no rest.
     """
-    poses = find_poses(recording) if poses is None else poses
+    return diagnose_thinned(thin(lambda: (recording,)), gravity=gravity, model=model)
+
+
+def diagnose_thinned(
+    thinned: Thinned, *, gravity: float, model: SensorModel | None = None
+) -> Diagnosis:
+    """Do what `diagnose_recording` does, to a recording that `calib.mismatch.thin` has read."""
+    recording, poses, seen = thinned.recording, thinned.poses, thinned.seen
     if not len(poses):
         raise InsufficientMotionError(
             "the recording has no moment of rest: without gravity to compare with, only a "
             "simulation or a reference can tell what is wrong (--against, --reference)"
         )
-    seen = look_at_samples(recording, poses)
     missing = _missing(recording, poses)
     if seen.fatal:
-        return _unfit(recording, poses, seen, missing)
+        return _unfit(thinned, missing)
     noisy = look_at_spectrum(recording, poses)
     poses = connected(steady(poses))
+    poses = poses.select(
+        choose_poses(poses.accel, poses.start, poses.stop, interval=recording.interval)
+    )
     if recording.clock == "invalid" and distinct_directions(poses.accel) == 1:
         # Without a clock no motion can be integrated, and here there was none.
         poses = one_rest(poses)
@@ -106,7 +112,7 @@ def diagnose_recording(
     if timeless:
         known, covariance = _without_rates(known, covariance)
         final = replace(final, terms=tuple(t for t in final.terms if not _is_rate(t.effect)))
-        findings = [_by_sample(f, len(recording)) if _is_rate(f.effect) else f for f in findings]
+        findings = [_by_sample(f, thinned.samples) if _is_rate(f.effect) else f for f in findings]
     findings = [*seen.findings, *findings]
     unexplained = [*seen.unexplained, *unexplained, *noisy]
     change, likelihood = changes(outcome)
@@ -125,7 +131,7 @@ def diagnose_recording(
         model=final,
         names=known,
         covariance=covariance,
-        summary=_summary(recording, poses),
+        summary=_summary(thinned, poses),
     )
 
 
@@ -177,10 +183,9 @@ def _spoilt_turns(grid: Grid, recording: Recording, spoilt: BoolArray) -> BoolAr
     return ~grid.is_rest & (count[b] > count[a])
 
 
-def _unfit(
-    recording: Recording, poses: Poses, seen: Samples, missing: tuple[str, ...]
-) -> Diagnosis:
+def _unfit(thinned: Thinned, missing: tuple[str, ...]) -> Diagnosis:
     """Return the diagnosis of a recording with a fault that must be mended before all else."""
+    seen = thinned.seen
     stuck = bool(seen.unexplained)
     need = "channels that move: one is stuck" if stuck else "right units and axes"
     return Diagnosis(
@@ -194,17 +199,19 @@ def _unfit(
         model=SensorModel(),
         names=(),
         covariance=np.zeros((0, 0)),
-        summary=_summary(recording, poses),
+        summary=_summary(thinned, thinned.poses),
     )
 
 
-def _summary(recording: Recording, poses: Poses) -> dict[str, object]:
+def _summary(thinned: Thinned, poses: Poses) -> dict[str, object]:
+    recording = thinned.recording
     return {
-        "duration": recording.duration,
-        "samples": len(recording),
+        "duration": thinned.duration,
+        "samples": thinned.samples,
         "rate": 1.0 / recording.interval if recording.interval else 0.0,
         "clock": recording.clock,
-        "poses": len(poses),
+        "poses": thinned.found,
+        "poses_used": len(poses),
         "turns": max(len(poses) - 1, 0),
     }
 

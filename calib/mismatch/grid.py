@@ -155,7 +155,7 @@ def steady(poses: Poses) -> Poses:
     A pose that was held by hand turns on average: its mean rate stands out. One that is several
     times noisier than most, where few are, was touched or knocked.
     """
-    length = np.maximum(np.diff(poses.interval, axis=1)[:, 0], 1e-3)
+    length = poses.stop - poses.start
 
     def louder(covariance: FloatArray) -> BoolArray:
         power = np.einsum("kii->k", covariance) * length

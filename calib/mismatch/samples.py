@@ -6,7 +6,8 @@ samples by the tests of `calib.faults` and `calib.units`, whose false alarm is b
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -32,12 +33,15 @@ class Samples(NamedTuple):
     """What the samples show. ``fatal`` means that nothing else can be said until it is mended.
 
     ``spoilt`` marks samples that no model of the sensor can explain: a turn with one is not closed.
+    ``stuck`` counts the samples at which a channel is stuck, of ``told`` where that can be seen.
     """
 
     findings: tuple[Finding, ...]
     unexplained: tuple[Unexplained, ...]
     spoilt: BoolArray
     fatal: bool
+    stuck: int = 0
+    told: int = 0
 
 
 GAP = 2.5
@@ -48,11 +52,34 @@ STUCK = 0.2
 
 def look_at_samples(recording: Recording, poses: Poses) -> Samples:
     """Look for what is wrong with single samples, units and axes."""
-    spoilt = np.zeros(len(recording), bool)
-    closure = Closure.of(recording, poses) if len(poses) else None
-    wrong = [*_units(recording, poses, closure), *_axes(recording, closure)]
+    wrong = look_at_units(recording, poses)
     if wrong:
-        return Samples(tuple(wrong), (), spoilt, fatal=True)
+        return Samples(wrong, (), np.zeros(len(recording), bool), fatal=True)
+    moving = np.ones(len(recording), bool)
+    for start, stop in zip(poses.start, poses.stop, strict=True):
+        moving[start:stop] = False
+    return look_at_faults(recording, moving, whole=True)
+
+
+def look_at_units(recording: Recording, poses: Poses) -> tuple[Finding, ...]:
+    """Look for wrong units and axes."""
+    closure = Closure.of(recording, poses) if len(poses) else None
+    return (*_units(recording, poses, closure), *_axes(recording, closure))
+
+
+def look_at_faults(recording: Recording, moving: BoolArray, *, whole: bool) -> Samples:
+    """Look for what is wrong with single samples.
+
+    Parameters
+    ----------
+    recording : Recording
+    moving : (n,) array of bool
+        Where no rest is.
+    whole : bool
+        Whether there is no more of it. In a part without motion a coarse channel may well be
+        constant: that it is stuck can then not be told.
+    """
+    spoilt = np.zeros(len(recording), bool)
     values = faults.values_of(recording)
     findings: list[Finding] = []
     unexplained: list[Unexplained] = []
@@ -76,12 +103,12 @@ def look_at_samples(recording: Recording, poses: Poses) -> Samples:
             clipped[:, own] |= np.abs(values[:, own]) >= limit - 1.5 * step[own]
             findings.append(_saturation(recording, clipped, triad, limit, unit))
     stuck = 0
-    moving = np.ones(len(recording), bool)
-    for start, stop in zip(poses.start, poses.stop, strict=True):
-        moving[start:stop] = False
+    told = len(recording) if whole or moving.any() else 0
     for c, start, stop in faults.find_stuck(
         values, moving, interval=recording.interval, clipped=clipped
     ):
+        if not told and stop - start == len(recording):
+            continue
         spoilt[start:stop] = True
         stuck += stop - start
         where = (float(recording.time[start]), float(recording.time[stop - 1]))
@@ -91,13 +118,61 @@ def look_at_samples(recording: Recording, poses: Poses) -> Samples:
     repeats = faults.find_repeats(values)
     if repeats.size:
         findings.append(_repeats(recording, repeats))
-    findings += _coarse(recording, values, poses, step)
+    findings += _coarse(recording, values, moving, step)
     assert recording.lost is not None
     spoilt |= clipped.any(axis=1) | (recording.lost > 0)
     spoilt[repeats] = True
     spoilt[1:] |= np.diff(recording.time) > GAP * recording.interval
     fatal = stuck > STUCK * len(recording)
-    return Samples(tuple(findings), tuple(unexplained), spoilt, fatal=fatal)
+    return Samples(tuple(findings), tuple(unexplained), spoilt, fatal, stuck, told)
+
+
+def join_samples(parts: Sequence[Samples]) -> Samples:
+    """Return what was seen in the parts of one recording, without ``spoilt``, as one.
+
+    Each part was a look of its own, which the p-values count.
+    """
+    kinds: dict[tuple[str, str], list[Finding]] = {}
+    channels: dict[tuple[str, ...], list[Interval]] = {}
+    for part in parts:
+        for item in part.findings:
+            kinds.setdefault((item.effect, next(iter(item.parameters))), []).append(item)
+        for left in part.unexplained:
+            channels.setdefault(left.channels, []).extend(left.intervals)
+    chance = min(1.0, faults.FALSE_ALARM * len(parts))
+    findings = []
+    for items in kinds.values():
+        values = {name: [item.parameters[name] for item in items] for name in items[0].parameters}
+        findings.append(
+            replace(
+                items[0],
+                channels=tuple(c for c in CHANNELS if any(c in item.channels for item in items)),
+                intervals=_join_intervals([i for item in items for i in item.intervals]),
+                parameters={name: _common(name, found) for name, found in values.items()},
+                p_value=chance,
+            )
+        )
+    unexplained = [
+        Unexplained(names, (where,), "nothing: it is stuck", chance)
+        for names, intervals in channels.items()
+        for where in _join_intervals(intervals)
+    ]
+    stuck, told = sum(part.stuck for part in parts), sum(part.told for part in parts)
+    none = np.zeros(0, bool)
+    return Samples(tuple(findings), tuple(unexplained), none, stuck > STUCK * told, stuck, told)
+
+
+def _common(name: str, found: list[Quantity]) -> Quantity:
+    """Return what one parameter of a fault is over several parts of a recording."""
+    values = [q.value for q in found]
+    value = sum(values) if name == "count" else min(values) if name == "moment" else max(values)
+    return replace(found[0], value=value)
+
+
+def _join_intervals(found: list[Interval], *, limit: int = 50) -> tuple[Interval, ...]:
+    """Return intervals in their order, those joined that meet; at most `limit`."""
+    first, last = np.array(sorted(found)).T
+    return _cut(first, last, first[1:] - last[:-1], limit)
 
 
 def _units(recording: Recording, poses: Poses, closure: Closure | None) -> list[Finding]:
@@ -142,12 +217,12 @@ def _repeats(recording: Recording, repeats: IntArray) -> Finding:
 
 
 def _coarse(
-    recording: Recording, values: FloatArray, poses: Poses, step: FloatArray
+    recording: Recording, values: FloatArray, moving: BoolArray, step: FloatArray
 ) -> list[Finding]:
     """Rounding is coarse where most neighbours at rest are equal, and the others a count apart."""
-    if not len(poses):
+    rest = np.flatnonzero(~moving)
+    if len(rest) < 2:
         return []
-    rest = np.concatenate([np.arange(a, b) for a, b in zip(poses.start, poses.stop, strict=True)])
     inside = np.diff(rest) == 1
     change = np.abs(np.diff(values[rest], axis=0))[inside]
     out = []
@@ -200,10 +275,14 @@ def _finding(
 def intervals_of(time: FloatArray, index: IntArray, *, limit: int = 50) -> tuple[Interval, ...]:
     """Return the intervals that samples fill; at most `limit`, the closest ones joined."""
     at = time[index]
-    gap = np.diff(at)
+    return _cut(at, at, np.diff(at), limit)
+
+
+def _cut(first: FloatArray, last: FloatArray, gap: FloatArray, limit: int) -> tuple[Interval, ...]:
+    """Return at most `limit` intervals of things that begin and end at these times, in order."""
     cut = gap > _JOIN
     if cut.sum() >= limit:
         cut = gap > np.sort(gap)[-limit]
     edges = np.flatnonzero(cut)
-    first, last = np.append(0, edges + 1), np.append(edges, len(at) - 1)
-    return tuple((float(at[a]), float(at[b])) for a, b in zip(first, last, strict=True))
+    begin, end = np.append(0, edges + 1), np.append(edges, len(last) - 1)
+    return tuple((float(first[a]), float(last[b])) for a, b in zip(begin, end, strict=True))

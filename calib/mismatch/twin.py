@@ -431,6 +431,9 @@ def sample_noise(grid: Grid) -> FloatArray:
     values = np.hstack((grid.accel, grid.gyro))
     segment, pose = grid.segment, grid.pose
     pair = (segment[1:] == segment[:-1]) & (pose[1:] >= 0)
+    gap = np.diff(grid.time)
+    # Across a hole in time the bias has drifted.
+    pair &= gap <= 3 * np.median(gap[pair]) if pair.any() else pair
     weight = grid.count[1:] * grid.count[:-1] / (grid.count[1:] + grid.count[:-1])
     square = np.square(np.diff(values, axis=0)) * weight[:, None]
     own = np.empty((grid.n_poses, 6))

@@ -22,7 +22,7 @@ from calib.errors import (
     RecordingFormatError,
     RecordingNotFoundError,
 )
-from calib.recording import Recording
+from calib.recording import Recording, join
 from calib.registry import discover
 from drivers.formats.arrow import ArrowWriter
 from drivers.formats.base import HEAD, Format, ReadOptions, Source, Writer
@@ -32,6 +32,7 @@ from drivers.formats.text import decode_head
 __all__ = [
     "ArrowWriter",
     "Writer",
+    "join",
     "open_batches",
     "open_writer",
     "read_recording",
@@ -128,28 +129,6 @@ def open_writer(path: Path_, *, atomic: bool = False) -> Writer:
     known = ", ".join(s for f in formats().values() if f.writer is not None for s in f.suffixes)
     raise RecordingFormatError(
         f"cannot write {path}: its suffix {path.suffix!r} names no format; expected one of {known}"
-    )
-
-
-def join(parts: Sequence[Recording]) -> Recording:
-    """Return batches that follow each other as one recording."""
-    if len(parts) == 1:
-        return parts[0]
-    if not parts:
-        raise EmptyRecordingError("no row of the recording can be used")
-    temperatures = [part.temperature for part in parts if part.temperature is not None]
-    notes: dict[str, str] = {}
-    for part in parts:
-        notes |= part.notes
-    return replace(
-        parts[0],
-        time=np.concatenate([part.time for part in parts]),
-        accel=np.concatenate([part.accel for part in parts]),
-        gyro=np.concatenate([part.gyro for part in parts]),
-        temperature=np.concatenate(temperatures) if len(temperatures) == len(parts) else None,
-        lost=np.concatenate([part.lost for part in parts if part.lost is not None]),
-        complete=all(part.complete for part in parts),
-        notes=notes,
     )
 
 

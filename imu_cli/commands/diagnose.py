@@ -10,6 +10,8 @@ import typer
 if TYPE_CHECKING:
     from calib.calibration import Calibration, Quantity
     from calib.mismatch import Diagnosis, Finding
+    from calib.model import SensorModel
+    from calib.recording import Recording
 
 
 def diagnose(
@@ -66,7 +68,7 @@ def diagnose(
 
     # Matrices of a few hundred rows: more threads only cost CPU.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    from calib.mismatch import diagnose_against, diagnose_recording, diagnose_reference
+    from calib.mismatch import diagnose_against, diagnose_reference
     from drivers.calibration_file import load_calibration, save_calibration
     from drivers.formats import read_recording
     from drivers.reference_file import read_reference
@@ -83,16 +85,17 @@ def diagnose(
     known = None if calibration is None else load_calibration(calibration)
     if known is not None and gravity is None and latitude is None:
         local = known.gravity
-    real = read_recording(recording, profile=profile, imu=imu)
     model = None if known is None else known.model
     if against is not None:
+        real = read_recording(recording, profile=profile, imu=imu)
         simulated = read_recording(against)
         found = diagnose_against(real, simulated, gravity=local.value, model=model)
     elif reference is not None:
+        real = read_recording(recording, profile=profile, imu=imu)
         other = read_reference(reference, imu=reference_imu)
         found = diagnose_reference(real, other, gravity=local.value, model=model)
     else:
-        found = diagnose_recording(real, gravity=local.value, model=model)
+        found, real = _by_itself(recording, profile, imu, gravity=local.value, model=model)
     if output is not None:
         made = found.calibration(real, gravity=local)
         save_calibration(_signed(made, recording), output)
@@ -106,6 +109,32 @@ def diagnose(
         print_json(found.to_json())
     else:
         _show(found)
+
+
+def _by_itself(
+    path: Path, profile: str | None, imu: int | None, *, gravity: float, model: SensorModel | None
+) -> tuple[Diagnosis, Recording]:
+    """Read a recording, thinned where it is long, and compare it with its twin."""
+    from calib.mismatch import diagnose_thinned, thin
+    from drivers.formats import open_batches, read_recording
+    from imu_cli.output import working
+
+    with working("reading") as say:
+        count = 0
+
+        def told(samples: int) -> None:
+            nonlocal count
+            count += samples
+            say(f"reading: {count:,} samples")
+
+        if path.is_file():
+            thinned = thin(lambda: open_batches(path, profile=profile, imu=imu), progress=told)
+        else:
+            # A pipe can be read only once.
+            real = read_recording(path, profile=profile, imu=imu)
+            thinned = thin(lambda: (real,), progress=told)
+        say("comparing with its twin")
+        return diagnose_thinned(thinned, gravity=gravity, model=model), thinned.recording
 
 
 def _signed(made: Calibration, recording: Path) -> Calibration:

@@ -1,0 +1,243 @@
+"""A long recording thinned to what a diagnosis uses, in memory that its length does not set.
+
+A recording of up to `WHOLE` samples stays as it is. Of a longer one, which is read twice, remain:
+
+- at most `choice.MOST` poses, those with the most unlike turns (`calib.mismatch.choice`);
+- of rests, `RESTING` samples in all. A long rest keeps windows of `WINDOW` samples, spread evenly
+  over it. Averaging longer gains nothing: after a minute or two the mean of a rest is as good as
+  the bias is stable (the floor of an Allan plot), and what the bias does in hours, with temperature
+  or by itself, is seen at as many moments as there are windows;
+- turns sample by sample. Of motion that is too long to be closed (`grid.LONGEST_TURN`) remain its
+  first and last seconds, which tell when it began and ended.
+
+What shows in single samples (clipping, repeats, stuck channels) is looked for in all of them,
+section by section. Sections are cut by number of samples, so that nothing depends on the batches
+in which the recording arrives.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calib.mismatch.choice import choose_poses
+from calib.mismatch.grid import LONGEST_TURN
+from calib.mismatch.samples import (
+    Samples,
+    join_samples,
+    look_at_faults,
+    look_at_samples,
+    look_at_units,
+)
+from calib.poses import Poses, average_poses
+from calib.recording import Recording, join
+from calib.statics import RestFinder, find_poses
+from calib.types import BoolArray, IntArray
+
+WHOLE = 1 << 19
+"""Samples up to which a recording stays whole: 87 minutes at 100 Hz, 40 MB."""
+
+SECTION = 1 << 18
+"""Samples that are read and looked at together."""
+
+RESTING = 1 << 18
+"""Samples at rest that remain of a longer one: 44 minutes at 100 Hz."""
+
+WINDOW = 512
+"""Samples that remain together: four periodograms of `calib.mismatch.spectrum`."""
+
+Batches = Callable[[], Iterable[Recording]]
+"""Gives a recording batch by batch, from the start whenever it is called."""
+
+
+@dataclass(frozen=True, eq=False)
+class Thinned:
+    """What is left of a recording, and what was seen in all of it.
+
+    Parameters
+    ----------
+    recording : Recording
+        With what was left out counted in ``lost``.
+    poses : Poses
+        Of that recording.
+    seen : Samples
+        ``spoilt`` is of that recording.
+    samples, duration, found : int, float (s), int
+        Samples, duration and poses before anything was left out.
+    """
+
+    recording: Recording
+    poses: Poses
+    seen: Samples
+    samples: int
+    duration: float
+    found: int
+
+
+def thin(
+    batches: Batches,
+    *,
+    whole: int = WHOLE,
+    section: int = SECTION,
+    resting: int = RESTING,
+    progress: Callable[[int], None] = lambda _: None,
+) -> Thinned:
+    """Return a recording thinned to what a diagnosis uses.
+
+    Parameters
+    ----------
+    batches : function without arguments
+        Returns the recording's batches in the order of time; called twice for a long one.
+    whole, section, resting : int
+        `WHOLE`, `SECTION`, `RESTING`.
+    progress : function of int
+        Told how many samples were read since it was told last.
+    """
+    head: list[Recording] = []
+    finder: RestFinder | None = None
+    samples, first, last = 0, 0.0, 0.0
+    for part in sections(batches(), section):
+        progress(len(part))
+        first = first if samples else float(part.time[0])
+        last = float(part.time[-1])
+        samples += len(part)
+        if finder is None:
+            head.append(part)
+        if samples > whole and finder is None:
+            finder = RestFinder(head[0])
+            for held in head:
+                finder.add(held)
+            head.clear()
+        elif finder is not None:
+            finder.add(part)
+    if finder is None:
+        recording = join(head)
+        poses = find_poses(recording)
+        seen = look_at_samples(recording, poses)
+        return Thinned(recording, poses, seen, samples, recording.duration, len(poses))
+    start, stop = finder.find()
+    which = choose_poses(finder.accel(start, stop), start, stop, interval=finder.interval)
+    keep = _kept(start[which], stop[which], finder.interval, resting)
+    recording, seen, index = _gather(batches, section, keep, (start, stop), progress)
+    poses = average_poses(
+        recording, np.searchsorted(index, start[which]), np.searchsorted(index, stop[which])
+    )
+    wrong = look_at_units(recording, poses)
+    if wrong:
+        seen = seen._replace(findings=wrong, unexplained=(), fatal=True)
+    return Thinned(recording, poses, seen, samples, last - first, len(start))
+
+
+def sections(batches: Iterable[Recording], size: int) -> Iterator[Recording]:
+    """Cut batches anew into sections of `size` samples; the last one is shorter."""
+    held: list[Recording] = []
+    count = 0
+    for batch in batches:
+        at = 0
+        while at < len(batch):
+            stop = min(len(batch), at + size - count)
+            held.append(batch if stop - at == len(batch) else batch.slice(at, stop))
+            count += stop - at
+            at = stop
+            if count == size:
+                yield join(held)
+                held, count = [], 0
+    if held:
+        yield join(held)
+
+
+def _kept(start: IntArray, stop: IntArray, interval: float, resting: int) -> IntArray:
+    """Return the ranges ``[start, stop)`` of samples that remain, (r, 2), in their order."""
+    most = _share(stop - start, resting)
+    ranges: list[tuple[int, int]] = []
+    for k, (a, b) in enumerate(zip(start.tolist(), stop.tolist(), strict=True)):
+        if k:
+            end = int(stop[k - 1])
+            edge = int(0.6 * LONGEST_TURN / interval)
+            long = a - end > 2 * edge
+            ranges += [(end, end + edge), (a - edge, a)] if long else [(end, a)]
+        if b - a <= most:
+            ranges.append((a, b))
+            continue
+        for at in np.linspace(a, b - WINDOW, max(2, most // WINDOW)).astype(np.int64).tolist():
+            ranges.append((at, at + WINDOW))
+    return np.array(ranges, np.int64).reshape(-1, 2)
+
+
+def _share(length: IntArray, total: int) -> int:
+    """Return the length at which rests must be cut so that `total` samples are left."""
+    if length.sum() <= total:
+        return int(length.max(initial=0))
+    order = np.sort(length)
+    # With the k shortest whole, the others share what is left.
+    each = (total - np.concatenate(([0], np.cumsum(order)[:-1]))) // np.arange(len(order), 0, -1)
+    return max(int(each[np.argmax(order > each)]), 2 * WINDOW)
+
+
+def _gather(
+    batches: Batches,
+    section: int,
+    keep: IntArray,
+    rests: tuple[IntArray, IntArray],
+    progress: Callable[[int], None],
+) -> tuple[Recording, Samples, IntArray]:
+    """Return the samples that remain, what all of them show, and the numbers of those that remain.
+
+    Parameters
+    ----------
+    keep : (r, 2) array of int
+        Ranges that remain.
+    rests : two (k,) arrays of int
+        Start and stop of every rest, to tell where the sensor moves.
+    """
+    left: list[Recording] = []
+    numbers: list[IntArray] = []
+    seen: list[Samples] = []
+    spoilt: list[BoolArray] = []
+    offset, before = 0, None
+    for part in sections(batches(), section):
+        progress(len(part))
+        # One sample more, so that no step from sample to sample is missed.
+        whole = part if before is None else join((before, part))
+        begin = offset + len(part) - len(whole)
+        moving = _outside(whole, *rests, begin)
+        found = look_at_faults(whole, moving, whole=False)
+        own = np.zeros(len(part), bool)
+        for a, b in keep[(keep[:, 0] < offset + len(part)) & (keep[:, 1] > offset)] - offset:
+            own[max(a, 0) : b] = True
+        if own.any():
+            left.append(_rows(part, own))
+            numbers.append(np.flatnonzero(own) + offset)
+            spoilt.append(found.spoilt[len(whole) - len(part) :][own])
+        seen.append(found._replace(spoilt=np.zeros(0, bool)))
+        before = part.slice(len(part) - 1, len(part))
+        offset += len(part)
+    index = np.concatenate(numbers)
+    recording = join(left)
+    assert recording.lost is not None
+    cut = np.diff(index, prepend=index[0] - 1) - 1
+    merged = join_samples(seen)._replace(spoilt=np.concatenate(spoilt))
+    return replace(recording, lost=recording.lost + cut), merged, index
+
+
+def _outside(part: Recording, start: IntArray, stop: IntArray, begin: int) -> BoolArray:
+    """Return where no rest is in a part that begins at sample `begin`."""
+    moving = np.ones(len(part), bool)
+    here = (start < begin + len(part)) & (stop > begin)
+    for a, b in zip(start[here] - begin, stop[here] - begin, strict=True):
+        moving[max(a, 0) : b] = False
+    return moving
+
+
+def _rows(part: Recording, which: BoolArray) -> Recording:
+    assert part.lost is not None
+    return replace(
+        part,
+        time=part.time[which],
+        accel=part.accel[which],
+        gyro=part.gyro[which],
+        temperature=None if part.temperature is None else part.temperature[which],
+        lost=part.lost[which],
+    )
