@@ -1,7 +1,7 @@
 """Which poses of very many are looked at.
 
 The cost of a diagnosis grows with the cube of its rows, and every pose and turn brings some. A
-calibration and its further terms have some dozens of parameters: a hundred poses with the turns
+calibration and its further terms have some dozens of parameters: eighty poses with the turns
 between them determine each many times over, and what more would give is the root of their number.
 What must not be lost is variety. So turns are taken that begin and end at unlike directions of
 gravity, from all over the recording; then the longest rests, which see temperature and time.
@@ -14,7 +14,7 @@ import numpy as np
 from calib.mismatch.grid import LONGEST_TURN
 from calib.types import FloatArray, IntArray
 
-MOST = 100
+MOST = 80
 """Poses."""
 
 FOR_TURNS = 0.8

@@ -36,6 +36,10 @@ FEW = 0.15
 CELLS = 150
 """At most so many cells (parts of a rest, each with a mean and two contrasts)."""
 
+ROWS = 1000
+"""Rows with a dense covariance, up to which rests are cut: six a cell, five a turn. The cost grows
+with their cube."""
+
 
 UNCLOCKED = 600.0
 """s that a recording of unknown length is taken to last where a rate of temperature is wanted: the
@@ -188,7 +192,7 @@ def connected(poses: Poses) -> Poses:
 
 
 def _cell_counts(poses: Poses, shortest: float) -> IntArray:
-    """Split long rests so that their drift shows, into no more than `CELLS` cells in all.
+    """Split long rests so that their drift shows, into no more cells than `CELLS` and `ROWS` allow.
 
     Where there are few rests they are all there is, and are cut finer.
     """
@@ -196,7 +200,12 @@ def _cell_counts(poses: Poses, shortest: float) -> IntArray:
     few = max(1.0, 30.0 / len(poses))
     typical = max(shortest, float(np.median(length)) * 1.5 / few, float(length.sum()) / CELLS)
     samples = (poses.stop - poses.start) // 30
-    cells = np.minimum(np.floor(length / max(typical, 1e-12)).astype(np.int64), samples)
+    most = min(CELLS, max((ROWS - 5 * (len(poses) - 1)) // 6, len(poses)))
+    while True:
+        cells = np.minimum(np.floor(length / max(typical, 1e-12)).astype(np.int64), samples)
+        if np.maximum(cells, 1).sum() <= max(most, len(poses)):
+            break
+        typical = max(1.1 * typical, 1e-9)
     return np.asarray(np.maximum(cells, 1))
 
 

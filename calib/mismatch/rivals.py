@@ -60,11 +60,12 @@ def add_rivals(stack: Stack, rows: Rows, *, skip: tuple[str, ...] = ()) -> None:
     ``skip`` names those that are not tried (``time`` where the clock is wrong).
     """
     found: list[tuple[str, Candidate]] = []
+    mixings = _Mixings(rows)
     for c in range(len(CHANNELS)):
         triad = CHANNELS[c].split(".")[0]
         # Beside the bias, a window that is open at one end is a step of it, which has a name.
         step = f"{triad}_bias_step" in effects() and f"{triad}_bias_step" not in skip
-        found += _of_channel(stack, rows, c, typical_size(triad), step=step)
+        found += _of_channel(stack, rows, c, typical_size(triad), mixings, step=step)
     found = [(part, c) for part, c in found if c.name not in skip]
     # Every kind has its share, each of its parts (one length of window, say) the same of that.
     number = Counter((c.name, part) for part, c in found)
@@ -83,8 +84,20 @@ def typical_size(triad: str) -> float:
     return 0.02 if triad == "accel" else float(np.radians(0.05))
 
 
+class _Mixings:
+    """Waves and ripples of the segments, which the channels share."""
+
+    def __init__(self, rows: Rows) -> None:
+        self.waves = {
+            (a, b): list(_waves(rows.interval, a, b))
+            for a, b in windows(len(rows.interval))
+            if b - a >= WAVES
+        }
+        self.ripples = list(_ripples(rows))
+
+
 def _of_channel(
-    stack: Stack, rows: Rows, c: int, size: float, *, step: bool
+    stack: Stack, rows: Rows, c: int, size: float, mixings: _Mixings, *, step: bool
 ) -> Iterator[tuple[str, Candidate]]:
     """Yield candidates of a channel, each with the part of its kind that it belongs to."""
     state = rows.state
@@ -109,16 +122,15 @@ def _of_channel(
         yield length, replace(window, name="gain in a window", index=gains[a:b], summed=True)
         if JUMPS[0] <= b - a <= JUMPS[1] and (b - a).bit_count() == 1:
             yield length, replace(window, name="jumps in a window", index=pieces[a:b])
-        if b - a >= WAVES:
-            for mixing in _waves(rows.interval, a, b):
-                yield length, replace(window, name="wave in a window", mixing=mixing)
+        for mixing in mixings.waves.get((a, b), ()):
+            yield length, replace(window, name="wave in a window", mixing=mixing)
     for name, values in _smooth(state, c):
         index = stack.add(size * rows.columns(c, values))
         yield "smooth", replace(blank, name=name, index=index)
         if name == "direction of gravity":
             # Harmonics come in the order of their degree: 3 + 6 of degrees 1 and 2.
             yield "quadratic", replace(blank, name=name, index=index[:9])
-    for mixing in _ripples(rows):
+    for mixing in mixings.ripples:
         yield "ripple", replace(blank, name="direction of gravity", mixing=mixing)
 
 

@@ -144,7 +144,7 @@ class Stack:
         used = np.unique(np.concatenate([self.candidates[i].index for i in which]))
         place = np.zeros(self._count, np.int64)
         place[used] = np.arange(len(used))
-        projected, total = np.empty((self._rows, len(used))), np.empty(len(used))
+        projected, total = np.empty((len(used), self._rows)).T, np.empty(len(used))
         for first in range(0, len(used), PART):
             part = slice(first, first + PART)
             white = whitener.whiten(self.columns[:, used[part]])
@@ -191,10 +191,10 @@ def _singles(
         (np.ones(len(column)), (np.concatenate(index), column)),
         shape=(projected.shape[1], len(index)),
     )
-    power, turned = np.empty(len(index)), np.ascontiguousarray(projected.T)
+    power = np.empty(len(index))
     for first in range(0, len(index), PART):
         part = slice(first, first + PART)
-        power[part] = np.square(pick[:, part].T @ turned).sum(axis=1)
+        power[part] = np.square(pick[:, part].T @ projected.T).sum(axis=1)
     lost = power < _LOST * (pick.T @ total)
     power[lost] = 0.0
     return power, np.where(lost, 0.0, pick.T @ match)

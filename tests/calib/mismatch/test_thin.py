@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from calib.effects.base import Term
 from calib.mismatch import Thinned, diagnose_recording, diagnose_thinned, thin
-from calib.mismatch.choice import choose_poses
+from calib.mismatch.choice import MOST, choose_poses
 from calib.mismatch.thin import sections
 from calib.recording import Recording
 from calib.statics import RestFinder, find_poses
@@ -163,13 +163,13 @@ def test_of_many_poses_unlike_turns_are_chosen_from_all_over() -> None:
     stop = start + 800
     stop[500] += 150
     chosen = choose_poses(accel, start, stop, interval=0.01)
-    assert len(chosen) == 100
+    assert len(chosen) == MOST
     assert (np.diff(chosen) > 0).all()
-    assert np.isin(np.arange(1000, 1060), chosen).mean() > 0.9
+    assert np.isin(np.arange(1000, 1060), chosen).mean() > 0.8
     assert 500 in chosen
     # Where all are alike, they come from everywhere.
     spread = choose_poses(accel[:1000], start[:1000], stop[:1000], interval=0.01)
-    assert np.diff(spread).max() < 60
+    assert np.diff(spread).max() < 80
     np.testing.assert_array_equal(
-        choose_poses(accel[:90], start[:90], stop[:90], interval=0.01), np.arange(90)
+        choose_poses(accel[:MOST], start[:MOST], stop[:MOST], interval=0.01), np.arange(MOST)
     )
