@@ -301,7 +301,7 @@ def conceal(
     clean = ideal(motion, errors)
     if case.part == "clean":
         return clean, {}
-    oracle = Oracle(motion)
+    oracle, setting = Oracle(motion), motion.setting
     if case.part == "readout":
         return clean, spoil(rng, case.names[0], motion, clean, oracle, truth)
     output = clean
@@ -313,9 +313,15 @@ def conceal(
             signal = np.zeros_like(clean)
             for channel, values in added.items():
                 signal[:, channel] = values
-            size = scale(motion, oracle, signal, power, line=name == "hum")
+            if name == "hum":
+                # Faster than rests and turns see; as large as the noise of a sample, times 0.7.
+                (channel,) = added
+                sigma = setting.part.density[channel // 3] * np.sqrt(setting.rate / 2)
+                size = 0.7 * case.times * sigma
+            else:
+                size = float(np.sqrt(power / oracle.power(motion.pick(signal))[0]))
+                truth.powers[name] = power
             output = output + size * signal
-            truth.powers[name] = power
         else:
             parameters = sized(rng, name, motion, clean, oracle, power)
             changed = distort(motion, output, name, parameters)
@@ -325,16 +331,6 @@ def conceal(
             truth.parameters[name] = parameters
             output = changed
     return output, {}
-
-
-def scale(motion: Motion, oracle: Oracle, signal: np.ndarray, power: float, *, line: bool) -> float:
-    """Return the factor that gives a fine signal this power, in rests and turns or as a line."""
-    sampled = motion.pick(signal)
-    if line:
-        setting = motion.setting
-        sigma2 = np.repeat(np.square(setting.part.density) * setting.rate / 2, 3)
-        return float(np.sqrt(power / np.sum(np.square(sampled) / sigma2)))
-    return float(np.sqrt(power / oracle.power(sampled)[0]))
 
 
 def sized(

@@ -16,8 +16,16 @@ from calib.effects.base import (
     Signals,
     State,
     TransformEffect,
+    seconds_of_samples,
 )
-from calib.effects.resampling import each_triad, presence_columns
+from calib.effects.resampling import (
+    each_triad,
+    presence_columns,
+    present,
+    resample,
+    triad_column,
+)
+from calib.recording import CHANNELS
 from calib.types import FloatArray
 
 
@@ -25,7 +33,9 @@ class Bandwidth(TransformEffect):
     """First order ``1 / (1 + s/w0)``, second ``1 / (1 + sqrt(2) s/w0 + s²/w0²)`` (Butterworth).
 
     The filter is discretised for signals that are straight between samples (first-order hold) at
-    the median sample interval.
+    the median sample interval. A part may filter both triads alike, and so does the mean over a
+    sample interval. Their common delay is then no part of it (that is `time_offset`'s ``delay``,
+    which needs a reference): what is left is amplitude.
     """
 
     slug = "bandwidth"
@@ -38,10 +48,12 @@ class Bandwidth(TransformEffect):
     parameters = (
         Parameter("accel", PRESENCE, 1.0, ("accel.x", "accel.y", "accel.z")),
         Parameter("gyro", PRESENCE, 1.0, ("gyro.x", "gyro.y", "gyro.z")),
+        Parameter("both", PRESENCE, 1.0, CHANNELS),
     )
     shape = (
         ShapeParameter("accel_cutoff", "Hz", 3.0, 300.0, optional=True),
         ShapeParameter("gyro_cutoff", "Hz", 3.0, 300.0, optional=True),
+        ShapeParameter("both_cutoff", "Hz", 3.0, 300.0, optional=True),
         ShapeParameter("order", "1", 1, 2, "integer", optional=True),
     )
     follows = "frequency of the signal"
@@ -50,31 +62,67 @@ class Bandwidth(TransformEffect):
     rivals = ("time_offset", "gyro_scale_nonlinearity")
 
     def reach(self, parameters: Mapping[str, float], *, interval: float) -> int:
-        return SPLINE_REACH
+        both = present(parameters, "both", "both_cutoff")
+        late = 0.0 if both is None else _delay(both, 2)
+        return SPLINE_REACH + seconds_of_samples(late, interval)
 
     def columns(self, state: State, shape: Mapping[str, float]) -> dict[str, Column]:
         """Return what the low-pass takes away from each triad whose cut-off is given."""
         order = int(shape.get("order", 1))
-        return presence_columns(
-            state, shape, "cutoff", lambda x, cutoff: low_pass(state.time, x, cutoff, order=order)
-        )
+
+        def change(x: FloatArray, cutoff: float) -> FloatArray:
+            return low_pass(state.time, x, cutoff, order=order)
+
+        out = presence_columns(state, shape, "cutoff", change)
+        if "both_cutoff" in shape:
+            cutoff = shape["both_cutoff"]
+            out["both"] = {
+                channel: part
+                for triad, x in (("accel", state.force), ("gyro", state.rate))
+                for channel, part in triad_column(
+                    triad, prompt_low_pass(state.time, x, cutoff, order=order) - x
+                ).items()
+            }
+        return out
 
     def transform(
         self, time: FloatArray, signals: Signals, parameters: Mapping[str, float]
     ) -> Signals:
         order = int(parameters.get("order", 1))
-        return each_triad(
+        out = each_triad(
             signals, parameters, "cutoff", lambda x, cutoff: low_pass(time, x, cutoff, order=order)
         )
+        both = present(parameters, "both", "both_cutoff")
+        if both is None:
+            return out
+        return Signals(*(prompt_low_pass(time, x, both, order=order) for x in out))
 
     def inverse(
         self, time: FloatArray, signals: Signals, parameters: Mapping[str, float]
     ) -> Signals:
         """Add the derivatives that the low-pass took away; noise near the sample rate stays."""
         order = int(parameters.get("order", 1))
+        both = present(parameters, "both", "both_cutoff")
+        if both is not None:
+            before = time - _delay(both, order)
+            signals = Signals(
+                *(resample(time, _sharpen(time, x, both, order=order), before) for x in signals)
+            )
         return each_triad(
             signals, parameters, "cutoff", lambda x, cutoff: _sharpen(time, x, cutoff, order=order)
         )
+
+
+def prompt_low_pass(
+    time: FloatArray, values: FloatArray, cutoff: float, *, order: int
+) -> FloatArray:
+    """Return (n, k) values through the low-pass, its delay at low frequency taken off."""
+    late = low_pass(time, values, cutoff, order=order)
+    return resample(time, late, time + _delay(cutoff, order))
+
+
+def _delay(cutoff: float, order: int) -> float:
+    return (1.0, float(np.sqrt(2)))[order - 1] / (2 * np.pi * cutoff)
 
 
 def low_pass(time: FloatArray, values: FloatArray, cutoff: float, *, order: int) -> FloatArray:

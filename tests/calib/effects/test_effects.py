@@ -62,6 +62,7 @@ SHAPES = {
     "moment": 20.0,
     "accel_cutoff": 20.0,
     "gyro_cutoff": 15.0,
+    "both_cutoff": 40.0,
     "accel_full_scale": 9.0,
     "gyro_full_scale": 2.0,
     "accel_lsb": 1e-3,
@@ -280,6 +281,19 @@ def transforms(slug: str) -> TransformEffect:
     effect = get_effect(slug)
     assert isinstance(effect, TransformEffect)
     return effect
+
+
+def test_a_low_pass_of_both_triads_shows_as_amplitude_without_delay() -> None:
+    time = np.arange(0.0, 4.0, 0.005)
+    wave = np.sin(2 * np.pi * 2.0 * time)[:, None] * [1.0, 2.0, 3.0]
+    column = get_effect("bandwidth").columns(State(time, wave, wave), {"both_cutoff": 8.0})["both"]
+    w = 2.0 / 8.0
+    delay = np.arctan(w) / (2 * np.pi * 2.0) - 1 / (2 * np.pi * 8.0)
+    later = np.sin(2 * np.pi * 2.0 * (time - delay))
+    expected = later / np.hypot(1.0, w) - wave[:, 0]
+    middle = slice(200, 600)
+    for c, size in zip(CHANNELS, (1, 2, 3) * 2, strict=True):
+        assert np.abs(column[c][middle] - size * expected[middle]).max() < 2e-3 * size
 
 
 @pytest.mark.parametrize("order", [1, 2])

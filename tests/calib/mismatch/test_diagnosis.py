@@ -116,3 +116,13 @@ def test_a_recording_that_only_moves_is_refused():
     )
     with pytest.raises(InsufficientMotionError, match="rest"):
         diagnose_recording(Recording(time, accel, gyro, "device"), gravity=GRAVITY)
+
+
+def test_a_low_pass_that_both_triads_share_is_named() -> None:
+    # Their common delay shows nowhere; what it takes from fast turns looks like a size effect.
+    real = recording(Term("bandwidth", {"both_cutoff": 7.0}), rate=100.0)
+    (found,) = diagnose_recording(real, gravity=GRAVITY).findings
+    assert found.effect == "bandwidth"
+    # The square of the time constant is what is seen.
+    constant = found.parameters["both"].value / found.parameters["both_cutoff"].value ** 2
+    assert abs(constant * 7.0**2 - 1.0) < 0.2
