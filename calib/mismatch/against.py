@@ -14,7 +14,8 @@ from calib.mismatch.alignment import LEAST_OVERLAP, align
 from calib.mismatch.band import matched
 from calib.mismatch.comparison import ComparisonProblem
 from calib.mismatch.diagnosis import Diagnosis, Finding, Unexplained
-from calib.mismatch.explain import Estimate, changes, estimate, explain, verdict
+from calib.mismatch.estimate import Estimate
+from calib.mismatch.explain import changes, explain, verdict
 from calib.mismatch.families import PHYSICAL
 from calib.mismatch.heldout import HeldOut, held_out
 from calib.mismatch.ranking import CLAIM
@@ -117,10 +118,8 @@ def conclude(
     skip += ("clock_scale", *(("reference_misalignment",) if problem.turned else ()))
     outcome = search(problem, skip=skip)
     model = problem.setup.model
-    findings, unexplained, (known, covariance) = explain(
-        outcome, model, reference=True, names=problem.names
-    )
-    fit = estimate(outcome, reference=True)
+    fit = outcome.fit(reference=True)
+    findings, unexplained, (known, covariance) = explain(outcome, fit, names=problem.names)
     found = _setups(outcome, fit, problem, setups)
     findings = [*seen.findings, *found, *findings]
     named = [f for f in findings if not _impossible(f)]

@@ -105,10 +105,11 @@ def diagnose_thinned(
     outcome = search(problem, skip=skip)
     names = problem.twin.names
     directions = distinct_directions(poses.accel)
-    findings, unexplained, (known, covariance) = explain(
-        outcome, problem.twin.model, reference=False, names=names
-    )
-    final = problem.twin.model
+    fit = outcome.fit(reference=False)
+    findings, unexplained, (known, covariance) = explain(outcome, fit, names=names)
+    # Where shapes moved a little since the twin did, so did the baseline.
+    still = np.zeros((grid.n_poses, 2))
+    final = problem.twin.moved(dict(zip(names, fit.step, strict=False)), still).model
     if timeless:
         known, covariance = _without_rates(known, covariance)
         final = replace(final, terms=tuple(t for t in final.terms if not _is_rate(t.effect)))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -19,111 +19,33 @@ from calib.mismatch.diagnosis import (
     Unexplained,
     Verdict,
 )
+from calib.mismatch.estimate import Estimate
 from calib.mismatch.evidence import gather
-from calib.mismatch.families import effect_columns
 from calib.mismatch.heldout import HeldOut, held_out
 from calib.mismatch.noise import make_whitener, range_basis
 from calib.mismatch.ranking import Accepted, fitted
-from calib.mismatch.refit import cut, prior_rows, solve
 from calib.mismatch.rows import Kind, Rows
 from calib.mismatch.search import TIE, TWIN, Outcome
-from calib.model import SensorModel
 from calib.recording import CHANNELS
 from calib.types import FloatArray
 
 
-@dataclass(frozen=True, eq=False)
-class Estimate:
-    """The joint fit of everything: steps from where the rows stand, and their covariance."""
-
-    step: FloatArray
-    covariance: FloatArray
-    at: tuple[int, ...]
-    extra: int
-    left: FloatArray
-
-
-def estimate(outcome: Outcome, *, reference: bool) -> Estimate:
-    """Fit baseline, nuisances and all findings jointly, shape parameters along with them."""
-    rows, accepted = outcome.rows, outcome.accepted
-    mean = fitted(rows, accepted)
-    start = rows.baseline.shape[1] + rows.nuisance.shape[1]
-    at = [start]
-    for a in accepted:
-        at.append(at[-1] + a.columns.shape[1])
-    first = solve(rows, accepted, outcome.levels, outcome.contrast)
-    shapes = [
-        _shape_columns(rows, a, a.values / a.typical + first[i:j], reference=reference)
-        for a, i, j in zip(accepted, at, at[1:], strict=False)
-    ]
-    full = np.hstack((mean, *shapes))
-    scale = np.linalg.norm(full, axis=0)
-    scale[scale == 0] = 1.0
-    whitener = make_whitener(rows, outcome.levels, outcome.contrast, mean[:, :0])
-    prior = prior_rows(rows, accepted)
-    prior = np.pad(prior, ((0, 0), (0, full.shape[1] - prior.shape[1]))) / scale
-    design = np.vstack((whitener.whiten(full / scale), prior))
-    y = np.append(whitener.whiten(rows.residual), np.zeros(len(prior)))
-    aside = np.pad(cut(rows, accepted), (0, full.shape[1] - mean.shape[1]))
-    inverse = np.zeros(design.T.shape)
-    inverse[~aside] = _inverse(design[:, ~aside])
-    step = inverse @ y
-    if aside.any():
-        inverse[aside] = _inverse(design[:, aside])
-        step[aside] = inverse[aside] @ (y - design @ step)
-    covariance = inverse @ inverse.T
-    if aside.any():
-        # Its part within reach of the physics is not seen, but of the size of what is.
-        size = step[aside] / scale[aside]
-        hidden = inverse[~aside] @ design[:, aside] * scale[aside]
-        covariance[np.ix_(~aside, ~aside)] += np.mean(size**2) * hidden @ hidden.T
-    step, covariance = step / scale, covariance / np.outer(scale, scale)
-    return Estimate(step, covariance, tuple(at), at[-1], rows.residual - full @ step)
-
-
-def _inverse(design: FloatArray) -> FloatArray:
-    u, s, vt = np.linalg.svd(design, full_matrices=False)
-    good = s > 1e-9 * s[0]
-    return np.asarray((vt[good].T / s[good]) @ u[:, good].T)
-
-
-def _shape_columns(rows: Rows, a: Accepted, values: FloatArray, *, reference: bool) -> FloatArray:
-    """Return the derivative of a finding by each of its shape parameters (per its logarithm)."""
-    if not a.candidate.physical or not a.candidate.shape:
-        return np.zeros((len(rows.residual), 0))
-    effect = get_effect(a.candidate.name)
-    out = []
-    for item in effect.shape:
-        if item.spacing != "log" or item.name not in a.candidate.shape:
-            continue
-        pair = []
-        for factor in (1.02, 1 / 1.02):
-            shape = {**a.candidate.shape, item.name: a.candidate.shape[item.name] * factor}
-            found = effect_columns(effect, rows, shape, reference=reference)
-            parts = [found.get(n, np.zeros(len(rows.residual))) for n in a.candidate.parameters]
-            pair.append(np.stack(parts, axis=1) @ values)
-        out.append((pair[0] - pair[1]) / (2 * np.log(1.02)))
-    return np.stack(out, axis=1) if out else np.zeros((len(rows.residual), 0))
-
-
 def explain(
-    outcome: Outcome, model: SensorModel, *, reference: bool, names: tuple[str, ...]
+    outcome: Outcome, fit: Estimate, *, names: tuple[str, ...]
 ) -> tuple[list[Finding], list[Unexplained], tuple[tuple[str, ...], FloatArray]]:
     """Return findings, what is unexplained, and names and covariance of the model's parameters."""
     rows, accepted = outcome.rows, outcome.accepted
-    fit = estimate(outcome, reference=reference)
     findings: list[Finding] = []
     unexplained: list[Unexplained] = []
-    n_base, at_shape = len(names), fit.extra
     known = list(names)
-    index = list(range(n_base))
+    index = list(range(len(names)))
     for i, a in enumerate(accepted):
         rivals = _rivals(a)
         if not a.candidate.physical:
             unexplained.append(_unexplained(rows, a, rivals))
             continue
         part = slice(fit.at[i], fit.at[i + 1])
-        values = a.values + fit.step[part] * a.typical
+        values = fit.step[part] * a.typical
         sigma = np.sqrt(np.diag(fit.covariance)[part]) * a.typical
         effect = get_effect(a.candidate.name)
         parameters = {
@@ -135,13 +57,12 @@ def explain(
                 continue
             here, spread = a.candidate.shape[item.name], None
             if item.spacing == "log":
-                spread = float(here * np.sqrt(fit.covariance[at_shape, at_shape]))
-                at_shape += 1
+                spread = fit.shapes[i, item.name]
             elif item.unit == "s" and item.low is None:
                 spread = _moment_sigma(rows, here)
             parameters[item.name] = Quantity(float(here), spread, item.unit)
         absorbed, proof, before = _proof(outcome, fit, i, names)
-        predicted = a.columns @ (a.values / a.typical + fit.step[part])
+        predicted = a.columns @ fit.step[part]
         reason = ""
         if effect.kind == "event" and proof.gain <= 0:
             reason = "it happened once: no other pose or turn shows it"
@@ -260,8 +181,6 @@ def _proof(
     others = [a for i, a in enumerate(outcome.accepted) if i != which]
     mean = fitted(rows, others)
     residual = rows.residual
-    if own.in_model:
-        residual = residual + own.columns @ (own.values / own.typical)
     scale = np.linalg.norm(mean, axis=0)
     scale[scale == 0] = 1.0
     whitener = make_whitener(rows, outcome.levels, outcome.contrast, mean[:, :0])
@@ -311,9 +230,6 @@ def changes(outcome: Outcome) -> tuple[tuple[Change, ...], tuple[float, float]]:
     """Return residual RMS and log-likelihood before and after, on the rows that were fitted."""
     rows = outcome.rows
     residual = rows.residual
-    for a in outcome.accepted:
-        if a.in_model:
-            residual = residual + a.columns @ (a.values / a.typical)
     before = np.hstack((rows.baseline, rows.nuisance))
     after = fitted(rows, outcome.accepted)
     out: dict[str, list[float]] = {}

@@ -12,6 +12,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from calib.effects import get_effect
+from calib.mismatch.estimate import Estimate, estimate, settle
 from calib.mismatch.noise import (
     contrast_variance,
     expected_levels,
@@ -44,7 +45,10 @@ ROUNDS = 8
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """What the search ends with: rows, what was accepted, and the noise under all of it."""
+    """What the search ends with: rows, what was accepted, and the noise under all of it.
+
+    What was accepted is in the rows: its values are zero, and its sizes are yet to be estimated.
+    """
 
     rows: Rows
     accepted: tuple[Accepted, ...]
@@ -52,6 +56,10 @@ class Outcome:
     contrast: FloatArray
     total: float
     candidates: tuple[Candidate, ...]
+
+    def fit(self, *, reference: bool) -> Estimate:
+        """Fit everything jointly."""
+        return estimate(self.rows, self.accepted, self.levels, self.contrast, reference=reference)
 
 
 def search(problem: Problem, *, skip: tuple[str, ...] = ()) -> Outcome:
@@ -87,6 +95,7 @@ def search(problem: Problem, *, skip: tuple[str, ...] = ()) -> Outcome:
         )
         for i, a in enumerate(accepted)
     ]
+    rows, accepted = settle(rows, accepted, levels, contrast, reference=problem.reference)
     return Outcome(rows, tuple(accepted), levels, contrast, ranking.total, tuple(stack.candidates))
 
 

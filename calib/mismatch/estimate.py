@@ -1,0 +1,218 @@
+"""The joint fit of all that was found: sizes, shapes between the grid's, and standard errors.
+
+A time constant or a bandwidth enters nonlinearly, and what a recording says of it is often
+lopsided: an exponential much longer than the recording is a straight line, however long. So a shape
+is not linearised. The likelihood is followed along it with all else refitted (the profile).
+Standard errors are those of the mixture over it, with the profile as weights, and never less than a
+third of the longer side of the interval in which the profile stays within 4.5 of its maximum.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calib.effects import get_effect
+from calib.effects.base import ShapeParameter
+from calib.mismatch.families import effect_columns, shape_grid
+from calib.mismatch.noise import make_whitener
+from calib.mismatch.ranking import Accepted, fitted
+from calib.mismatch.refit import cut, likelihood_gain, prior_rows
+from calib.mismatch.rows import Rows
+from calib.types import FloatArray
+
+POINTS = 25
+"""Values of a shape at which the profile is taken."""
+
+REACH = 8.0
+"""How far below its maximum the log-likelihood is followed: four standard errors."""
+
+WITHIN = 4.5
+"""How far below its maximum the log-likelihood is three standard errors away."""
+
+FINE = 9
+"""Values within that reach that show the profile's form."""
+
+SWEEPS = 2
+"""Each shape is settled so often, given the others."""
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """The joint fit of everything: steps from where the rows stand, and their covariance.
+
+    Parameters
+    ----------
+    step, covariance : (p,), (p, p) arrays
+        Of baseline, nuisances and each finding's coefficients, in units of their columns.
+    at : tuple of int
+        Where the coefficients of each finding start, and where the last ones end.
+    shapes : mapping
+        Standard error of a shape parameter, by number of the finding and name.
+    left : (m,) array
+        Residual of the fit.
+    """
+
+    step: FloatArray
+    covariance: FloatArray
+    at: tuple[int, ...]
+    shapes: Mapping[tuple[int, str], float]
+    left: FloatArray
+
+
+def settle(
+    rows: Rows,
+    accepted: list[Accepted],
+    levels: FloatArray,
+    contrast: FloatArray,
+    *,
+    reference: bool,
+) -> tuple[Rows, list[Accepted]]:
+    """Return rows with every finding's part in them, and findings with the best of all shapes."""
+    residual = rows.residual + sum(a.columns @ (a.values / a.typical) for a in accepted)
+    rows = replace(rows, residual=residual)
+    out = [replace(a, values=np.zeros(len(a.values)), in_model=False) for a in accepted]
+    shaped = [(i, item) for i, a in enumerate(out) for item in _shapes(a)]
+    for _ in range(SWEEPS if len(shaped) > 1 else 1):
+        for i, item in shaped:
+            values, gains = _profile(rows, out, i, item, levels, contrast, reference=reference)
+            best = _moved(rows, out[i], item, _peak(values, gains), reference=reference)
+            out[i] = out[i] if best is None else best
+    return rows, out
+
+
+def estimate(
+    rows: Rows,
+    accepted: tuple[Accepted, ...],
+    levels: FloatArray,
+    contrast: FloatArray,
+    *,
+    reference: bool,
+) -> Estimate:
+    """Fit baseline, nuisances and all findings jointly, over all shapes that the rows allow."""
+    best, covariance = _fit(rows, accepted, levels, contrast)
+    total, shapes = covariance.copy(), {}
+    reach = 3.0 * np.sqrt(np.diag(covariance))
+    for i, a in enumerate(accepted):
+        for item in _shapes(a):
+            values, gains = _profile(
+                rows, list(accepted), i, item, levels, contrast, reference=reference
+            )
+            drop = gains.max() - gains
+            weights = np.exp(-drop) / np.exp(-drop).sum()
+            for value, weight, lost in zip(values, weights, drop, strict=True):
+                other = _moved(rows, a, item, float(value), reference=reference)
+                if lost > REACH or other is None:
+                    continue
+                there = (*accepted[:i], other, *accepted[i + 1 :])
+                step, own = _fit(rows, there, levels, contrast)
+                shift = step - best
+                total += weight * (own - covariance + np.outer(shift, shift))
+                if lost < WITHIN:
+                    width = np.sqrt(2.0 * (WITHIN - lost) * np.diag(own))
+                    reach = np.maximum(reach, np.abs(shift) + width)
+            off = np.abs(values - a.candidate.shape[item.name])
+            mixed = np.sqrt(weights @ np.square(off))
+            shapes[i, item.name] = float(max(mixed, off[drop < WITHIN].max() / 3.0))
+    size = np.sqrt(np.diag(total))
+    wider = np.maximum(reach / 3.0, size) / np.where(size > 0, size, 1.0)
+    total *= np.outer(wider, wider)
+    start = rows.baseline.shape[1] + rows.nuisance.shape[1]
+    at = np.cumsum([start, *(a.columns.shape[1] for a in accepted)])
+    left = rows.residual - fitted(rows, accepted) @ best
+    return Estimate(best, total, tuple(int(k) for k in at), shapes, left)
+
+
+def _fit(
+    rows: Rows, accepted: tuple[Accepted, ...], levels: FloatArray, contrast: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the least-squares step of all columns, of any rank, and its covariance."""
+    mean = fitted(rows, accepted)
+    scale = np.linalg.norm(mean, axis=0)
+    scale[scale == 0] = 1.0
+    whitener = make_whitener(rows, levels, contrast, mean[:, :0])
+    prior = prior_rows(rows, accepted) / scale
+    design = np.vstack((whitener.whiten(mean / scale), prior))
+    y = np.append(whitener.whiten(rows.residual), np.zeros(len(prior)))
+    aside = cut(rows, accepted)
+    inverse = np.zeros(design.T.shape)
+    inverse[~aside] = _inverse(design[:, ~aside])
+    step = inverse @ y
+    if aside.any():
+        inverse[aside] = _inverse(design[:, aside])
+        step[aside] = inverse[aside] @ (y - design @ step)
+    covariance = inverse @ inverse.T
+    if aside.any():
+        # Its part within reach of the physics is not seen, but of the size of what is.
+        size = step[aside] / scale[aside]
+        hidden = inverse[~aside] @ design[:, aside] * scale[aside]
+        covariance[np.ix_(~aside, ~aside)] += np.mean(size**2) * hidden @ hidden.T
+    return step / scale, covariance / np.outer(scale, scale)
+
+
+def _inverse(design: FloatArray) -> FloatArray:
+    u, s, vt = np.linalg.svd(design, full_matrices=False)
+    good = s > 1e-9 * s[0]
+    return np.asarray((vt[good].T / s[good]) @ u[:, good].T)
+
+
+def _shapes(a: Accepted) -> list[ShapeParameter]:
+    """Return the continuous shape parameters of a finding; moments are searched elsewhere."""
+    if not a.candidate.physical:
+        return []
+    shape = get_effect(a.candidate.name).shape
+    return [item for item in shape if item.spacing == "log" and item.name in a.candidate.shape]
+
+
+def _moved(
+    rows: Rows, a: Accepted, item: ShapeParameter, value: float, *, reference: bool
+) -> Accepted | None:
+    """Return a finding with another value of a shape; None if it has no columns there."""
+    shape = {**a.candidate.shape, item.name: value}
+    found = effect_columns(get_effect(a.candidate.name), rows, shape, reference=reference)
+    if not all(n in found for n in a.candidate.parameters):
+        return None
+    columns = np.stack([found[n] for n in a.candidate.parameters], axis=1)
+    return replace(a, candidate=replace(a.candidate, shape=shape), columns=columns)
+
+
+def _profile(
+    rows: Rows,
+    accepted: list[Accepted],
+    which: int,
+    item: ShapeParameter,
+    levels: FloatArray,
+    contrast: FloatArray,
+    *,
+    reference: bool,
+) -> tuple[FloatArray, FloatArray]:
+    """Return values of a shape, evenly spread in their logarithm, and their log-likelihood."""
+    others = [a for i, a in enumerate(accepted) if i != which]
+    whitener = make_whitener(rows, levels, contrast, fitted(rows, others))
+    y = whitener.project(rows.residual)
+    values = shape_grid(item, rows, POINTS)
+    while True:
+        gains = np.zeros(len(values))
+        for k, value in enumerate(values):
+            moved = _moved(rows, accepted[which], item, float(value), reference=reference)
+            if moved is not None:
+                gains[k] = likelihood_gain(whitener.project(moved.columns), y)
+        near = np.flatnonzero(gains > gains.max() - REACH)
+        # A step finer than a thousandth is finer than any use of it.
+        if len(near) >= FINE or values[1] < 1.001 * values[0]:
+            return values, gains
+        low, high = max(near[0] - 1, 0), min(near[-1] + 1, len(values) - 1)
+        values = np.geomspace(values[low], values[high], POINTS)
+
+
+def _peak(values: FloatArray, gains: FloatArray) -> float:
+    """Return where a profile is highest: the top of a parabola through its three highest values."""
+    k = int(np.argmax(gains))
+    if k in (0, len(values) - 1):
+        return float(values[k])
+    below, top, above = gains[k - 1 : k + 2]
+    bend = below - 2 * top + above
+    shift = 0.5 * (below - above) / bend if bend < 0 else 0.0
+    return float(values[k] * (values[1] / values[0]) ** shift)

@@ -1,0 +1,69 @@
+"""Sizes and shapes come back with honest standard errors, however far the grid was off."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calib.effects import get_effect
+from calib.mismatch.estimate import estimate, settle
+from calib.mismatch.families import effect_columns
+from calib.mismatch.noise import covariance, expected_levels
+from calib.mismatch.ranking import Accepted
+from calib.mismatch.score import Candidate
+
+from .bench import problem
+
+NAMES = ("kx", "kz")
+
+
+def warm_up(rows, tau: float) -> Accepted:
+    effect = get_effect("gyro_warm_up")
+    found = effect_columns(effect, rows, {"tau": tau}, reference=False)
+    candidate = Candidate(
+        effect.slug,
+        np.arange(2),
+        1.0,
+        True,
+        ("gyro.x", "gyro.z"),
+        parameters=NAMES,
+        shape={"tau": tau},
+    )
+    columns = np.stack([found[n] for n in NAMES], axis=1)
+    typical = np.full(2, effect.parameters[0].typical)
+    return Accepted(candidate, columns, typical, np.zeros(2), False, 1.0)
+
+
+@pytest.mark.parametrize(("tau", "start"), [(30.0, 60.0), (250.0, 90.0)])
+def test_a_time_constant_is_settled_and_its_errors_are_honest(tau, start):
+    _, self_mode = problem()
+    rows = self_mode.rows()
+    levels, contrast = expected_levels(rows), rows.white_diagonal
+    dense = np.linalg.cholesky(covariance(rows, levels))
+    truth = warm_up(rows, tau)
+    sizes = np.array([4e-3, -2e-3])
+    rng = np.random.default_rng(5)
+    errors = []
+    for _ in range(20):
+        noise = np.append(
+            dense @ rng.normal(size=rows.n_dense),
+            np.sqrt(contrast) * rng.normal(size=len(contrast)),
+        )
+        real = replace(rows, residual=noise + truth.columns @ (sizes / truth.typical))
+        # What the model already holds is put back into the rows.
+        first = replace(warm_up(rows, start), in_model=True, values=0.5 * sizes)
+        real = replace(
+            real, residual=real.residual - first.columns @ (first.values / first.typical)
+        )
+        real, found = settle(real, [first], levels, contrast, reference=False)
+        fit = estimate(real, tuple(found), levels, contrast, reference=False)
+        part = slice(fit.at[0], fit.at[1])
+        values = fit.step[part] * truth.typical
+        sigma = np.sqrt(np.diag(fit.covariance)[part]) * truth.typical
+        here = found[0].candidate.shape["tau"]
+        errors.append([*((values - sizes) / sigma), (here - tau) / fit.shapes[0, "tau"]])
+    z = np.array(errors)
+    assert np.abs(z).max() < 3.5
+    # 20 draws: 0.16 is one standard deviation. A shape whose end is open has errors to spare.
+    assert (np.sqrt(np.mean(z**2, axis=0)) < 1.5).all()
+    assert (np.sqrt(np.mean(z**2, axis=0)) > 0.3).all()
