@@ -122,7 +122,7 @@ def _say(result: Result, *, verbose: bool) -> None:
         print(
             f"{c.kind:8s} {'+'.join(c.names):40s} {c.power:5.0f} seed {c.seed:6d} "
             f"{result.seconds:5.1f} s  {result.verdict:17s} {result.found} {result.unexplained}"
-            f" z={[round(e, 1) for e in result.errors]}",
+            f" z={[round(e, 1) for e in result.errors]} overlap {result.overlap:.2f}",
             file=sys.stderr,
             flush=True,
         )

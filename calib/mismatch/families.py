@@ -81,6 +81,11 @@ def effect_columns(
                 # A delay or a filter changes nothing at rest; the grid thins rests, so that what
                 # spills into them from a turn is not to scale.
                 values[(rows.kind <= Kind.CONTRAST) & rows.is_rest[rows.segment]] = 0.0
+                if "moment" in shape:
+                    # Nor does a delay of whole turns: only the one it begins in does not close.
+                    start, stop = rows.interval[rows.segment].T
+                    inside = (shape["moment"] >= start) & (shape["moment"] <= stop)
+                    values[(rows.kind >= Kind.ATTITUDE) & ~inside] = 0.0
             if np.abs(values).max() > 0:
                 out[name] = values
     return out
@@ -136,7 +141,7 @@ def shape_grid(item: ShapeParameter, rows: Rows, count: int) -> FloatArray:
     start, stop = float(time[0]), float(time[-1])
     if item.spacing == "integer":
         return np.arange(item.low or 0, (item.high or 0) + 1, dtype=np.float64)
-    if item.unit == "s" and item.spacing == "linear" and item.low is None:
+    if is_moment(item):
         return np.asarray(rows.interval.mean(axis=1)[1:])
     low = item.low if item.low is not None else (stop - start) / 100
     high = item.high if item.high is not None else stop - start
@@ -145,6 +150,11 @@ def shape_grid(item: ShapeParameter, rows: Rows, count: int) -> FloatArray:
     return (
         np.geomspace(low, high, count) if item.spacing == "log" else np.linspace(low, high, count)
     )
+
+
+def is_moment(item: ShapeParameter) -> bool:
+    """Whether it is a moment within the recording: any, so that it has no lowest."""
+    return item.unit == "s" and item.spacing == "linear" and item.low is None
 
 
 def neighbours(
@@ -156,11 +166,16 @@ def neighbours(
         here = shape.get(item.name)
         if here is None or len(grid) < 2 or item.spacing == "integer":
             continue
-        if item.spacing == "linear" and not isinstance(effect, TransformEffect):
+        if is_moment(item):
             # Every rest and turn is on the grid: a moment within its own.
             k = int(np.searchsorted(rows.interval[:, 0], here, side="right")) - 1
             first, last = rows.interval[max(k, 0)]
-            for value in np.linspace(first, last, 17):
+            # What a delay leaves goes with the rate at its moment: a hand's tremor changes that
+            # from sample to sample. A step's goes with the time since.
+            moments = np.linspace(first, last, 17)
+            if isinstance(effect, TransformEffect):
+                moments = rows.state.time[rows.point_segment == max(k, 0)]
+            for value in moments:
                 yield {**shape, item.name: float(value)}
             continue
         at = int(np.argmin(np.abs(grid - here)))

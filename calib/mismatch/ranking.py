@@ -98,10 +98,11 @@ def fitted(rows: Rows, accepted: list[Accepted] | tuple[Accepted, ...]) -> Float
 def rank(rows: Rows, stack: Stack, accepted: list[Accepted], start: FloatArray) -> Ranking:
     """Score every candidate under the noise that it implies.
 
-    An effect that was left out raises the drift of its channels. So each candidate is also scored
-    with the drift of its own channels as it is with all physics in the mean, and the leaders with
-    drift estimated anew for each of them. Lower drift costs the likelihood of the null, and that
-    cost is in the evidence: drift and effect compete on equal terms.
+    What was left out raises the drift of its channels. So each candidate is also scored with the
+    drift of its own channels as it is with all physics in the mean (a rival: with the strongest
+    rivals), and the leaders with drift estimated anew for each of them. Lower drift costs the
+    likelihood of the null, and that cost is in the evidence: drift and effect compete on equal
+    terms.
     """
     mean = fitted(rows, accepted)
     dense = mean[: rows.n_dense]
@@ -117,30 +118,51 @@ def rank(rows: Rows, stack: Stack, accepted: list[Accepted], start: FloatArray) 
         y = whitener.project(rows.residual)
         return stack.log_bayes_factors(whitener, y, which=which) + (null - base.log_likelihood)
 
+    def sharing(channels: tuple[str, ...], *, physical: bool) -> list[int]:
+        return [
+            i
+            for i, c in enumerate(stack.candidates)
+            if c.channels == channels and c.physical == physical
+        ]
+
     evidence = score(base.values, base.log_likelihood, None)
+    strongest = _strongest(stack, evidence)[: rows.n_dense]
+    free = estimate_levels(rows, np.hstack((dense, strongest)), every.values)
     hidden: list[tuple[FloatArray, float, list[int], FloatArray]] = []
     for channels in (*((c,) for c in CHANNELS), CHANNELS[:3], CHANNELS[3:]):
-        which = [i for i, c in enumerate(stack.candidates) if c.channels == channels]
-        if which:
-            levels = _swap(rows, base.values, every.values, channels)
+        for physical, other in ((True, every), (False, free)):
+            which = sharing(channels, physical=physical)
+            if not which:
+                continue
+            levels = _swap(rows, base.values, other.values, channels)
             null = level_likelihood(rows, basis, levels)
             scored = score(levels, null, which)
             evidence = np.maximum(evidence, scored)
-            hidden.append((scored + weight, null - base.log_likelihood, which, levels))
+            if physical:
+                hidden.append((scored + weight, null - base.log_likelihood, which, levels))
     evidence += weight
     best, groups = grouped(stack, evidence)
     for name in sorted(groups, key=lambda g: -groups[g])[:LEADERS]:
         if groups[name] < np.log(CLAIM) - 7:
             break
-        own = stack.of(best[name])[: rows.n_dense]
-        levels = estimate_levels(rows, np.hstack((dense, own)), every.values).values
-        which = [i for i, c in enumerate(stack.candidates) if c.group == name]
-        again = score(levels, level_likelihood(rows, basis, levels), which) + weight
-        if name.endswith("_bias_step"):
-            i = stack.candidates.index(best[name])
-            null = level_likelihood(rows, basis, levels) - base.log_likelihood
+        leader = best[name]
+        own, moments = stack.of(leader), _moments(rows, leader)
+        if moments.candidates:
+            whitener = make_whitener(rows, base.values, contrast, mean)
+            factors = moments.log_bayes_factors(whitener, whitener.project(rows.residual))
+            own = moments.of(moments.candidates[int(np.argmax(factors))])
+        dense_own = np.hstack((dense, own[: rows.n_dense]))
+        levels = estimate_levels(rows, dense_own, every.values).values
+        null = level_likelihood(rows, basis, levels)
+        names, code = stack.groups()
+        which = np.flatnonzero(code == names.index(name)).tolist()
+        again = score(levels, null, which) + weight
+        if moments.candidates:
             whitener = make_whitener(rows, levels, contrast, mean)
-            again[i] = max(again[i], _moved(rows, best[name], whitener) + null + weight[i])
+            factors = moments.log_bayes_factors(whitener, whitener.project(rows.residual))
+            i = stack.candidates.index(leader)
+            moved = logsumexp(factors) - np.log(len(factors)) + null - base.log_likelihood
+            again[i] = max(again[i], moved + weight[i])
         evidence = np.maximum(evidence, again)
     best, groups = grouped(stack, evidence)
     whitener = make_whitener(rows, base.values, contrast, mean)
@@ -170,18 +192,17 @@ def _drifting(
     return out
 
 
-def _moved(rows: Rows, event: Candidate, whitener: Whitener) -> float:
-    """Return the log Bayes factor of an event, averaged over moments within its rest or turn."""
-    effect, stack = get_effect(event.name), Stack(len(rows.residual))
-    for shape in neighbours(effect, rows, event.shape):
-        found = effect_columns(effect, rows, shape, reference=True)
-        if all(n in found for n in event.parameters):
-            index = stack.add(np.stack([found[n] for n in event.parameters], axis=1))
-            stack.candidates.append(replace(event, index=index, shape=shape))
-    if not stack.candidates:
-        return -np.inf
-    factors = stack.log_bayes_factors(whitener, whitener.project(rows.residual))
-    return float(logsumexp(factors) - np.log(len(factors)))
+def _moments(rows: Rows, event: Candidate) -> Stack:
+    """Return an event at other moments within its rest or turn; nothing for what is no event."""
+    stack = Stack(len(rows.residual))
+    if "moment" in event.shape:
+        effect = get_effect(event.name)
+        for shape in neighbours(effect, rows, event.shape):
+            found = effect_columns(effect, rows, shape, reference=True)
+            if all(n in found for n in event.parameters):
+                index = stack.add(np.stack([found[n] for n in event.parameters], axis=1))
+                stack.candidates.append(replace(event, index=index, shape=shape))
+    return stack
 
 
 def _pair(
@@ -198,9 +219,7 @@ def _pair(
     """
     best: tuple[float, Candidate | None] = (float(np.log(CLAIM / DRIFTING)), None)
     for evidence, null, which, levels in hidden:
-        order = [
-            i for i in sorted(which, key=lambda i: -evidence[i]) if stack.candidates[i].physical
-        ]
+        order = sorted(which, key=lambda i: -evidence[i])
         tried: list[str] = []
         for i in order:
             first = stack.candidates[i]
@@ -212,11 +231,7 @@ def _pair(
                 break
             whitener = make_whitener(rows, levels, contrast, np.hstack((mean, stack.of(first))))
             y = whitener.project(rows.residual)
-            rest = [
-                k
-                for k in which
-                if stack.candidates[k].physical and stack.candidates[k].name != first.name
-            ]
+            rest = [k for k in which if stack.candidates[k].name != first.name]
             if not rest:
                 continue
             second = stack.log_bayes_factors(whitener, y, which=rest) + weight
@@ -234,11 +249,24 @@ def _swap(rows: Rows, base: FloatArray, every: FloatArray, channels: tuple[str, 
 
 def grouped(stack: Stack, evidence: FloatArray) -> tuple[dict[str, Candidate], dict[str, float]]:
     """Return the best candidate of each group, and the group's evidence."""
-    index: dict[str, list[int]] = {}
+    names, code = stack.groups()
+    order = np.lexsort((-np.arange(len(code)), evidence, code))
+    best = order[np.append(np.diff(code[order]) > 0, True)]
+    top = evidence[best]
+    total = top + np.log(np.bincount(code, np.exp(evidence - top[code])))
+    return (
+        {g: stack.candidates[i] for g, i in zip(names, best, strict=True)},
+        {g: float(v) for g, v in zip(names, total, strict=True)},
+    )
+
+
+def _strongest(stack: Stack, evidence: FloatArray) -> FloatArray:
+    """Return the columns of the rival with the largest Bayes factor of each channel."""
+    best: dict[str, int] = {}
     for i, c in enumerate(stack.candidates):
-        index.setdefault(c.group, []).append(i)
-    best = {g: stack.candidates[k[int(np.argmax(evidence[k]))]] for g, k in index.items()}
-    return best, {g: float(logsumexp(evidence[k])) for g, k in index.items()}
+        if not c.physical and evidence[i] > evidence[best.setdefault(c.channels[0], i)]:
+            best[c.channels[0]] = i
+    return np.hstack([stack.of(stack.candidates[i]) for i in best.values()])
 
 
 def _physics(stack: Stack) -> FloatArray:

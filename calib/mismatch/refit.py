@@ -15,8 +15,11 @@ from calib.mismatch.noise import Whitener, contrast_variance, find_levels, make_
 from calib.mismatch.ranking import Accepted, fitted, make_stack
 from calib.mismatch.rivals import WINDOWED, window_columns
 from calib.mismatch.rows import Rows
-from calib.mismatch.score import LARGE, Candidate, Stack
+from calib.mismatch.score import LARGE, Candidate, Stack, log_bayes_factor
 from calib.types import BoolArray, FloatArray
+
+REFINED = 3
+"""How often a shape is refined, at most, the noise being estimated anew each time."""
 
 
 class Problem(Protocol):
@@ -46,8 +49,13 @@ def refit(
     """Fit everything jointly, move the model there, and linearise anew."""
     contrast = contrast_variance(rows)
     levels = find_levels(rows, fitted(rows, accepted)[: rows.n_dense], levels).values
-    if accepted and not accepted[-1].in_model:
+    for _ in range(REFINED if accepted and not accepted[-1].in_model else 0):
+        before = accepted[-1].candidate
         accepted[-1] = _refine(problem, rows, accepted, levels, contrast)
+        if accepted[-1].candidate is before or not before.physical:
+            break
+        # What a shape that was not yet right had left is noise no more.
+        levels = find_levels(rows, fitted(rows, accepted)[: rows.n_dense], levels).values
     step = solve(rows, accepted, levels, contrast)
     p, q = rows.baseline.shape[1], rows.nuisance.shape[1]
     terms, at = [], p + q
@@ -202,27 +210,26 @@ def _refine_window(rows: Rows, last: Accepted, whitener: Whitener, y: FloatArray
     start, stop = last.candidate.interval
     reach = 0.5 * (stop - start)
     edges = np.unique(np.concatenate((rows.interval.ravel(), rows.interval.mean(axis=1))))
-    column, ends = last.columns, [start, stop]
-    white = whitener.project(column)
-    value = float((white.T @ y)[0] ** 2 / max(float(np.square(white).sum()), 1e-300))
+    columns, ends = last.columns, [start, stop]
     for which in (0, 1, 0, 1):
         tried = edges[np.abs(edges - (start, stop)[which]) <= reach]
         other = ends[1 - which]
         tried = tried[tried < other] if which == 0 else tried[tried > other]
-        if not len(tried):
+        if len(tried) < 2:
             continue
-        found = window_columns(
-            rows, last.candidate, [(t, other) if which == 0 else (other, t) for t in tried]
-        )
-        white = whitener.project(found)
-        gain = np.square(y @ white) / np.maximum(np.square(white).sum(axis=0), 1e-300)
-        # Where a window gains nothing (a gain at rest), it need not reach.
-        good = np.flatnonzero(gain >= gain.max() - 0.5)
-        k = int(good[np.argmin(np.abs(tried[good] - other))])
-        if gain[k] > value - 0.5:
-            value, column, ends[which] = float(gain[k]), found[:, [k]], float(tried[k])
+        found = [
+            window_columns(rows, last.candidate, *((t, other) if which == 0 else (other, t)))
+            for t in tried
+        ]
+        gain = np.array([log_bayes_factor(whitener.project(f), y) for f in found])
+        # Where rows say little of an end (a gain at rest), the middle of what they leave open.
+        share = np.cumsum(np.exp(gain - gain.max()) * np.gradient(tried))
+        k = int(np.searchsorted(share, 0.5 * share[-1]))
+        if gain[k] < gain.max() - 2.0:
+            k = int(np.argmax(gain))
+        columns, ends[which] = found[k], float(tried[k])
     return replace(
-        last, candidate=replace(last.candidate, interval=(ends[0], ends[1])), columns=column
+        last, candidate=replace(last.candidate, interval=(ends[0], ends[1])), columns=columns
     )
 
 

@@ -7,8 +7,9 @@ channel, this span or regime, follows this", and not the nearest name.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
-from dataclasses import replace
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy import sparse
@@ -18,7 +19,7 @@ from calib.effects.base import State
 from calib.mismatch.rows import Rows
 from calib.mismatch.score import Candidate, Stack
 from calib.recording import CHANNELS
-from calib.types import FloatArray
+from calib.types import FloatArray, IntArray
 
 RIVAL = 0.4
 """Prior probability of all rivals together."""
@@ -29,7 +30,7 @@ FAST = 3.0
 _KINDS = {
     "bias in a window": 0.2,
     "gain in a window": 0.1,
-    "jumps in a window": 0.15,
+    "fluctuation in a window": 0.15,
     "wave in a window": 0.15,
     "time": 0.05,
     "temperature": 0.1,
@@ -38,19 +39,29 @@ _KINDS = {
     "its own rate": 0.05,
 }
 
-WINDOWED = ("bias in a window", "gain in a window")
-"""Rivals that are one column in a window, whose ends can be moved."""
+WINDOWED = ("bias in a window", "gain in a window", "fluctuation in a window", "wave in a window")
+"""Rivals that are functions of time (or a gain) in a window, whose ends can be moved."""
 
-JUMPS = (4, 64)
-"""Segments in a window of jumps, fewest and most: each of its segments has a bias of its own."""
+FLUCTUATION = (4, 24)
+"""Cosines in a window of fluctuation, fewest and most: one for each of its segments."""
 
-WAVES = 8
+CORNERS = (2.0, 16.0)
+"""Half periods in a window above which a fluctuation is weaker: slow swings, and jumps."""
+
+WAVES = 6
 """Segments in a window with a wave, fewest: a wave has a mean, an amplitude and a phase."""
 
-CYCLES = 16.0
+CYCLES = 12.0
 """Periods of a wave within a window, at most; and never less than four segments to a period."""
 
-RIPPLES = (2.0, 3.5, 5.0)
+SLOTS = (3, 2)
+"""Parts of a rest and of a turn that a function of time in a window is constant in. A mean and two
+contrasts are all that the rows know of a rest."""
+
+MOST_SLOTS = 240
+"""Where there are more parts, functions of time are constant in each segment."""
+
+RIPPLES = (2.0, 3.0, 4.0, 5.0)
 """How fast a function of one component of gravity's direction varies, rad per unit."""
 
 
@@ -59,13 +70,14 @@ def add_rivals(stack: Stack, rows: Rows, *, skip: tuple[str, ...] = ()) -> None:
 
     ``skip`` names those that are not tried (``time`` where the clock is wrong).
     """
+    slots = _make_slots(rows)
+    local, ripples = list(_in_windows(rows, slots)), list(_ripples(rows, slots))
     found: list[tuple[str, Candidate]] = []
-    mixings = _Mixings(rows)
     for c in range(len(CHANNELS)):
         triad = CHANNELS[c].split(".")[0]
         # Beside the bias, a window that is open at one end is a step of it, which has a name.
         step = f"{triad}_bias_step" in effects() and f"{triad}_bias_step" not in skip
-        found += _of_channel(stack, rows, c, typical_size(triad), mixings, step=step)
+        found += _of_channel(stack, rows, c, slots, local, ripples, step=step)
     found = [(part, c) for part, c in found if c.name not in skip]
     # Every kind has its share, each of its parts (one length of window, say) the same of that.
     number = Counter((c.name, part) for part, c in found)
@@ -84,96 +96,151 @@ def typical_size(triad: str) -> float:
     return 0.02 if triad == "accel" else float(np.radians(0.05))
 
 
-class _Mixings:
-    """Waves and ripples of the segments, which the channels share."""
+@dataclass(frozen=True, eq=False)
+class _Slots:
+    """Parts of segments: which points (n, k) are in each, their middles, each segment's first."""
 
-    def __init__(self, rows: Rows) -> None:
-        self.waves = {
-            (a, b): list(_waves(rows.interval, a, b))
-            for a, b in windows(len(rows.interval))
-            if b - a >= WAVES
-        }
-        self.ripples = list(_ripples(rows))
+    member: Any
+    middle: FloatArray
+    first: IntArray
+
+
+def _make_slots(rows: Rows) -> _Slots:
+    each = np.where(rows.is_rest, *SLOTS)
+    if each.sum() > MOST_SLOTS or not rows.is_rest.any():
+        each = np.ones_like(each)
+    first = np.concatenate(([0], np.cumsum(each)))
+    segment = rows.point_segment
+    start, stop = rows.interval[segment].T
+    part = (rows.state.time - start) / np.maximum(stop - start, 1e-9) * each[segment]
+    slot = first[segment] + np.clip(part.astype(np.int64), 0, each[segment] - 1)
+    member = sparse.csr_matrix(
+        (np.ones(len(slot)), (np.arange(len(slot)), slot)), shape=(len(slot), first[-1])
+    )
+    share = (np.arange(first[-1]) - np.repeat(first[:-1], each) + 0.5) / np.repeat(each, each)
+    start, stop = np.repeat(rows.interval, each, axis=0).T
+    return _Slots(member, start + share * (stop - start), first)
+
+
+@dataclass(frozen=True, eq=False)
+class _Local:
+    """A hypothesis about a window that holds for any channel: the slots that it mixes, and how."""
+
+    name: str
+    window: tuple[int, int]
+    interval: tuple[float, float]
+    shape: Mapping[str, float]
+    mixing: FloatArray | None
+
+
+def _in_windows(rows: Rows, slots: _Slots) -> Iterator[_Local]:
+    """Yield what each window may hold."""
+    for a, b in windows(len(rows.interval)):
+        start, stop = float(rows.interval[a, 0]), float(rows.interval[b - 1, 1])
+        time = slots.middle[slots.first[a] : slots.first[b]]
+        yield _Local("bias in a window", (a, b), (start, stop), {}, None)
+        yield _Local("gain in a window", (a, b), (start, stop), {}, None)
+        shapes: list[tuple[str, dict[str, float]]] = []
+        if b - a >= FLUCTUATION[0]:
+            order = float(min(b - a, FLUCTUATION[1]))
+            shapes += [("fluctuation", {"order": order, "corner": k}) for k in CORNERS]
+        if b - a >= WAVES:
+            cycles = np.arange(0.5, min(CYCLES, (b - a) / 4) + 0.25, 0.5)
+            shapes += [("wave", {"period": (stop - start) / k}) for k in cycles]
+        for kind, shape in shapes:
+            name = f"{kind} in a window"
+            mixing = _function(name, shape, time, start, stop)
+            yield _Local(name, (a, b), (start, stop), shape, mixing)
+
+
+def _function(
+    name: str, shape: Mapping[str, float], time: FloatArray, start: float, stop: float
+) -> FloatArray:
+    """Return the (n, k) functions of time that a window from `start` to `stop` holds."""
+    since = time - start
+    if name == "wave in a window":
+        phase = 2 * np.pi * since / shape["period"]
+        return np.stack((np.ones(len(time)), np.cos(phase), np.sin(phase)), axis=1)
+    if name == "fluctuation in a window":
+        order = np.arange(int(shape["order"]))
+        size = 1.0 / np.sqrt(1.0 + np.square(order / shape["corner"]))
+        size *= np.sqrt(2.0 / np.square(size).sum())
+        return np.asarray(np.cos(np.pi * since[:, None] / (stop - start) * order) * size)
+    return np.ones((len(time), 1))
 
 
 def _of_channel(
-    stack: Stack, rows: Rows, c: int, size: float, mixings: _Mixings, *, step: bool
+    stack: Stack,
+    rows: Rows,
+    c: int,
+    slots: _Slots,
+    local: list[_Local],
+    ripples: list[tuple[float, FloatArray]],
+    *,
+    step: bool,
 ) -> Iterator[tuple[str, Candidate]]:
     """Yield candidates of a channel, each with the part of its kind that it belongs to."""
-    state = rows.state
+    state, size = rows.state, typical_size(CHANNELS[c].split(".")[0])
     own = (state.force if c < 3 else state.rate)[:, c % 3]
     member = sparse.csr_matrix(
         (own / (state.gravity if c < 3 else FAST), (np.arange(len(own)), rows.point_segment)),
         shape=(len(own), len(rows.interval)),
     )
-    pieces = stack.add(size * rows.pieces[c].toarray())
+    parts = stack.add(size * (rows.functional[c] @ slots.member).toarray())
     gains = stack.add(size * (rows.functional[c] @ member).toarray())
-    blank = Candidate("", pieces, 0.0, False, (CHANNELS[c],))
-    count = len(rows.interval)
-    for a, b in windows(count):
-        interval = (float(rows.interval[a, 0]), float(rows.interval[b - 1, 1]))
-        window = replace(blank, interval=interval)
-        length = f"{b - a} segments"
-        if not (step and (a == 0 or b == count)):
-            yield (
-                length,
-                replace(window, name="bias in a window", index=pieces[a:b], summed=True),
-            )
-        yield length, replace(window, name="gain in a window", index=gains[a:b], summed=True)
-        if JUMPS[0] <= b - a <= JUMPS[1] and (b - a).bit_count() == 1:
-            yield length, replace(window, name="jumps in a window", index=pieces[a:b])
-        for mixing in mixings.waves.get((a, b), ()):
-            yield length, replace(window, name="wave in a window", mixing=mixing)
+    blank = Candidate("", parts, 0.0, False, (CHANNELS[c],))
+    for item in local:
+        a, b = item.window
+        if step and item.name == "bias in a window" and (a == 0 or b == len(rows.interval)):
+            continue
+        gain = item.name == "gain in a window"
+        yield (
+            f"{b - a} segments",
+            replace(
+                blank,
+                name=item.name,
+                index=gains[a:b] if gain else parts[slots.first[a] : slots.first[b]],
+                summed=item.mixing is None,
+                interval=item.interval,
+                shape=item.shape,
+                mixing=item.mixing,
+            ),
+        )
     for name, values in _smooth(state, c):
         index = stack.add(size * rows.columns(c, values))
         yield "smooth", replace(blank, name=name, index=index)
         if name == "direction of gravity":
             # Harmonics come in the order of their degree: 3 + 6 of degrees 1 and 2.
             yield "quadratic", replace(blank, name=name, index=index[:9])
-    for mixing in mixings.ripples:
-        yield "ripple", replace(blank, name="direction of gravity", mixing=mixing)
+    for ripple, mixing in ripples:
+        yield f"ripple {ripple}", replace(blank, name="direction of gravity", mixing=mixing)
 
 
-def window_columns(
-    rows: Rows, candidate: Candidate, intervals: list[tuple[float, float]]
-) -> FloatArray:
-    """Return the (m, k) columns of a bias or a gain in each of k intervals."""
+def window_columns(rows: Rows, candidate: Candidate, start: float, stop: float) -> FloatArray:
+    """Return the (m, k) columns of what a candidate says of a window, for another window."""
     c = CHANNELS.index(candidate.channels[0])
     state, size = rows.state, typical_size(candidate.channels[0].split(".")[0])
-    values = np.full(len(state.time), size)
+    values = _function(candidate.name, candidate.shape, state.time, start, stop)
     if candidate.name == "gain in a window":
         own = (state.force if c < 3 else state.rate)[:, c % 3]
-        values = size * own / (state.gravity if c < 3 else FAST)
-    start, stop = np.array(intervals).T
-    inside = (state.time[:, None] >= start) & (state.time[:, None] <= stop)
-    return rows.columns(c, values[:, None] * inside)
+        values = values * (own / (state.gravity if c < 3 else FAST))[:, None]
+    inside = (state.time >= start) & (state.time <= stop)
+    return rows.columns(c, size * values * inside[:, None])
 
 
-def _waves(interval: FloatArray, a: int, b: int) -> Iterator[FloatArray]:
-    """Yield (segments, 3) weights of a mean and a wave in the window ``[a, b)``."""
-    middle = interval[a:b].mean(axis=1)
-    turns = (middle - interval[a, 0]) / (interval[b - 1, 1] - interval[a, 0])
-    for cycles in np.arange(1.0, min(CYCLES, (b - a) / 4) + 0.25, 0.5):
-        phase = 2 * np.pi * cycles * turns
-        mixing = np.zeros((len(interval), 3))
-        mixing[a:b] = np.stack((np.ones(b - a), np.cos(phase), np.sin(phase)), axis=1)
-        yield mixing
-
-
-def _ripples(rows: Rows) -> Iterator[FloatArray]:
-    """Yield (segments, 2) weights of waves over one component of gravity's direction."""
-    count = np.bincount(rows.point_segment, minlength=len(rows.interval))
-    up = np.stack(
-        [np.bincount(rows.point_segment, f, len(rows.interval)) for f in rows.state.force.T], axis=1
-    ) / (rows.state.gravity * np.maximum(count, 1)[:, None])
-    # Half a sphere of directions, a Fibonacci spiral of about 25 degrees' spacing.
-    turn = np.pi * (3.0 - np.sqrt(5.0)) * np.arange(32)
-    z = (np.arange(32) + 0.5) / 32
-    axes = np.stack((np.sqrt(1 - z**2) * np.cos(turn), np.sqrt(1 - z**2) * np.sin(turn), z), axis=1)
-    for axis in axes:
-        for ripple in RIPPLES:
-            phase = ripple * (up @ axis)
-            yield np.stack((np.cos(phase), np.sin(phase)), axis=1)
+def _ripples(rows: Rows, slots: _Slots) -> Iterator[tuple[float, FloatArray]]:
+    """Yield (slots, 2) weights of waves over one component of gravity's direction."""
+    count = np.maximum(slots.member.sum(axis=0).A1, 1.0)
+    up = (slots.member.T @ rows.state.gravity_direction) / count[:, None]
+    for ripple in RIPPLES:
+        # Half a sphere of directions, a Fibonacci spiral: close enough for half a radian of phase.
+        number = int(np.ceil(8.0 * ripple**2))
+        turn = np.pi * (3.0 - np.sqrt(5.0)) * np.arange(number)
+        z = (np.arange(number) + 0.5) / number
+        flat = np.sqrt(1 - z**2)
+        axes = np.stack((flat * np.cos(turn), flat * np.sin(turn), z), axis=1)
+        for phase in ripple * (axes @ up.T):
+            yield ripple, np.stack((np.cos(phase), np.sin(phase)), axis=1)
 
 
 def _smooth(state: State, c: int) -> Iterator[tuple[str, FloatArray]]:

@@ -101,6 +101,15 @@ class Stack:
         self._parts: list[FloatArray] = []
         self._count = 0
         self.candidates: list[Candidate] = []
+        self._groups: tuple[list[str], IntArray] = ([], np.zeros(0, np.int64))
+
+    def groups(self) -> tuple[list[str], IntArray]:
+        """Return the names of the groups, and which of them each candidate belongs to."""
+        if len(self._groups[1]) != len(self.candidates):
+            known: dict[str, int] = {}
+            code = [known.setdefault(c.group, len(known)) for c in self.candidates]
+            self._groups = list(known), np.array(code)
+        return self._groups
 
     def add(self, columns: FloatArray) -> IntArray:
         """Add (m, k) columns and return their indices."""
@@ -161,13 +170,12 @@ class Stack:
             strength = np.square(SCALES)[:, None] * power
             gain = 0.5 * np.square(along) / np.maximum(power, 1e-300) * strength / (1 + strength)
             out[single] = _average(gain - 0.5 * np.log1p(strength) + _LOG_SHARES[:, None])
-        mixed: dict[tuple[int, int, int], list[int]] = {}
+        mixed: dict[tuple[str, ...], list[int]] = {}
         several: dict[int, list[int]] = {}
         for i in which:
             c = self.candidates[i]
             if c.mixing is not None:
-                # Those of one channel share all columns, and so their Gram matrix.
-                mixed.setdefault((int(c.index[0]), *c.mixing.shape), []).append(i)
+                mixed.setdefault(c.channels, []).append(i)
             elif not c.is_single:
                 several.setdefault(len(c.index), []).append(i)
         for items in several.values():
@@ -175,11 +183,34 @@ class Stack:
             grams = np.stack([projected[:, own].T @ projected[:, own] for own in index])
             out[items] = _joint(grams, match[np.stack(index)])
         for items in mixed.values():
-            own = place[self.candidates[items[0]].index]
-            gram = projected[:, own].T @ projected[:, own]
-            mixing = np.stack([np.asarray(self.candidates[i].mixing) for i in items])
-            out[items] = _joint(np.swapaxes(mixing, 1, 2) @ (gram @ mixing), match[own] @ mixing)
+            # Those of one channel mix the same columns, and share their Gram matrix.
+            out[items] = _mixed([self.candidates[i] for i in items], place, projected, match)
         return out
+
+
+def _mixed(
+    candidates: list[Candidate], place: IntArray, projected: FloatArray, match: FloatArray
+) -> FloatArray:
+    """Return log B of candidates that mix columns, those with alike mixings all at once."""
+    used = np.unique(np.concatenate([place[c.index] for c in candidates]))
+    gram = projected[:, used].T @ projected[:, used]
+    match = match[used]
+    alike: dict[tuple[int, ...], list[int]] = {}
+    for i, c in enumerate(candidates):
+        assert c.mixing is not None
+        alike.setdefault(c.mixing.shape, []).append(i)
+    out = np.empty(len(candidates))
+    for items in alike.values():
+        mixing = np.stack([np.asarray(candidates[i].mixing) for i in items])
+        own = np.searchsorted(used, np.stack([place[candidates[i].index] for i in items]))
+        if (own == own[0]).all():
+            inner = gram[np.ix_(own[0], own[0])] @ mixing
+        else:
+            inner = gram[own[:, :, None], own[:, None, :]] @ mixing
+        out[items] = _joint(
+            np.swapaxes(mixing, 1, 2) @ inner, np.einsum("nk,nkr->nr", match[own], mixing)
+        )
+    return out
 
 
 def _singles(
@@ -198,6 +229,11 @@ def _singles(
     lost = power < _LOST * (pick.T @ total)
     power[lost] = 0.0
     return power, np.where(lost, 0.0, pick.T @ match)
+
+
+def log_bayes_factor(columns: FloatArray, y: FloatArray) -> float:
+    """Return log B of one hypothesis, its whitened projected columns given."""
+    return float(_joint((columns.T @ columns)[None], (y @ columns)[None])[0])
 
 
 def _joint(gram: FloatArray, match: FloatArray) -> FloatArray:

@@ -105,7 +105,9 @@ def choose(rows: Rows, ranking: Ranking, accepted: list[Accepted]) -> Candidate 
     An event where something is unexplained already is part of that, and gets no name of its own.
     """
     best = ranking.best
-    groups = {g: v for g, v in ranking.groups.items() if not _within(best[g], accepted)}
+    groups = {g: v for g, v in ranking.groups.items() if not _within(rows, best[g], accepted)}
+    if not groups or logsumexp(list(groups.values())) < np.log(CLAIM):
+        return None
     physical = [g for g in groups if best[g].physical]
     rival = [g for g in groups if not best[g].physical]
     top = max(physical, key=lambda g: groups[g], default=None)
@@ -129,13 +131,25 @@ def choose(rows: Rows, ranking: Ranking, accepted: list[Accepted]) -> Candidate 
     return best[other]
 
 
-def _within(candidate: Candidate, accepted: list[Accepted]) -> bool:
-    """Whether an event lies in, or at the edge of, what is unexplained in one of its channels."""
-    if not candidate.physical or get_effect(candidate.name).kind != "event":
-        return False
+def _within(rows: Rows, candidate: Candidate, accepted: list[Accepted]) -> bool:
+    """Whether a candidate is part of what was accepted, and no second cause.
+
+    So is an event in, or at the edge of, what is unexplained in one of its channels; and what is
+    left in the turn of an event that was linearised at its moment.
+    """
+    event = candidate.physical and get_effect(candidate.name).kind == "event"
     moment = candidate.shape.get("moment")
     for a in accepted:
-        if a.candidate.physical or not set(a.candidate.channels) & set(candidate.channels):
+        if not set(a.candidate.channels) & set(candidate.channels):
+            continue
+        if a.candidate.physical:
+            if not a.in_model and "moment" in a.candidate.shape:
+                start, stop = _around(rows, a.candidate.shape["moment"])
+                first, last = candidate.interval or (moment, moment)
+                if first is not None and last is not None and start <= first and last <= stop:
+                    return True
+            continue
+        if not event:
             continue
         if a.candidate.interval is None or moment is None:
             return True
@@ -144,6 +158,12 @@ def _within(candidate: Candidate, accepted: list[Accepted]) -> bool:
         if start - edge <= moment <= stop + edge:
             return True
     return False
+
+
+def _around(rows: Rows, moment: float) -> tuple[float, float]:
+    """Return the rest or turn that a moment lies in, with those beside it."""
+    k = int(np.searchsorted(rows.interval[:, 0], moment, side="right")) - 1
+    return float(rows.interval[max(k - 1, 0), 0]), float(rows.interval[: k + 2, 1].max())
 
 
 def _accept(rows: Rows, stack: Stack, chosen: Candidate, e_value: float) -> Accepted:
