@@ -96,7 +96,8 @@ def _subsets(
 ) -> Iterator[tuple[tuple[str, ...], float]]:
     """Yield each parameter alone, those that differ only in axis together, and all together.
 
-    Those that refine the others come with all of them only.
+    Those that refine the others come with all of them only, and what few parameters explain as well
+    is not given to many: over a narrow span of temperature a cube has any size.
     """
     every = names
     names = tuple(n for n in every if n not in refining)
@@ -109,8 +110,14 @@ def _subsets(
     for name in names:
         kinds.setdefault(re.sub(r"[xyz]+$", "", name), []).append(name)
     groups = [tuple(v) for v in kinds.values() if 1 < len(v) < len(names)]
-    together = list(dict.fromkeys((names, every)))
-    parts: list[list[tuple[str, ...]]] = [[(n,) for n in names], together]
+    if len(every) > len(names):
+        for name in names:
+            yield (name,), 1.0 / 3.0 / len(names)
+        nested = [*groups, names, every]
+        for subset in nested:
+            yield subset, 2.0 / 3.0 / len(subset) / sum(1.0 / len(s) for s in nested)
+        return
+    parts: list[list[tuple[str, ...]]] = [[(n,) for n in names], [names]]
     if groups:
         parts.append(groups)
     for part in parts:

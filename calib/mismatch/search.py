@@ -13,6 +13,7 @@ from scipy.special import logsumexp
 
 from calib.effects import get_effect
 from calib.mismatch.estimate import Estimate, estimate, settle
+from calib.mismatch.families import effect_columns
 from calib.mismatch.noise import (
     contrast_variance,
     expected_levels,
@@ -79,7 +80,8 @@ def search(problem: Problem, *, skip: tuple[str, ...] = ()) -> Outcome:
         chosen = choose(rows, ranking, accepted)
         if chosen is None:
             break
-        accepted.append(_accept(rows, stack, chosen, float(np.exp(min(ranking.total, 700)))))
+        new = _accept(rows, stack, chosen, float(np.exp(min(ranking.total, 700))))
+        accepted = _with(rows, accepted, new, reference=problem.reference)
         rows, stack, accepted = refit(problem, rows, accepted, ranking.levels, skip)
         extra = _superfluous(rows, accepted, ranking.levels)
         if extra is not None:
@@ -103,9 +105,14 @@ def choose(rows: Rows, ranking: Ranking, accepted: list[Accepted]) -> Candidate 
     """Return what explains most: physics, unless the rivals together are more probable.
 
     An event where something is unexplained already is part of that, and gets no name of its own.
+    What an effect leaves that was found already is no second finding of it.
     """
     best = ranking.best
-    groups = {g: v for g, v in ranking.groups.items() if not _within(rows, best[g], accepted)}
+    groups = {
+        g: v
+        for g, v in ranking.groups.items()
+        if not _within(rows, best[g], accepted) and not _again(best[g], accepted)
+    }
     if not groups or logsumexp(list(groups.values())) < np.log(CLAIM):
         return None
     physical = [g for g in groups if best[g].physical]
@@ -164,6 +171,52 @@ def _around(rows: Rows, moment: float) -> tuple[float, float]:
     """Return the rest or turn that a moment lies in, with those beside it."""
     k = int(np.searchsorted(rows.interval[:, 0], moment, side="right")) - 1
     return float(rows.interval[max(k - 1, 0), 0]), float(rows.interval[: k + 2, 1].max())
+
+
+def _again(candidate: Candidate, accepted: list[Accepted]) -> bool:
+    """Whether an effect was found already on all that a candidate touches."""
+    return _lasting(candidate) and any(
+        set(candidate.parameters) <= set(a.candidate.parameters)
+        for a in accepted
+        if a.candidate.name == candidate.name
+    )
+
+
+def _lasting(candidate: Candidate) -> bool:
+    """Whether a candidate is physics that a recording has once, and not at each of many moments."""
+    return candidate.physical and get_effect(candidate.name).kind != "event"
+
+
+def _with(
+    rows: Rows, accepted: list[Accepted], new: Accepted, *, reference: bool
+) -> list[Accepted]:
+    """Return the findings with a new one; other parameters of one effect are one finding."""
+    old = next((a for a in accepted if a.candidate.name == new.candidate.name), None)
+    if old is None or not _lasting(new.candidate):
+        return [*accepted, new]
+    effect = get_effect(new.candidate.name)
+    shape = {**new.candidate.shape, **old.candidate.shape}
+    found = effect_columns(effect, rows, shape, reference=reference)
+    both = {*old.candidate.parameters, *new.candidate.parameters}
+    chosen = [p for p in effect.parameters if p.name in both]
+    if not all(p.name in found for p in chosen):
+        return [*accepted, new]
+    names = tuple(p.name for p in chosen)
+    values = dict(zip(old.candidate.parameters, old.values, strict=True))
+    merged = replace(
+        old,
+        candidate=replace(
+            old.candidate,
+            index=np.arange(len(names)),
+            parameters=names,
+            channels=tuple(dict.fromkeys(c for p in chosen for c in p.channels)),
+            shape=shape,
+        ),
+        columns=np.stack([found[n] for n in names], axis=1),
+        typical=np.array([p.typical for p in chosen]),
+        values=np.array([values.get(n, 0.0) for n in names]),
+    )
+    return [*(a for a in accepted if a is not old), merged]
 
 
 def _accept(rows: Rows, stack: Stack, chosen: Candidate, e_value: float) -> Accepted:

@@ -1,0 +1,67 @@
+"""The search: one finding for one cause, however often the evidence comes back to it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calib.effects.base import Term
+from calib.mismatch import diagnose_recording
+from calib.mismatch.noise import expected_levels
+from calib.mismatch.ranking import make_stack, rank
+from calib.mismatch.search import _accept, _again, _with, choose
+
+from .bench import GRAVITY, problem, recording
+
+
+@pytest.fixture(scope="module")
+def stacked():
+    _, self_mode = problem()
+    rows = self_mode.rows()
+    return rows, make_stack(rows, skip=(), reference=False)
+
+
+def candidate(stack, name, parameters):
+    found = [c for c in stack.candidates if c.name == name and c.parameters == parameters]
+    return found[len(found) // 2]
+
+
+def test_parameters_of_one_effect_are_one_finding(stacked):
+    rows, stack = stacked
+    first = _accept(rows, stack, candidate(stack, "gyro_warm_up", ("kz",)), 100.0)
+    first.values[:] = 2e-3
+    new = _accept(rows, stack, candidate(stack, "gyro_warm_up", ("kx",)), 50.0)
+    (both,) = _with(rows, [first], new, reference=False)
+    assert both.candidate.parameters == ("kx", "kz")
+    assert both.candidate.channels == ("gyro.x", "gyro.z")
+    assert both.candidate.shape == first.candidate.shape
+    np.testing.assert_array_equal(both.values, [0.0, 2e-3])
+    np.testing.assert_allclose(both.columns[:, 1:], first.columns)
+    assert _again(candidate(stack, "gyro_warm_up", ("kx",)), [both])
+    assert not _again(candidate(stack, "gyro_warm_up", ("ky",)), [both])
+
+
+def test_events_of_one_kind_stay_apart(stacked):
+    rows, stack = stacked
+    steps = [c for c in stack.candidates if c.name == "gyro_bias_step" and len(c.index) == 1]
+    first, new = (_accept(rows, stack, c, 100.0) for c in (steps[0], steps[9]))
+    assert len(_with(rows, [first], new, reference=False)) == 2
+    assert not _again(steps[0], [first])
+
+
+def test_what_an_exponential_leaves_is_not_named_after_it_again():
+    real = recording(
+        Term("gyro_warm_up", {"kx": 0.02, "ky": -0.02, "tau": 15.0}),
+        Term("gyro_warm_up", {"kx": 0.04, "ky": 0.03, "tau": 150.0}),
+        poses=24,
+    )
+    # Without a thermometer nothing but time is left to follow.
+    found = diagnose_recording(replace(real, temperature=None), gravity=GRAVITY)
+    assert [f.effect for f in found.findings].count("gyro_warm_up") == 1
+    assert any(u.follows == "time" for u in found.unexplained)
+
+
+def test_nothing_is_chosen_below_the_claim(stacked):
+    rows, stack = stacked
+    ranking = rank(rows, stack, [], expected_levels(rows))
+    assert choose(rows, ranking, []) is None
