@@ -23,6 +23,7 @@ from calib.mismatch.estimate import Estimate
 from calib.mismatch.evidence import gather
 from calib.mismatch.heldout import HeldOut, held_out
 from calib.mismatch.noise import make_whitener, range_basis
+from calib.mismatch.places import joined
 from calib.mismatch.ranking import Accepted, fitted
 from calib.mismatch.rows import Kind, Rows
 from calib.mismatch.search import TIE, TWIN, Outcome
@@ -110,7 +111,7 @@ def explain(
     for i, a in enumerate(accepted):
         scale[fit.at[i] : fit.at[i + 1]] = a.typical
     covariance = (fit.covariance * np.outer(scale, scale))[np.ix_(index, index)]
-    return findings, unexplained, (tuple(known), covariance)
+    return findings, joined(unexplained), (tuple(known), covariance)
 
 
 def _is_whole(q: Quantity) -> bool:

@@ -1,0 +1,51 @@
+"""Places: the pieces of one disturbance are one item."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from calib.mismatch.diagnosis import Interval, Unexplained
+from calib.mismatch.rivals import WINDOWED
+from calib.recording import CHANNELS
+
+GAP = 0.25
+"""Gap between two pieces on one channel, relative to both with the gap, up to which they are one:
+a window is found to within about a quarter of its length."""
+
+COMMON = 0.5
+"""Overlap of two windows on different channels, relative to their hull, from which they are one."""
+
+
+def joined(items: list[Unexplained]) -> list[Unexplained]:
+    """Return the items with pieces of one disturbance joined, in the place of the first.
+
+    A disturbance that no single window describes (it grows, pauses, or reaches several channels) is
+    found piece by piece, strongest first. What it follows and how sure it is are said of that.
+    """
+    out: list[Unexplained] = []
+    for item in items:
+        for i, other in enumerate(out):
+            if _are_one(other, item):
+                channels = {*other.channels, *item.channels}
+                out[i] = replace(
+                    other,
+                    channels=tuple(c for c in CHANNELS if c in channels),
+                    intervals=(_hull(other.intervals[0], item.intervals[0]),),
+                )
+                break
+        else:
+            out.append(item)
+    return out if len(out) == len(items) else joined(out)
+
+
+def _are_one(one: Unexplained, other: Unexplained) -> bool:
+    if one.follows not in WINDOWED or other.follows not in WINDOWED:
+        return False
+    (a, b), (c, d) = one.intervals[0], other.intervals[0]
+    start, stop = _hull((a, b), (c, d))
+    common = (min(b, d) - max(a, c)) / (stop - start)
+    return common > -GAP if set(one.channels) & set(other.channels) else common >= COMMON
+
+
+def _hull(one: Interval, other: Interval) -> Interval:
+    return min(one[0], other[0]), max(one[1], other[1])

@@ -1,0 +1,38 @@
+"""One disturbance is one item, in one place."""
+
+from __future__ import annotations
+
+import pytest
+
+from calib.mismatch.diagnosis import Unexplained
+from calib.mismatch.places import joined
+
+
+def piece(
+    channel: str, start: float, stop: float, follows: str = "bias in a window"
+) -> Unexplained:
+    return Unexplained((channel,), ((start, stop),), follows, 1e-6)
+
+
+@pytest.mark.parametrize(
+    ("pieces", "expected"),
+    [
+        # Pieces with a small gap are one; those far apart are two.
+        ([("gyro.x", 10, 20), ("gyro.x", 23, 30)], [(10, 30)]),
+        ([("gyro.x", 10, 20), ("gyro.x", 40, 50)], [(10, 20), (40, 50)]),
+        # What lies between joins what was apart.
+        ([("gyro.x", 10, 20), ("gyro.x", 30, 40), ("gyro.x", 18, 32)], [(10, 40)]),
+        # Another channel is part of it only at the same time.
+        ([("gyro.x", 10, 20), ("accel.y", 11, 21)], [(10, 21)]),
+        ([("gyro.x", 10, 20), ("accel.y", 18, 30)], [(10, 20), (18, 30)]),
+    ],
+)
+def test_pieces_of_one_disturbance_are_joined(pieces, expected):
+    found = joined([piece(*p) for p in pieces])
+    assert [item.intervals[0] for item in found] == expected
+    assert {c for item in found for c in item.channels} == {p[0] for p in pieces}
+
+
+def test_what_goes_with_the_direction_everywhere_is_no_piece_of_a_window():
+    items = [piece("gyro.x", 10, 20), piece("gyro.x", 0, 100, "direction of gravity")]
+    assert joined(items) == items
