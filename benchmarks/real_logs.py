@@ -11,7 +11,8 @@ turn: where a pose was held in a hand that swayed, by following it (`calib.direc
 The MIMU4444 runs end in a minute and a half of violent shaking, and a second or two at rest in the
 hand after it: only the static part before it is used. These sensors sample at 62.5 Hz with no
 filter to match, and the board was tumbled from face to face: what a knock does between two samples
-is lost, and limits their gyroscope figures (a calibration from another run does no better).
+is lost, and limits their gyroscope figures: a calibration from another run does no better, and a
+spline through the rate instead of trapezia changes them by 0.001°.
 
 Exit status 1 if a figure of the small independent scripts that came before (see GOALS) is not met.
 """

@@ -14,7 +14,8 @@ The noise of a turn is that of the two directions, of the integrated rate, and a
 ``tau²`` for what the model lacks, estimated by restricted maximum likelihood. Two turns that meet
 at a pose share its direction's error: the weight matrix knows that. A turn or a pose that does not
 fit is given a free shift of its own, which leaves it out and keeps the rest: without a bumped pose,
-the turns before and after it still close as one.
+the turns before and after it still close as one. A pose in a hand that sways is followed to its
+ends (`calib.directions`).
 
 The bias is its mean over the recording. Its covariance is that of the bias at any one moment of the
 recording: where the means of the poses scatter significantly beyond their noise, the variance of
