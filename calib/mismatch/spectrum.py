@@ -94,9 +94,11 @@ def _lines(
     """
     bins, number = power.shape
     mean = power.mean(axis=1)
-    padded = np.pad(mean, NEIGHBOURS, mode="reflect")
+    # A line stands above both sides: motion of a hand, whose power falls with frequency, does not.
+    padded = np.pad(np.log(mean), NEIGHBOURS, mode="reflect", reflect_type="odd")
     around = np.lib.stride_tricks.sliding_window_view(padded, 2 * NEIGHBOURS + 1)
-    floor = np.median(around, axis=1)
+    sides = around[:, :NEIGHBOURS], around[:, NEIGHBOURS + 1 :]
+    floor = np.exp(np.maximum(*(np.median(side, axis=1) for side in sides)))
     # What the floor itself scatters by, beyond what chance does, widens every test.
     scatter = np.median(np.abs(np.log(mean / floor))) / 0.6745
     freedom = min(2.0 * number, 2.0 / max(scatter**2, 1e-9) + 2.0)

@@ -61,3 +61,16 @@ def test_a_line_in_some_rests_is_said_to_be_there() -> None:
     assert abs(line.intervals[0][0] - start) < 1.0
     assert abs(line.intervals[0][1] - stop) < 1.0
     assert line.follows in ("a line at 21.1 Hz", "the time: power at one frequency there")
+
+
+def test_a_hand_that_trembles_less_the_faster_is_no_line() -> None:
+    recording, poses = rests(3, np.ones(POSES))
+    rng = np.random.default_rng(4)
+    n = len(recording)
+    f = np.fft.rfftfreq(n, 1 / RATE)
+    gain = np.where((f > 0.5) & (f < 8.0), 1 / np.maximum(f, 0.5), 0.0)
+    shake = np.fft.irfft(np.fft.rfft(rng.normal(size=n)) * gain, n)
+    accel = np.array(recording.accel)
+    accel[:, 0] += 0.02 * shake / shake.std()
+    held = Recording(recording.time, accel, recording.gyro, "device")
+    assert not any("line" in item.follows for item in look_at_spectrum(held, poses))
