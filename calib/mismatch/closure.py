@@ -23,7 +23,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calib.rotation import integrate_rate, mat_from_quat
+from calib.rotation import cumulative_quat, mat_from_quat, quat_from_rotvec, rate_increments
 from calib.types import FloatArray
 
 
@@ -48,6 +48,24 @@ def across(up: FloatArray) -> FloatArray:
     first = np.cross(axis, up)
     first /= np.linalg.norm(first, axis=-1, keepdims=True)
     return np.stack((first, np.cross(up, first)), axis=-1)
+
+
+def _turned_frame(time: FloatArray, rate: FloatArray) -> FloatArray:
+    """Return quaternions (n, 4) of the frame at each time seen from that at the first.
+
+    A trapezoid is off by ``dt²/12 dw/dt`` in between, and right again where the sensor rests: at
+    50 Hz a velocity of 2 mm/s after a brisk turn. So its next term is taken along
+    (Euler-Maclaurin).
+    """
+    increments = rate_increments(time, rate)
+    if len(time) > 2:
+        slope = np.gradient(rate, time, axis=0)
+        slope[[0, -1]] = 0.0  # at rest; their noise would count twice
+        increments -= np.square(np.diff(time))[:, None] / 12 * np.diff(slope, axis=0)
+    quat = np.zeros((len(time), 4))
+    quat[0, 0] = 1.0
+    quat[1:] = cumulative_quat(quat_from_rotvec(increments))
+    return quat
 
 
 def close_turn(
@@ -82,7 +100,7 @@ def close_turn(
     weight = np.zeros(len(time))
     weight[:-1] += 0.5 * step
     weight[1:] += 0.5 * step
-    mat = mat_from_quat(integrate_rate(time, rate))
+    mat = mat_from_quat(_turned_frame(time, rate))
     turned = np.einsum("nij,nj->ni", mat, force)
     increments = 0.5 * step[:, None] * (turned[:-1] + turned[1:])
     total = increments.sum(axis=0)

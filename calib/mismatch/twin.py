@@ -37,6 +37,9 @@ SPREAD = 1.4
 DRIFT_TIME = 600.0
 """s."""
 
+MEANS = 1 / 3
+"""Mean square of the share, from 0 to 1, of a sample interval over which samples are means."""
+
 # Weak knowledge that keeps the iteration steady where a recording says nothing: standard deviations
 # many times what uncalibrated parts have. It is no part of any evidence.
 _LOOSE = {"bias": 2.0, "scale_factor_error": 0.5, "misalignment": 0.3}
@@ -281,6 +284,9 @@ def build_rows(grid: Grid, twin: Twin, noise: FloatArray, *, spread: float | Non
         effort,
         SPREAD if spread is None else spread,
     )
+    blur = mean_over_interval(grid, state)
+    spilt = sum(f[:dense] @ blur[:, c] for c, f in enumerate(functional))
+    white += MEANS * np.outer(spilt, spilt)
     return Rows(
         residual=residual,
         baseline=baseline,
@@ -300,6 +306,20 @@ def build_rows(grid: Grid, twin: Twin, noise: FloatArray, *, spread: float | Non
         is_rest=grid.is_rest,
         pieces=pieces,
     )
+
+
+def mean_over_interval(grid: Grid, state: State) -> FloatArray:
+    """Return what a mean over the sample interval adds to the signals in turns, (n, 6).
+
+    Many parts put out such means: to second order ``x + dt²/24 d²x/dt²``, the same on all channels.
+    """
+    out = np.zeros((len(grid.time), 6))
+    turns = np.flatnonzero(grid.pose < 0)
+    if len(turns) > 1:
+        step = float(np.median(np.diff(grid.time[turns])))
+        curved = state.derivative(np.hstack((state.force_dot, state.rate_dot)))
+        out[turns] = step**2 / 24 * curved[turns]
+    return out
 
 
 def _explained(grid: Grid, twin: Twin, state: State) -> FloatArray:

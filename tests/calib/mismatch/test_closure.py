@@ -1,0 +1,50 @@
+"""Closures of turns from samples alone."""
+
+import numpy as np
+
+from calib.mismatch.closure import close_turn
+from calib.rotation import mat_from_rotvec
+from calib.types import FloatArray
+
+G = 9.80665
+
+
+def turn(step: float, angle: float) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Return time, force, rate and share of a turn of 1 s about a fixed axis, gravity alone."""
+    time = np.arange(-5, round(1 / step) + 6) * step
+    u = np.clip(time, 0, 1)
+    share = u**3 * (10 - 15 * u + 6 * u**2)
+    axis = np.array([1.0, 2.0, -1.0]) / np.sqrt(6)
+    rate = angle * (30 * u**2 * (1 - u) ** 2)[:, None] * axis
+    up = mat_from_rotvec(-angle * share[:, None] * axis) @ [0.0, 0.0, 1.0]
+    return time, G * up, rate, up
+
+
+def test_a_brisk_turn_closes_at_50_hz() -> None:
+    for angle in (1.0, 2.0, 3.0):
+        time, force, rate, up = turn(0.02, angle)
+        closed = close_turn(time, force, rate, up[0], up[-1], gravity=G)
+        assert np.abs(closed.residual[:2]).max() < 1e-6
+        # A trapezoid leaves 1 to 3 mm/s.
+        assert np.abs(closed.residual[2:]).max() < 2e-4
+
+
+def test_means_over_the_sample_interval_leave_what_the_rows_allow() -> None:
+    time, force, rate, up = turn(0.001, 2.0)
+    width = 20
+    few = len(time) // width * width
+
+    def mean(values: FloatArray) -> FloatArray:
+        return values[:few].reshape(-1, width, *values.shape[1:]).mean(axis=1)
+
+    closed = close_turn(mean(time), mean(force), mean(rate), up[0], up[-1], gravity=G)
+    step = 0.02
+    curve = np.gradient(np.gradient(np.hstack((force, rate)), time, axis=0), time, axis=0)
+    blur = mean(curve) * step**2 / 24
+    expected = sum(
+        np.einsum("rnc,nc->r", weights, blur[:, part])
+        for weights, part in ((closed.accel_weights, slice(3)), (closed.gyro_weights, slice(3, 6)))
+    )
+    # Samples that are points would have left nothing: the difference is that of the means.
+    assert np.abs(closed.residual[2:]).max() > 5e-4
+    assert np.abs(closed.residual[2:] - expected[2:]).max() < 0.5 * np.abs(expected[2:]).max()
