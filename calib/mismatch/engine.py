@@ -21,6 +21,7 @@ from calib.mismatch.grid import (
     make_grid,
     one_rest,
     steady,
+    untouched,
 )
 from calib.mismatch.search import Outcome, search
 from calib.mismatch.selfmode import SelfProblem
@@ -81,7 +82,7 @@ def diagnose_thinned(
     if seen.fatal:
         return _unfit(thinned, missing)
     noisy = look_at_spectrum(recording, poses)
-    poses = connected(steady(poses))
+    poses = connected(untouched(recording, steady(poses)))
     poses = poses.select(
         choose_poses(poses.accel, poses.start, poses.stop, interval=recording.interval)
     )

@@ -30,6 +30,9 @@ from calib.mismatch.search import TIE, TWIN, Outcome
 from calib.recording import CHANNELS
 from calib.types import FloatArray
 
+COUNTED = 0.3
+"""Standard error of a count of samples above which it is not known to be whole."""
+
 
 def explain(
     outcome: Outcome, fit: Estimate, *, names: tuple[str, ...]
@@ -115,9 +118,9 @@ def explain(
 
 
 def _is_whole(q: Quantity) -> bool:
-    """Whether a count is a whole number other than zero, within its standard error."""
-    near = round(q.value)
-    return near != 0 and abs(q.value - near) < 4.0 * (q.sigma or 0.0) + 0.05
+    """Whether a count is a whole number other than zero, and not any other."""
+    near, sigma = round(q.value), q.sigma or 0.0
+    return near != 0 and sigma < COUNTED and abs(q.value - near) < 4.0 * sigma + 0.05
 
 
 def _rivals(a: Accepted) -> tuple[Rival, ...]:

@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 
 from calib.effects.base import SLOPE_WINDOW, local_slope
-from calib.poses import Poses
+from calib.poses import Poses, average_poses
 from calib.recording import Recording
 from calib.types import BoolArray, FloatArray, IntArray
 
@@ -29,6 +29,9 @@ SHORTEST_CELL = 2.0
 
 LOUD = 9.0
 """Noise power, relative to the median, above which a pose is louder than others."""
+
+TOUCH = 2.0
+"""s at either end of a rest in which a hand may be at the sensor; a third of a short rest."""
 
 FEW = 0.15
 """Share of louder poses up to which they are left out; where more are, that is how it was."""
@@ -151,6 +154,34 @@ def make_grid(
     bounds = np.concatenate(starts)
     table = np.array(segments, np.int64)
     return _fill(recording, poses, bounds, table)
+
+
+def untouched(recording: Recording, poses: Poses) -> Poses:
+    """Return the poses without the moments at either end in which a hand was at the sensor.
+
+    A hand that takes the sensor up, or stops the recording, shakes it before it turns it. That is
+    a true rate, short, and never about one axis alone; what one axis alone has is left in.
+    """
+    width = max(5, round(REST_STEP / max(recording.interval, 1e-9)))
+    start, stop = poses.start.copy(), poses.stop.copy()
+    for k in range(len(poses)):
+        a, b = int(start[k]), int(stop[k])
+        edges = np.arange(a, b - width + 1, width)
+        if len(edges) < 8:
+            continue
+        square = np.square(recording.gyro[a:b] - np.median(recording.gyro[a:b], axis=0))
+        each = np.add.reduceat(square, edges - a, axis=0)
+        shaken = (each > LOUD * np.median(each, axis=0)).sum(axis=1) > 1
+        near = round(TOUCH / (width * recording.interval))
+        near = min(near, len(edges) // 3)
+        first, last = np.flatnonzero(shaken[:near]), np.flatnonzero(shaken[len(edges) - near :])
+        if len(first):
+            start[k] = edges[first[-1]] + width
+        if len(last):
+            stop[k] = edges[len(edges) - near + last[0]]
+    if np.array_equal(start, poses.start) and np.array_equal(stop, poses.stop):
+        return poses
+    return average_poses(recording, start, stop)
 
 
 def steady(poses: Poses) -> Poses:

@@ -1,17 +1,22 @@
 """The grid knows at each point which rest the sensor is in, and how much it is shaken there."""
 
+from dataclasses import replace
+
 import numpy as np
+import pytest
 
 from calib.effects.base import Term
 from calib.mismatch import diagnose_recording
-from calib.mismatch.grid import make_grid
+from calib.mismatch.grid import make_grid, untouched
 from calib.model import SensorModel
+from calib.recording import Recording
 from calib.simulate import simulate
 from calib.simulation.bench import bench_protocol
 from calib.simulation.noise import CONSUMER
 from calib.statics import find_poses
 
 from .bench import GRAVITY
+from .bench import recording as plain
 
 SHAKEN = 0.4
 
@@ -53,3 +58,31 @@ def test_rectified_vibration_is_named():
     assert finding.effect == "accel_vibration_rectification"
     found = finding.parameters["kx"]
     assert abs(found.value - 0.5) < 4 * found.sigma
+
+
+def touched(axes: tuple[int, ...], *, seed: int = 3) -> Recording:
+    """Return a recording whose last second is shaken about some axes: a hand stops it."""
+    real = plain(seed=seed)
+    last = real.time > real.time[-1] - 1.0
+    gyro = real.gyro.copy()
+    for axis in axes:
+        gyro[last, axis] += 0.05 * np.sin(2 * np.pi * 3.0 * real.time[last] + axis) + 0.02
+    return replace(real, gyro=gyro)
+
+
+def test_a_hand_at_the_end_of_a_rest_is_no_rest():
+    real = touched((0, 2))
+    poses = find_poses(plain())
+    cut = untouched(real, poses)
+    np.testing.assert_array_equal(cut.start, poses.start)
+    np.testing.assert_array_equal(cut.stop[:-1], poses.stop[:-1])
+    assert real.time[-1] - 1.4 < cut.interval[-1, 1] < real.time[-1] - 0.9
+    # What one axis alone has is no rotation by hand.
+    assert untouched(touched((1,)), poses) is poses
+    assert untouched(plain(), poses) is poses
+
+
+@pytest.mark.parametrize("seed", [3, 8, 9])
+def test_a_hand_at_the_end_of_a_recording_gets_no_name(seed):
+    found = diagnose_recording(touched((0, 2), seed=seed), gravity=GRAVITY)
+    assert not found.findings
