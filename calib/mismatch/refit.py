@@ -12,10 +12,10 @@ from calib.effects import get_effect
 from calib.effects.base import PRESENCE, Term, TransformEffect
 from calib.mismatch.families import effect_columns, neighbours
 from calib.mismatch.noise import Whitener, contrast_variance, find_levels, make_whitener
-from calib.mismatch.ranking import Accepted, fitted, make_stack
+from calib.mismatch.ranking import Accepted, fitted
 from calib.mismatch.rivals import WINDOWED, window_columns
 from calib.mismatch.rows import Rows
-from calib.mismatch.score import LARGE, Candidate, Stack, log_bayes_factor
+from calib.mismatch.score import LARGE, Candidate, log_bayes_factor
 from calib.types import BoolArray, FloatArray
 
 REFINED = 3
@@ -44,8 +44,7 @@ def refit(
     rows: Rows,
     accepted: list[Accepted],
     levels: FloatArray,
-    skip: tuple[str, ...],
-) -> tuple[Rows, Stack, list[Accepted]]:
+) -> tuple[Rows, list[Accepted]]:
     """Fit everything jointly, move the model there, and linearise anew."""
     contrast = contrast_variance(rows)
     levels = find_levels(rows, fitted(rows, accepted)[: rows.n_dense], levels).values
@@ -72,8 +71,7 @@ def refit(
     baseline = dict(zip(rows.names, step[:p], strict=True))
     problem.move(baseline, step[p : p + q], tuple(terms))
     rows = problem.rows()
-    stack = make_stack(rows, skip=skip, reference=problem.reference)
-    return rows, stack, [_renew(a, rows, reference=problem.reference) for a in moved]
+    return rows, [_renew(a, rows, reference=problem.reference) for a in moved]
 
 
 def _movable(candidate: Candidate, *, signals: bool) -> bool:

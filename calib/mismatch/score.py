@@ -124,7 +124,13 @@ class Stack:
         if not self._parts:
             return np.zeros((self._rows, 0))
         if len(self._parts) > 1:
-            self._parts = [np.hstack(self._parts)]
+            # One part after the other, so that they are not in memory twice.
+            whole, at = np.empty((self._count, self._rows)).T, 0
+            while self._parts:
+                part = self._parts.pop(0)
+                whole[:, at : at + part.shape[1]] = part
+                at += part.shape[1]
+            self._parts = [whole]
         return self._parts[0]
 
     def of(self, candidate: Candidate) -> FloatArray:

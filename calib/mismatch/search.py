@@ -67,27 +67,31 @@ def search(problem: Problem, *, skip: tuple[str, ...] = ()) -> Outcome:
     """Find what was left out, one hypothesis after another."""
     accepted: list[Accepted] = []
     rows = problem.rows()
-    stack = make_stack(rows, skip=skip, reference=problem.reference)
-    start = expected_levels(rows)
-    ranking = rank(rows, stack, accepted, start)
+    ranking = _ranked(problem, rows, accepted, expected_levels(rows), skip)
     if ranking.total < np.log(CLAIM) and ranking.pair is not None:
-        accepted.append(_accept(rows, stack, ranking.pair[1], float(np.exp(ranking.pair[0]))))
-        rows, stack, accepted = refit(problem, rows, accepted, ranking.levels, skip)
-        ranking = rank(rows, stack, accepted, ranking.levels)
+        value, first = ranking.pair
+        accepted.append(_accept(rows, ranking.stack, first, float(np.exp(value))))
+        levels = ranking.levels
+        del ranking  # its columns are most of the memory that is used
+        rows, accepted = refit(problem, rows, accepted, levels)
+        ranking = _ranked(problem, rows, accepted, levels, skip)
     for _ in range(ROUNDS):
         if ranking.total < np.log(CLAIM):
             break
         chosen = choose(rows, ranking, accepted)
         if chosen is None:
             break
-        new = _accept(rows, stack, chosen, float(np.exp(min(ranking.total, 700))))
+        new = _accept(rows, ranking.stack, chosen, float(np.exp(min(ranking.total, 700))))
         accepted = _with(rows, accepted, new, reference=problem.reference)
-        rows, stack, accepted = refit(problem, rows, accepted, ranking.levels, skip)
-        extra = _superfluous(rows, accepted, ranking.levels)
+        levels = ranking.levels
+        del ranking
+        rows, accepted = refit(problem, rows, accepted, levels)
+        extra = _superfluous(rows, accepted, levels)
         if extra is not None:
             accepted = [a for a in accepted if a is not extra]
-            rows, stack, accepted = refit(problem, rows, accepted, ranking.levels, skip)
-        ranking = rank(rows, stack, accepted, ranking.levels)
+            rows, accepted = refit(problem, rows, accepted, levels)
+        ranking = _ranked(problem, rows, accepted, levels, skip)
+    stack = ranking.stack
     contrast = contrast_variance(rows)
     levels = find_levels(rows, fitted(rows, accepted)[: rows.n_dense], ranking.levels).values
     accepted = [
@@ -99,6 +103,16 @@ def search(problem: Problem, *, skip: tuple[str, ...] = ()) -> Outcome:
     ]
     rows, accepted = settle(rows, accepted, levels, contrast, reference=problem.reference)
     return Outcome(rows, tuple(accepted), levels, contrast, ranking.total, tuple(stack.candidates))
+
+
+def _ranked(
+    problem: Problem,
+    rows: Rows,
+    accepted: list[Accepted],
+    levels: FloatArray,
+    skip: tuple[str, ...],
+) -> Ranking:
+    return rank(rows, make_stack(rows, skip=skip, reference=problem.reference), accepted, levels)
 
 
 def choose(rows: Rows, ranking: Ranking, accepted: list[Accepted]) -> Candidate | None:

@@ -10,10 +10,16 @@ import numpy as np
 from calib.effects import get_effect
 from calib.effects.base import Term
 from calib.mismatch.grid import Grid
-from calib.mismatch.rows import Rows
+from calib.mismatch.rows import Kind, Rows
 from calib.mismatch.twin import Twin, build_rows, fit_twin, sample_noise, start_twin
 from calib.model import SensorModel
 from calib.types import BoolArray, FloatArray
+
+LONG = 4.0
+"""Times the median cell, above which no contrast within a cell is looked at. Its noise is taken as
+white, times a factor that the cells share. But what drift adds to it does not fall with time: in a
+cell of four times the length it is twice what that factor allows for, and in a night all there is.
+The mean of such a cell stays, and with it what temperature and time do from cell to cell."""
 
 
 class SelfProblem:
@@ -49,7 +55,16 @@ class SelfProblem:
         ]
         if known:
             rows = replace(rows, nuisance=np.column_stack((rows.nuisance, *known)))
-        return rows if self.drop is None else rows.without(self.drop[rows.segment])
+        out = self._drifting(rows)
+        if self.drop is not None:
+            out |= self.drop[rows.segment]
+        return rows.without(out) if out.any() else rows
+
+    def _drifting(self, rows: Rows) -> BoolArray:
+        """Return the contrasts within cells that are much longer than most, (m,) bool."""
+        length = np.ptp(rows.interval, axis=1)
+        long = rows.is_rest & (length > LONG * np.median(length[rows.is_rest]))
+        return np.asarray(long[rows.segment] & (rows.kind == Kind.CONTRAST))
 
     def move(
         self, baseline: Mapping[str, float], nuisance: FloatArray, terms: tuple[Term, ...]

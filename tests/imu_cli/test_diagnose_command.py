@@ -1,6 +1,13 @@
 """``imu-cal diagnose`` as a user meets it: JSON alone on stdout, a model, clear refusals."""
 
+import contextlib
 import json
+import os
+import pty
+import signal
+import subprocess
+import sys
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -68,3 +75,35 @@ def test_gravity_is_taken_from_the_latitude_or_from_the_calibration(
     assert load_calibration(again).gravity == gravity
     both = CliRunner().invoke(app, ["diagnose", str(log), "--gravity", "9.81", *place])
     assert both.exit_code == 2
+
+
+def test_a_pipe_is_diagnosed_as_the_file_is(log: Path, tmp_path: Path) -> None:
+    pipe = tmp_path / "log.arrow"
+    os.mkfifo(pipe)
+    writer = threading.Thread(target=lambda: pipe.write_bytes(log.read_bytes()), daemon=True)
+    writer.start()
+    piped = CliRunner().invoke(app, ["diagnose", str(pipe), "--json"])
+    writer.join(timeout=10)
+    assert piped.exit_code == 0, piped.stderr
+    assert piped.stdout == CliRunner().invoke(app, ["diagnose", str(log), "--json"]).stdout
+
+
+def test_it_is_interrupted_cleanly_while_it_says_what_it_does(tmp_path: Path) -> None:
+    pipe = tmp_path / "log.csv"
+    os.mkfifo(pipe)
+    seen, shown = pty.openpty()
+    command = [sys.executable, "-m", "imu_cli", "diagnose", str(pipe), "--json"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=shown)
+    os.close(shown)
+    said = b""
+    while b"reading" not in said:
+        said += os.read(seen, 4096)
+    process.send_signal(signal.SIGINT)
+    out, _ = process.communicate(timeout=20)
+    with contextlib.suppress(OSError):
+        while more := os.read(seen, 4096):
+            said += more
+    os.close(seen)
+    assert process.returncode == 130
+    assert out == b""
+    assert b"Traceback" not in said

@@ -4,10 +4,18 @@ from dataclasses import replace
 
 import numpy as np
 
+from calib.mismatch import grid
 from calib.mismatch.grid import make_grid
 from calib.mismatch.noise import covariance, expected_levels
 from calib.mismatch.rows import Kind
+from calib.mismatch.selfmode import SelfProblem
 from calib.mismatch.twin import build_rows
+from calib.model import SensorModel
+from calib.poses import Poses
+from calib.recording import Recording
+from calib.simulate import simulate
+from calib.simulation.bench import bench_protocol
+from calib.simulation.noise import CONSUMER
 from calib.statics import find_poses
 
 from .bench import problem, recording
@@ -83,3 +91,27 @@ def test_long_recordings_are_thinned():
     assert grid.count.sum() <= len(real)
     assert (grid.count > 5).any()
     assert (np.diff(grid.time) > 0).all()
+
+
+def long_rest() -> tuple[Recording, Poses]:
+    rng = np.random.default_rng(2)
+    motion = bench_protocol(rng, poses=12, first_pose=60.0, pose_duration=(3.0, 4.0))
+    real = simulate(motion, SensorModel(), CONSUMER, rng=rng, rate=50.0)
+    return real, find_poses(real)
+
+
+def test_a_cell_that_is_much_longer_than_others_has_a_mean_and_no_contrast():
+    real, poses = long_rest()
+    one = make_grid(real, poses, shortest_cell=90.0)
+    rows = SelfProblem(one, None, gravity=9.80665, full_gyro=False).rows()
+    assert (rows.kind[rows.segment == 0] == Kind.MEAN).all()
+    assert (rows.segment == 0).sum() == 6
+    assert (rows.kind[rows.segment == 2] == Kind.CONTRAST).sum() == 12
+
+
+def test_rests_are_cut_into_no_more_cells_than_the_rows_allow(monkeypatch):
+    real, poses = long_rest()
+    assert make_grid(real, poses).is_rest.sum() > 20
+    monkeypatch.setattr(grid, "ROWS", 6 * 15 + 5 * 11)
+    assert len(poses) == 12
+    assert 12 < make_grid(real, poses).is_rest.sum() <= 15
