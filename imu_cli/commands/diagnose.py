@@ -181,6 +181,9 @@ def _show(found: Diagnosis) -> None:
             )
         out.print()
         out.print(table)
+    known, used = found.summary.get("poses", 0), found.summary.get("poses_used", 0)
+    if used < known:
+        out.print(f"\n{used} of {known} poses were looked at.", soft_wrap=True)
     for text in found.missing:
         warn(f"the recording lacks {text}")
 
