@@ -96,15 +96,15 @@ def estimate_levels(
     basis = range_basis(mean)
     logs = np.log(start)
     best: tuple[float, FloatArray] | None = None
-    damping = 0.0
+    halved, caution = 0, 0.1
     for _ in range(iterations):
         levels = np.exp(logs)
         projector, value = _projector(covariance(rows, levels), basis, y)
         value -= 0.5 * float((logs - centre) @ precision @ (logs - centre))
         if best is not None and value < best[0] - 1e-6:
             # Too long a step: go back half way.
-            damping += 1
-            if damping > 4:
+            halved, caution = halved + 1, 0.1
+            if halved > 4:
                 break
             logs = 0.5 * (logs + best[1])
             continue
@@ -123,8 +123,9 @@ def estimate_levels(
                 at += 1
         gradient = 0.5 * (vpy.T @ py - trace) - precision @ (logs - centre)
         information = 0.5 * vpy.T @ projector @ vpy + precision
-        # Average information is poor far from the optimum: never less than half the trace's own.
-        information += np.diag(0.1 * np.abs(trace))
+        # Average information is poor far from the optimum; near it, caution only costs steps.
+        information += np.diag(caution * np.abs(trace))
+        caution *= 0.3
         step = np.linalg.solve(information, gradient)
         logs = logs + np.clip(step, -2.0, 2.0)
     assert best is not None
