@@ -131,7 +131,7 @@ def _even(time: FloatArray, rate: FloatArray, step: float) -> FloatArray:
 
 
 def _best_lag(a: FloatArray, b: FloatArray, least: int) -> tuple[float, int]:
-    """Return the largest correlation of ``a[k]`` with ``b[k + lag]``, and its lag."""
+    """Return the correlation of ``a[k]`` with ``b[k + lag]`` at the likeliest lag, and that lag."""
     a, b = a - a.mean(), b - b.mean()
     size = fft.next_fast_len(len(a) + len(b))
     product = fft.irfft(np.conj(fft.rfft(a, size)) * fft.rfft(b, size), size)
@@ -145,7 +145,9 @@ def _best_lag(a: FloatArray, b: FloatArray, least: int) -> tuple[float, int]:
     floor = 0.02 * sums_a[-1] * sums_b[-1]
     usable = (last - first >= least) & (energy > floor)
     value = np.where(usable, product[lag] / np.sqrt(np.maximum(energy, floor)), -1.0)
-    best = int(np.argmax(value))
+    # Motion that repeats itself matches well in part: what counts is the likelihood of the whole.
+    alike = np.clip(value, 0.0, 1.0 - 1e-9)
+    best = int(np.argmax(-(last - first) * np.log1p(-np.square(alike))))
     return float(value[best]), int(lag[best])
 
 

@@ -44,6 +44,18 @@ GYRO_BASELINE = (
 )
 BASELINE = (*ACCEL_BASELINE, *GYRO_BASELINE)
 
+LOOSE = {
+    "bias": 2.0,
+    "scale_factor_error": 0.5,
+    "misalignment": 0.3,
+    "delay": 0.1,
+    "scale": 0.01,
+    **dict.fromkeys(("rx", "ry", "rz"), 0.2),
+}
+"""How far (SI) baseline and alignment may be from where they start; of the alignment that is what
+the correlation of rates and Wahba's problem leave open. What the motion does not determine (the
+heading of a sensor on a table that turns about the vertical) stays there."""
+
 
 class Truth(Protocol):
     """What a simulation or a reference says of the motion, on its own clock and in its frame."""
@@ -124,6 +136,7 @@ class ComparisonProblem:
         mat = np.eye(3) if mat_sr is None else mat_sr
         self.setup = Setup(start, alignment, mat)
         self.names = BASELINE
+        self.moved = np.zeros(len(BASELINE) + len(self.aligned))
         self.shapes: Shapes | None = None
         self.fit()
 
@@ -159,6 +172,7 @@ class ComparisonProblem:
         self, baseline: Mapping[str, float], nuisance: FloatArray, terms: tuple[Term, ...]
     ) -> None:
         """Move model and alignment by steps; set the further terms."""
+        self.moved += np.append([baseline[n] for n in self.names], nuisance)
         model, alignment, mat = self.setup
         triads = []
         for name, triad in (("accel", model.accel), ("gyro", model.gyro)):
@@ -188,7 +202,14 @@ class ComparisonProblem:
             names=self.names,
             nuisance=[self._nuisance(state, name) for name in self.aligned],
             aligned=self.aligned,
+            prior=np.stack((self.moved, self.loose), axis=1),
         )
+
+    @property
+    def loose(self) -> FloatArray:
+        """How far baseline and nuisances may be from where they start."""
+        kinds = [n.split(".")[1] for n in (*self.names, *self.aligned)]
+        return np.array([LOOSE[k] for k in kinds])
 
     def residual(self, state: State) -> FloatArray:
         """Return recording minus model, (n, 6)."""

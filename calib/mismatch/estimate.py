@@ -133,9 +133,9 @@ def _fit(
     scale = np.linalg.norm(mean, axis=0)
     scale[scale == 0] = 1.0
     whitener = make_whitener(rows, levels, contrast, mean[:, :0])
-    prior = prior_rows(rows, accepted) / scale
-    design = np.vstack((whitener.whiten(mean / scale), prior))
-    y = np.append(whitener.whiten(rows.residual), np.zeros(len(prior)))
+    prior, value = prior_rows(rows, accepted)
+    design = np.vstack((whitener.whiten(mean / scale), prior / scale))
+    y = np.append(whitener.whiten(rows.residual), value)
     aside = cut(rows, accepted)
     inverse = np.zeros(design.T.shape)
     inverse[~aside] = _inverse(design[:, ~aside])

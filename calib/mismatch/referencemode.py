@@ -31,6 +31,9 @@ from calib.recording import Recording
 from calib.statics import find_poses
 from calib.types import BoolArray, FloatArray
 
+UNTURNED = 1e-3
+"""Weight of no rotation in a mounting, relative to what was measured."""
+
 SETUPS = ("time_offset", "clock_scale", "reference_misalignment")
 
 
@@ -203,6 +206,8 @@ def mounting(real: Recording, truth: Truth, alignment: Alignment) -> tuple[Float
     rate = state.rate - np.median(state.rate, axis=0)
     product = gyro.T @ rate / max(float(np.square(rate).sum()), 1e-12)
     product += real.accel[inside].T @ state.force / float(np.square(state.force).sum())
+    # A turn that nothing tells of (heading, on a table) is none.
+    product += UNTURNED * np.linalg.norm(product) * np.eye(3)
     u, _, vt = np.linalg.svd(product)
     mat = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
     left = np.square(gyro - rate @ mat.T).sum() / max(float(np.square(gyro).sum()), 1e-12)

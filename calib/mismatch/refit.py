@@ -97,25 +97,30 @@ def _renew(a: Accepted, rows: Rows, *, reference: bool) -> Accepted:
     return replace(a, columns=np.stack(columns, axis=1))
 
 
-def prior_rows(rows: Rows, accepted: list[Accepted] | tuple[Accepted, ...]) -> FloatArray:
-    """Return rows (k, p) of the prior on the coefficients of rivals, beside a reference.
+def prior_rows(
+    rows: Rows, accepted: list[Accepted] | tuple[Accepted, ...]
+) -> tuple[FloatArray, FloatArray]:
+    """Return rows (k, p) of the priors beside a reference, and their values (k,).
 
-    A smooth function can take the place of the baseline. Against a twin the two are exactly alike,
-    and the smallest step is taken; against a truth with noise they are only nearly so, and what
-    keeps them apart is the size that the evidence gave the rival, at most `LARGE`.
+    Baseline and alignment have theirs from the rows. A smooth function can take the place of the
+    baseline. Against a twin the two are exactly alike, and the smallest step is taken; against a
+    truth with noise they are only nearly so, and what keeps them apart is the size that the
+    evidence gave the rival, at most `LARGE`.
     """
     start = rows.baseline.shape[1] + rows.nuisance.shape[1]
     width = start + sum(a.columns.shape[1] for a in accepted)
+    if not rows.aligned:
+        return np.zeros((0, width)), np.zeros(0)
+    spread = np.full(width, np.inf)
+    value = np.zeros(width)
+    spread[:start], value[:start] = rows.prior[:, 1], -rows.prior[:, 0]
     at = start
-    index: list[int] = []
     for a in accepted:
         if not a.candidate.physical:
-            index += range(at, at + a.columns.shape[1])
+            spread[at : at + a.columns.shape[1]] = LARGE
         at += a.columns.shape[1]
-    if not rows.aligned:
-        index = []
-    out: FloatArray = np.eye(width)[np.array(index, np.int64)] / LARGE
-    return out
+    known = np.isfinite(spread)
+    return np.diag(1.0 / spread)[known], (value / spread)[known]
 
 
 def solve(
@@ -131,10 +136,10 @@ def solve(
     mean = mean[:, kept]
     whitener = make_whitener(rows, levels, contrast, mean[:, :0])
     scale = np.maximum(np.linalg.norm(mean, axis=0), 1e-300)
-    prior = prior_rows(rows, accepted)[:, kept] / scale
+    prior, value = prior_rows(rows, accepted)
     found = np.linalg.lstsq(
-        np.vstack((whitener.whiten(mean / scale), prior)),
-        np.append(whitener.whiten(rows.residual), np.zeros(len(prior))),
+        np.vstack((whitener.whiten(mean / scale), prior[:, kept] / scale)),
+        np.append(whitener.whiten(rows.residual), value),
         rcond=1e-9,
     )[0]
     step[kept] = found / scale

@@ -88,6 +88,9 @@ class Rows:
         Parameters (``effect.name``) that `nuisance` fits: an alignment in time, a rotation.
     restless : (m,) array of bool
         Rows of segments where the truth itself errs with the motion; empty if it does nowhere.
+    prior : (p + q, 2) array
+        How far baseline and nuisances are from where they are expected, and how far they may be;
+        empty where the rows determine all of them.
     """
 
     residual: FloatArray
@@ -109,6 +112,7 @@ class Rows:
     pieces: tuple[Any, ...] = field(default=())
     aligned: tuple[str, ...] = ()
     restless: BoolArray = field(default_factory=lambda: np.zeros(0, bool))
+    prior: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
 
     @property
     def n_dense(self) -> int:

@@ -41,8 +41,6 @@ RESTLESS = 4.0
 """A window whose samples scatter by this much more (in variance) than in quiet ones holds motion
 that the truth does not follow: shaking beyond its band, play between the two."""
 
-_LOOSE = {"bias": 2.0, "scale_factor_error": 0.5, "misalignment": 0.3}
-
 
 @dataclass(frozen=True, eq=False)
 class Shapes:
@@ -161,6 +159,7 @@ def make_rows(
     names: tuple[str, ...],
     nuisance: list[Mapping[str, FloatArray]],
     aligned: tuple[str, ...],
+    prior: FloatArray,
 ) -> Rows:
     """Return the rows: the mean of every window and channel, and what follows the shapes there.
 
@@ -227,6 +226,7 @@ def make_rows(
         pieces=pieces,
         aligned=aligned,
         restless=restless,
+        prior=prior,
     )
 
 
@@ -266,20 +266,18 @@ def _components(
 
 def robust_step(rows: Rows) -> FloatArray:
     """Return the Gauss-Newton step of baseline and nuisances, by Huber's weights."""
-    p = rows.baseline.shape[1]
     sigma = np.sqrt(np.concatenate((rows.expected_variance(), rows.white_diagonal)))
     design = np.hstack((rows.baseline, rows.nuisance)) / sigma[:, None]
     y = rows.residual / sigma
-    loose = np.array([_LOOSE[n.split(".")[1]] for n in rows.names])
-    ridge = np.zeros((p, design.shape[1]))
-    ridge[:, :p] = np.diag(1.0 / loose)
+    ridge = np.diag(1.0 / rows.prior[:, 1])
+    pull = -rows.prior[:, 0] / rows.prior[:, 1]
     size = np.maximum(np.linalg.norm(design, axis=0), 1e-12)
     weight = np.ones(len(y))
     step = np.zeros(design.shape[1])
     for _ in range(5):
         root = np.sqrt(weight)
         stacked = np.vstack((design * root[:, None], ridge)) / size
-        step = np.linalg.lstsq(stacked, np.append(y * root, np.zeros(p)), rcond=1e-10)[0] / size
+        step = np.linalg.lstsq(stacked, np.append(y * root, pull), rcond=1e-12)[0] / size
         left = np.abs(y - design @ step)
         scale = max(float(np.median(left)) / 0.6745, 1.0)
         weight = np.minimum(1.0, 3.0 * scale / np.maximum(left, 1e-12)) / scale**2

@@ -47,6 +47,7 @@ def rows_of(left: np.ndarray, *, width: float = 0.0, aligned: tuple[str, ...] = 
         names=("gyro.bias.x",),
         nuisance=[{"gyro.x": np.ones(len(time))}],
         aligned=aligned,
+        prior=np.array([[0.0, 2.0], [0.0, 0.1]]),
     )
 
 
