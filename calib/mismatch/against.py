@@ -68,6 +68,20 @@ def diagnose_against(
     still = at_rest(real, simulated)
     if still:
         return undetermined(still, summary)
+    problem, skip = compare_simulation(real, simulated, seen, gravity=gravity, model=model)
+    # When a simulation starts is nobody's fault; what its clock does to the motion is.
+    return conclude(problem, seen, summary, setups=("clock_scale",), skip=skip)
+
+
+def compare_simulation(
+    real: Recording,
+    simulated: Recording,
+    seen: Samples,
+    *,
+    gravity: float,
+    model: SensorModel | None = None,
+) -> tuple[ComparisonProblem, tuple[str, ...]]:
+    """Align a simulation with a recording; return what to compare, and what cannot show."""
     alignment = align(real.time, real.gyro, simulated.time, simulated.gyro)
     common = matched(
         real,
@@ -78,7 +92,6 @@ def diagnose_against(
         gravity=gravity,
         spoilt=seen.spoilt,
     )
-    skip = (*_SELDOM_ALONE, "bandwidth") if common.limited else _SELDOM_ALONE
     problem = ComparisonProblem(
         common.real,
         common.truth,
@@ -88,8 +101,7 @@ def diagnose_against(
         spoilt=common.spoilt,
         blur=common.blur,
     )
-    # When a simulation starts is nobody's fault; what its clock does to the motion is.
-    return conclude(problem, seen, summary, setups=("clock_scale",), skip=skip)
+    return problem, ((*_SELDOM_ALONE, "bandwidth") if common.limited else _SELDOM_ALONE)
 
 
 def at_rest(*recordings: Recording) -> str:

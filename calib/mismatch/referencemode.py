@@ -24,7 +24,7 @@ from calib.mismatch.alignment import Alignment, align
 from calib.mismatch.band import Matched, common_band, limited, matched
 from calib.mismatch.comparison import ComparisonProblem, Truth
 from calib.mismatch.diagnosis import Diagnosis
-from calib.mismatch.samples import look_at_samples
+from calib.mismatch.samples import Samples, look_at_samples
 from calib.mismatch.truths import MotionTruth, RecordingTruth
 from calib.model import SensorModel
 from calib.recording import Recording
@@ -133,6 +133,22 @@ def diagnose_reference(
         still = at_rest(real, reference)
         if still:
             return undetermined(still, summary)
+    elif reference.position is None:
+        summary["position"] = "not known: the point of the reference counts as at rest"
+    problem, skip = compare_reference(real, reference, seen, gravity=gravity, model=model)
+    return conclude(problem, seen, summary, setups=SETUPS, skip=skip)
+
+
+def compare_reference(
+    real: Recording,
+    reference: Recording | ReferenceMotion,
+    seen: Samples,
+    *,
+    gravity: float,
+    model: SensorModel | None = None,
+) -> tuple[ComparisonProblem, tuple[str, ...]]:
+    """Align a reference with a recording; return what to compare, and what cannot show."""
+    if isinstance(reference, Recording):
         poses = find_poses(reference)
         alignment = align(real.time, real.gyro, reference.time, reference.gyro)
         mat = mounting(real, RecordingTruth(reference, gravity), alignment)[0]
@@ -147,11 +163,7 @@ def diagnose_reference(
             other_spoilt=look_at_samples(reference, poses).spoilt,
         )
     else:
-        if reference.position is None:
-            summary["position"] = "not known: the point of the reference counts as at rest"
         common, alignment, mat = _captured(real, reference, gravity, seen.spoilt)
-    # What both were limited to hides the sensor's own low-pass.
-    skip = ("bandwidth",) if common.limited else ()
     problem = ComparisonProblem(
         common.real,
         common.truth,
@@ -162,7 +174,8 @@ def diagnose_reference(
         spoilt=common.spoilt,
         blur=common.blur,
     )
-    return conclude(problem, seen, summary, setups=SETUPS, skip=skip)
+    # What both were limited to hides the sensor's own low-pass.
+    return problem, (("bandwidth",) if common.limited else ())
 
 
 def _captured(
