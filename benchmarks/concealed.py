@@ -103,15 +103,18 @@ def main() -> int:
     return report(results)
 
 
-def _run_all(cases: list[Case], jobs: int, *, verbose: bool):
+def _run_all(
+    cases: list[Case], jobs: int, *, verbose: bool, work: Callable[[Case], Result] | None = None
+):
+    work = run if work is None else work
     if jobs > 1:
         with ProcessPoolExecutor(jobs) as pool:
-            for result in pool.map(run, cases, chunksize=1):
+            for result in pool.map(work, cases, chunksize=1):
                 _say(result, verbose=verbose)
                 yield result
         return
     for case in cases:
-        result = run(case)
+        result = work(case)
         _say(result, verbose=verbose)
         yield result
 
@@ -244,7 +247,13 @@ def true_levels(rows: Rows, noise: NoiseModel) -> np.ndarray:
 
 
 def sized_term(
-    effect: Effect, rows: Rows, whitener: Whitener, power: float, rng: np.random.Generator
+    effect: Effect,
+    rows: Rows,
+    whitener: Whitener,
+    power: float,
+    rng: np.random.Generator,
+    *,
+    reference: bool = False,
 ) -> Term:
     """Return the effect with random signs and axes, sized to the oracle's non-centrality."""
     shape: dict[str, float] = {}
@@ -264,7 +273,11 @@ def sized_term(
             k = int(rng.integers(len(turns) // 5, 4 * len(turns) // 5))
             shape[item.name] = float(turns[k].mean())
     columns = effect.columns(rows.state, shape)
-    names = [p.name for p in effect.parameters if p.name in columns and not p.reference_only]
+    names = [
+        p.name
+        for p in effect.parameters
+        if p.name in columns and (reference or not p.reference_only)
+    ]
     typical = {p.name: p.typical for p in effect.parameters}
     if chosen is not None:
         names = names[:1] if len(columns) == 1 else names

@@ -1,0 +1,205 @@
+"""How well does the diagnosis name what a simulation or a reference does not have?
+
+As `concealed`, against a truth: the user's own simulation of the motion (without noise, at 80 Hz),
+motion capture (120 Hz, 0.2 mm and 0.1 degrees of noise, a tenth of a second lost), or another IMU
+on the same body (64 Hz, noisy, mounted at an angle). The recording is at 50 Hz; the clocks start
+apart. Each effect has the asked non-centrality after baseline and alignment have absorbed theirs.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+import time
+from dataclasses import replace
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import numpy as np
+from concealed import (
+    GRAVITY,
+    Case,
+    Result,
+    _run_all,
+    hidden_effects,
+    report,
+    sized_term,
+    true_levels,
+)
+
+from calib.effects import get_effect
+from calib.effects.base import Term
+from calib.mismatch import Diagnosis, ReferenceMotion, diagnose_against, diagnose_reference
+from calib.mismatch.against import compare_simulation
+from calib.mismatch.noise import contrast_variance, make_whitener
+from calib.mismatch.referencemode import compare_reference
+from calib.mismatch.samples import look_at_samples
+from calib.model import SensorModel, Triad
+from calib.recording import Recording
+from calib.rotation import mat_from_rotvec, quat_from_rotvec, quat_multiply
+from calib.simulate import Sampling, simulate
+from calib.simulation.bench import bench_protocol
+from calib.simulation.kinematics import Motion
+from calib.simulation.noise import CONSUMER, NoiseModel
+from calib.statics import find_poses
+
+RATE = 50.0
+START = 40.0
+"""What the truth's clock shows at the recording's time 0, s."""
+
+OUTSIDE_ONLY = ("clock_scale", "reference_misalignment", "accel_lever_arm", "time_offset")
+WITH_ORIENTATION = ("reference_tilt", "earth_rate", "gravity_magnitude")
+MODES = ("simulation", "capture", "imu")
+MOUNTING = np.array([0.03, -0.02, 0.6])
+
+Truth = Recording | ReferenceMotion
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--modes", nargs="*", default=MODES, choices=MODES)
+    parser.add_argument("--seeds", type=int, default=20)
+    parser.add_argument("--first", type=int, default=0, help="the first seed")
+    parser.add_argument("--clean", type=int, default=200)
+    parser.add_argument("--jobs", type=int, default=1)
+    parser.add_argument("--effects", nargs="*", help="only these")
+    parser.add_argument("--powers", type=float, nargs="*", default=[25, 50, 100, 200])
+    parser.add_argument("--verbose", action="store_true")
+    args = parser.parse_args()
+    seeds = range(args.first, args.first + args.seeds)
+    missed = 0
+    for mode in args.modes:
+        names = args.effects if args.effects is not None else effects_of(mode)
+        cases = [Case(mode, (n,), p, s) for n in names for p in args.powers for s in seeds]
+        cases += [Case(mode, (), 0.0, 10_000 + args.first + s) for s in range(args.clean)]
+        print(f"\n## {mode}\n", flush=True)
+        results = list(_run_all(cases, args.jobs, verbose=args.verbose, work=run))
+        kinds = {True: "single", False: "clean"}
+        named = [replace(r, case=replace(r.case, kind=kinds[bool(r.case.names)])) for r in results]
+        missed += report(named)
+    return int(missed > 0)
+
+
+def effects_of(mode: str) -> list[str]:
+    """Return the effects that a truth shows: those of a recording alone, and its own."""
+    more = (*OUTSIDE_ONLY[: 3 if mode != "simulation" else 1], "accel_lever_arm")
+    if mode == "capture":
+        more += WITH_ORIENTATION
+    hidden = [n for n in hidden_effects() if mode == "simulation" or n != "bandwidth"]
+    return list(dict.fromkeys((*hidden, *more)))
+
+
+def run(case: Case) -> Result:
+    """Make one recording and its truth, and diagnose."""
+    rng = np.random.default_rng(case.seed)
+    shaken = any("vibration" in n for n in case.names)
+    motion = bench_protocol(
+        rng,
+        poses=20,
+        first_pose=3.0,
+        pose_duration=(2.0, 4.0),
+        power_on=0.0,
+        tremor=0.3,
+        vibration=0.3 * rng.uniform(0.5, 1.5) if shaken else 0.0,
+    )
+    model = SensorModel(
+        Triad(
+            rng.normal(0, 0.2, 3), rng.normal(0, 0.01, 3), np.tril(rng.normal(0, 0.01, (3, 3)), -1)
+        ),
+        Triad(rng.normal(0, 0.01, 3), rng.normal(0, 0.01, 3)),
+        reference_temperature=30.0,
+    )
+    noise_seed = int(rng.integers(1 << 40))
+    truth, expected = make_truth(case.kind, motion, rng)
+
+    def record(*terms: Term) -> Recording:
+        sensor = replace(model, terms=terms)
+        return simulate(motion, sensor, CONSUMER, rng=np.random.default_rng(noise_seed), rate=RATE)
+
+    result = Result(case)
+    recording = record()
+    term = None
+    if case.names:
+        term = sized(case, recording, truth, rng)
+        recording = record(term)
+    start = time.process_time()
+    found = diagnosed(case.kind, recording, truth)
+    result.seconds = time.process_time() - start
+    result.verdict = found.verdict
+    for item in found.findings:
+        own = term is not None and item.effect == term.effect
+        known = {**expected.get(item.effect, {})}
+        if own and term is not None:
+            for name, value in term.parameters.items():
+                known[name] = known.get(name, 0.0) + value
+        if own or item.effect not in expected:
+            result.found.append((item.effect, [r.effect for r in item.rivals]))
+        if own and item.held_out is not None:
+            result.gain = item.held_out.gain
+        for key, q in item.parameters.items():
+            shapeless = not get_effect(item.effect).shape
+            if q.sigma and known and (key in known or shapeless):
+                result.errors.append((q.value - known.get(key, 0.0)) / q.sigma)
+    for left in found.unexplained:
+        result.unexplained.append((left.follows, left.intervals[0], left.channels))
+    return result
+
+
+def make_truth(
+    mode: str, motion: Motion, rng: np.random.Generator
+) -> tuple[Truth, dict[str, dict[str, float]]]:
+    """Return a truth, and the alignment that a diagnosis should report."""
+    if mode == "simulation":
+        sampling = Sampling(clock_offset=START)
+        whole = simulate(motion, SensorModel(), NoiseModel(), rng=rng, rate=80.0, sampling=sampling)
+        return whole.slice(100, len(whole)), {}
+    offset = {"time_offset": {"delay": -START}}
+    if mode == "imu":
+        sampling = Sampling(clock_offset=START)
+        other = simulate(motion, SensorModel(), CONSUMER, rng=rng, rate=64.0, sampling=sampling)
+        mat = mat_from_rotvec(MOUNTING)
+        turned = replace(other, accel=other.accel @ mat, gyro=other.gyro @ mat)
+        turn = dict(zip(("rx", "ry", "rz"), -MOUNTING, strict=True))
+        return turned, {**offset, "reference_misalignment": turn}
+    at = np.arange(0.0, motion.duration, 1 / 120.0)
+    turning, path = motion.kinematics(at)
+    assert path is not None
+    shake = quat_from_rotvec(rng.normal(0, np.radians(0.1), (len(at), 3)))
+    quat = quat_multiply(turning.quat, shake)
+    position = path.position + rng.normal(0, 2e-4, (len(at), 3))
+    lost = int(rng.integers(200, len(at) - 200))
+    quat[lost : lost + 12] = np.nan
+    return ReferenceMotion(at + START, quat, position), offset
+
+
+def sized(case: Case, clean: Recording, truth: Truth, rng: np.random.Generator) -> Term:
+    """Return the case's effect at its non-centrality after baseline and alignment."""
+    seen = look_at_samples(clean, find_poses(clean))
+    if case.kind == "simulation":
+        assert isinstance(truth, Recording)
+        problem, _ = compare_simulation(clean, truth, seen, gravity=GRAVITY)
+    else:
+        problem, _ = compare_reference(clean, truth, seen, gravity=GRAVITY)
+    rows = problem.rows()
+    # An alignment is fitted whatever is added; only of its own kind is it the effect itself.
+    own = case.names[0] if case.names[0] != "time_offset" else ""
+    other = [i for i, n in enumerate(rows.aligned) if n.split(".")[0] != own]
+    mean = np.hstack((rows.baseline, rows.nuisance[:, other]))
+    whitener = make_whitener(rows, true_levels(rows, CONSUMER), contrast_variance(rows), mean)
+    effect = get_effect(case.names[0])
+    return sized_term(
+        effect, rows, whitener, case.power, rng, reference=effect.slug != "time_offset"
+    )
+
+
+def diagnosed(mode: str, recording: Recording, truth: Truth) -> Diagnosis:
+    """Diagnose against a simulation, whose start time is its own, or a reference."""
+    if mode == "simulation":
+        assert isinstance(truth, Recording)
+        return diagnose_against(recording, truth, gravity=GRAVITY)
+    return diagnose_reference(recording, truth, gravity=GRAVITY)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
