@@ -198,7 +198,9 @@ def _profile(
         for k, value in enumerate(values):
             moved = _moved(rows, accepted[which], item, float(value), reference=reference)
             if moved is not None:
-                gains[k] = likelihood_gain(whitener.project(moved.columns), y)
+                gains[k] = likelihood_gain(
+                    whitener.project(moved.columns), y, present=moved.candidate.present
+                )
         near = np.flatnonzero(gains > gains.max() - REACH)
         # A step finer than a thousandth is finer than any use of it.
         if len(near) >= FINE or values[1] < 1.001 * values[0]:

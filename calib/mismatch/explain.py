@@ -56,6 +56,14 @@ def explain(
             n: Quantity(float(v), float(s), parameter_unit(f"{effect.slug}.{n}"))
             for n, v, s in zip(a.candidate.parameters, values, sigma, strict=True)
         }
+        if a.candidate.present:
+            (name,) = a.candidate.parameters
+            if not 0.5 < parameters[name].value < 1.5:
+                # It is there or not: what fits by half, or the other way round, is something else.
+                left = _unexplained(rows, a, rivals)
+                unexplained.append(replace(left, follows=effect.follows))
+                continue
+            parameters[name] = Quantity(1.0, None, parameters[name].unit)
         for item in effect.shape:
             if item.name not in a.candidate.shape:
                 continue

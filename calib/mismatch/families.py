@@ -9,9 +9,18 @@ from itertools import product
 import numpy as np
 
 from calib.effects import effects
-from calib.effects.base import Effect, ShapeParameter, TransformEffect
+from calib.effects.base import (
+    PRESENCE,
+    Column,
+    Effect,
+    ShapeParameter,
+    Signals,
+    State,
+    TransformEffect,
+)
 from calib.mismatch.rows import Kind, Rows
 from calib.mismatch.score import Candidate, Stack
+from calib.recording import AXES, CHANNELS
 from calib.types import FloatArray
 
 SHAPES = 7
@@ -47,6 +56,7 @@ def _add(stack: Stack, effect: Effect, rows: Rows, *, reference: bool, weight: f
     """Add an effect's candidates; their weights sum to `weight`."""
     shapes = list(_shapes(effect, rows))
     channels = {p.name: p.channels for p in effect.parameters}
+    units = {p.name: p.unit for p in effect.parameters}
     refining = tuple(p.name for p in effect.parameters if p.refining)
     for shape in shapes:
         found = effect_columns(effect, rows, shape, reference=reference)
@@ -64,6 +74,7 @@ def _add(stack: Stack, effect: Effect, rows: Rows, *, reference: bool, weight: f
                     channels=touched,
                     parameters=names,
                     shape=dict(shape),
+                    present=all(units[n] == PRESENCE for n in names),
                 )
             )
 
@@ -74,7 +85,10 @@ def effect_columns(
     """Return the row columns of an effect's parameters, in units of their typical sizes."""
     sizes = {p.name: p.typical for p in effect.parameters if reference or not p.reference_only}
     out = {}
-    for name, signals in effect.columns(rows.state, shape).items():
+    found = effect.columns(rows.state, shape)
+    if isinstance(effect, TransformEffect) and not reference:
+        found |= _undone(effect, rows.state, tuple(found), shape)
+    for name, signals in found.items():
         if name in sizes and f"{effect.slug}.{name}" not in rows.aligned:
             values = rows.column(signals) * sizes[name]
             if isinstance(effect, TransformEffect):
@@ -88,6 +102,23 @@ def effect_columns(
                     values[(rows.kind >= Kind.ATTITUDE) & ~inside] = 0.0
             if np.abs(values).max() > 0:
                 out[name] = values
+    return out
+
+
+def _undone(
+    effect: TransformEffect, state: State, names: tuple[str, ...], shape: Mapping[str, float]
+) -> dict[str, Column]:
+    """Return what a change of one triad that is there or not did to signals that have it in them.
+
+    Without a reference the state is what was measured: the change is what its inverse takes out.
+    """
+    measured = Signals(state.force, state.rate)
+    out: dict[str, Column] = {}
+    for p in effect.parameters:
+        if p.unit == PRESENCE and p.name in names and len(p.channels) <= len(AXES):
+            before = effect.inverse(state.time, measured, {p.name: 1.0, **shape})
+            change = np.hstack(measured) - np.hstack(before)
+            out[p.name] = {c: change[:, CHANNELS.index(c)] for c in p.channels}
     return out
 
 

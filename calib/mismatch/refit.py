@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Protocol
 
@@ -196,15 +196,43 @@ def refined(
 ) -> tuple[Candidate, FloatArray]:
     """Return the candidate and its columns at that shape near its own which explains most."""
     effect = get_effect(candidate.name)
-    best, value = (candidate, columns), likelihood_gain(whitener.project(columns), y)
-    for shape in neighbours(effect, rows, candidate.shape):
+
+    def gain(columns: FloatArray) -> float:
+        return likelihood_gain(whitener.project(columns), y, present=candidate.present)
+
+    best, value = (candidate, columns), gain(columns)
+
+    def try_shape(shape: dict[str, float]) -> float:
+        nonlocal best, value
         found = effect_columns(effect, rows, shape, reference=reference)
-        if all(n in found for n in candidate.parameters):
-            tried = np.stack([found[n] for n in candidate.parameters], axis=1)
-            new = likelihood_gain(whitener.project(tried), y)
-            if new > value:
-                best, value = (replace(candidate, shape=shape), tried), new
+        if not all(n in found for n in candidate.parameters):
+            return -np.inf
+        tried = np.stack([found[n] for n in candidate.parameters], axis=1)
+        new = gain(tried)
+        if new > value:
+            best, value = (replace(candidate, shape=shape), tried), new
+        return new
+
+    for shape in neighbours(effect, rows, candidate.shape):
+        try_shape(shape)
+    if candidate.present:
+        # How strong it is is in its shape alone.
+        for item in effect.shape:
+            if item.spacing == "log" and item.name in candidate.shape:
+                _climb(try_shape, dict(best[0].shape), item.name)
     return best
+
+
+def _climb(gain: Callable[[dict[str, float]], float], shape: dict[str, float], name: str) -> None:
+    """Call `gain` with values of one shape parameter, closing in on its maximum."""
+    step, here, value = 0.08, shape[name], gain(shape)
+    while step > 1e-4:
+        up, down = here * (1 + step), here / (1 + step)
+        new, at = max((gain({**shape, name: x}), x) for x in (up, down))
+        if new > value:
+            value, here = new, at
+        else:
+            step /= 3
 
 
 def _refine_window(rows: Rows, last: Accepted, whitener: Whitener, y: FloatArray) -> Accepted:
@@ -236,7 +264,9 @@ def _refine_window(rows: Rows, last: Accepted, whitener: Whitener, y: FloatArray
     )
 
 
-def likelihood_gain(columns: FloatArray, y: FloatArray) -> float:
-    """Return the log-likelihood that whitened columns gain at their best fit."""
+def likelihood_gain(columns: FloatArray, y: FloatArray, *, present: bool = False) -> float:
+    """Return the log-likelihood that whitened columns gain at their best fit, or as they are."""
+    if present:
+        return float((columns.T @ y)[0] - 0.5 * np.square(columns).sum())
     fit = columns @ np.linalg.lstsq(columns, y, rcond=1e-9)[0]
     return 0.5 * float(fit @ fit)

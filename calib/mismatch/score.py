@@ -22,9 +22,15 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from scipy import sparse
+from scipy.special import log_ndtr
 
 from calib.mismatch.noise import Whitener
 from calib.types import FloatArray, IntArray
+
+PRESENT = 0.6
+"""How far from 1 the coefficient of what is there or not may be: neighbouring cut-off frequencies
+on the grid differ by a factor of 2, and what a low-pass takes away goes with their inverse or its
+square."""
 
 LARGE = 30.0
 """Size relative to the typical one beyond which a number is hardly physical."""
@@ -69,6 +75,8 @@ class Candidate:
     channels : tuple of str
     interval : (start, stop) or None, s
         Of a window.
+    present : bool
+        Whether its one coefficient is 1 by nature, and only its shape is unknown.
     """
 
     name: str
@@ -81,6 +89,7 @@ class Candidate:
     shape: Mapping[str, float] = field(default_factory=dict)
     interval: tuple[float, float] | None = None
     mixing: FloatArray | None = None
+    present: bool = False
 
     @property
     def is_single(self) -> bool:
@@ -176,6 +185,8 @@ class Stack:
             strength = np.square(SCALES)[:, None] * power
             gain = 0.5 * np.square(along) / np.maximum(power, 1e-300) * strength / (1 + strength)
             out[single] = _average(gain - 0.5 * np.log1p(strength) + _LOG_SHARES[:, None])
+            there = [k for k, i in enumerate(single) if self.candidates[i].present]
+            out[[single[k] for k in there]] = _present(power[there], along[there])
         mixed: dict[tuple[str, ...], list[int]] = {}
         several: dict[int, list[int]] = {}
         for i in which:
@@ -240,6 +251,16 @@ def _singles(
 def log_bayes_factor(columns: FloatArray, y: FloatArray) -> float:
     """Return log B of one hypothesis, its whitened projected columns given."""
     return float(_joint((columns.T @ columns)[None], (y @ columns)[None])[0])
+
+
+def _present(power: FloatArray, along: FloatArray) -> FloatArray:
+    """Return log B of single columns with a positive coefficient from ``N(1, PRESENT²)``."""
+    strength = PRESENT**2 * power
+    more = along - power
+    gain: FloatArray = along - 0.5 * power + 0.5 * PRESENT**2 * np.square(more) / (1 + strength)
+    mean = 1.0 + PRESENT**2 * more / (1 + strength)
+    positive = log_ndtr(mean * np.sqrt(1 + strength) / PRESENT) - log_ndtr(1.0 / PRESENT)
+    return np.where(power > 0, gain - 0.5 * np.log1p(strength) + positive, 0.0)
 
 
 def _joint(gram: FloatArray, match: FloatArray) -> FloatArray:

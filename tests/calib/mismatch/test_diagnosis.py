@@ -124,5 +124,17 @@ def test_a_low_pass_that_both_triads_share_is_named() -> None:
     (found,) = diagnose_recording(real, gravity=GRAVITY).findings
     assert found.effect == "bandwidth"
     # The square of the time constant is what is seen.
-    constant = found.parameters["both"].value / found.parameters["both_cutoff"].value ** 2
-    assert abs(constant * 7.0**2 - 1.0) < 0.2
+    assert found.parameters["both"].value == 1.0
+    assert abs((7.0 / found.parameters["both_cutoff"].value) ** 2 - 1.0) < 0.2
+
+
+def test_a_low_pass_is_there_or_not_and_its_cutoff_is_right():
+    real = recording(
+        Term("bandwidth", {"gyro": 1.0, "gyro_cutoff": 20.0, "order": 1}), rate=100.0, seed=5
+    )
+    (finding,) = diagnose_recording(real, gravity=GRAVITY).findings
+    assert finding.effect == "bandwidth"
+    assert finding.parameters["gyro"].value == 1.0
+    cutoff = finding.parameters["gyro_cutoff"]
+    assert abs(cutoff.value - 20.0) < 0.05 * 20.0
+    assert cutoff.sigma < 1.0
