@@ -64,6 +64,9 @@ MOST_SLOTS = 240
 RIPPLES = (2.0, 3.0, 4.0, 5.0)
 """How fast a function of one component of gravity's direction varies, rad per unit."""
 
+CAP = 6.0
+"""How steeply what acts near one direction only falls off: to a half at 28 degrees."""
+
 
 def add_rivals(stack: Stack, rows: Rows, *, skip: tuple[str, ...] = ()) -> None:
     """Add every rival that these rows can show, with weights that sum to at most `RIVAL`.
@@ -149,19 +152,19 @@ def _in_windows(rows: Rows, slots: _Slots) -> Iterator[_Local]:
             shapes += [("wave", {"period": (stop - start) / k}) for k in cycles]
         for kind, shape in shapes:
             name = f"{kind} in a window"
-            mixing = _function(name, shape, time, start, stop)
+            mixing = _function(shape, time, start, stop)
             yield _Local(name, (a, b), (start, stop), shape, mixing)
 
 
 def _function(
-    name: str, shape: Mapping[str, float], time: FloatArray, start: float, stop: float
+    shape: Mapping[str, float], time: FloatArray, start: float, stop: float
 ) -> FloatArray:
     """Return the (n, k) functions of time that a window from `start` to `stop` holds."""
     since = time - start
-    if name == "wave in a window":
+    if "period" in shape:
         phase = 2 * np.pi * since / shape["period"]
         return np.stack((np.ones(len(time)), np.cos(phase), np.sin(phase)), axis=1)
-    if name == "fluctuation in a window":
+    if "order" in shape:
         order = np.arange(int(shape["order"]))
         size = 1.0 / np.sqrt(1.0 + np.square(order / shape["corner"]))
         size *= np.sqrt(2.0 / np.square(size).sum())
@@ -220,7 +223,7 @@ def window_columns(rows: Rows, candidate: Candidate, start: float, stop: float) 
     """Return the (m, k) columns of what a candidate says of a window, for another window."""
     c = CHANNELS.index(candidate.channels[0])
     state, size = rows.state, typical_size(candidate.channels[0].split(".")[0])
-    values = _function(candidate.name, candidate.shape, state.time, start, stop)
+    values = _function(candidate.shape, state.time, start, stop)
     if candidate.name == "gain in a window":
         own = (state.force if c < 3 else state.rate)[:, c % 3]
         values = values * (own / (state.gravity if c < 3 else FAST))[:, None]
@@ -229,18 +232,24 @@ def window_columns(rows: Rows, candidate: Candidate, start: float, stop: float) 
 
 
 def _ripples(rows: Rows, slots: _Slots) -> Iterator[tuple[float, FloatArray]]:
-    """Yield (slots, 2) weights of waves over one component of gravity's direction."""
+    """Yield weights of waves over one component of gravity's direction, and of caps (0)."""
     count = np.maximum(slots.member.sum(axis=0).A1, 1.0)
     up = (slots.member.T @ rows.state.gravity_direction) / count[:, None]
     for ripple in RIPPLES:
-        # Half a sphere of directions, a Fibonacci spiral: close enough for half a radian of phase.
-        number = int(np.ceil(8.0 * ripple**2))
-        turn = np.pi * (3.0 - np.sqrt(5.0)) * np.arange(number)
-        z = (np.arange(number) + 0.5) / number
-        flat = np.sqrt(1 - z**2)
-        axes = np.stack((flat * np.cos(turn), flat * np.sin(turn), z), axis=1)
-        for phase in ripple * (axes @ up.T):
+        # Half a sphere of directions: close enough for half a radian of phase.
+        axes = _spiral(int(np.ceil(16.0 * ripple**2)))
+        for phase in ripple * (axes[axes[:, 2] > 0] @ up.T):
             yield ripple, np.stack((np.cos(phase), np.sin(phase)), axis=1)
+    for near in _spiral(64) @ up.T:
+        yield 0.0, np.exp(CAP * (near - 1.0))[:, None]
+
+
+def _spiral(number: int) -> FloatArray:
+    """Return unit vectors (n, 3) that cover the sphere evenly: a Fibonacci spiral."""
+    turn = np.pi * (3.0 - np.sqrt(5.0)) * np.arange(number)
+    z = (2.0 * np.arange(number) + 1.0) / number - 1.0
+    flat = np.sqrt(1 - z**2)
+    return np.stack((flat * np.cos(turn), flat * np.sin(turn), z), axis=1)
 
 
 def _smooth(state: State, c: int) -> Iterator[tuple[str, FloatArray]]:
