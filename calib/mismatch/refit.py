@@ -100,20 +100,19 @@ def _renew(a: Accepted, rows: Rows, *, reference: bool) -> Accepted:
 def prior_rows(
     rows: Rows, accepted: list[Accepted] | tuple[Accepted, ...]
 ) -> tuple[FloatArray, FloatArray]:
-    """Return rows (k, p) of the priors beside a reference, and their values (k,).
+    """Return rows (k, p) of the priors, and their values (k,).
 
-    Baseline and alignment have theirs from the rows. A smooth function can take the place of the
-    baseline. Against a twin the two are exactly alike, and the smallest step is taken; against a
-    truth with noise they are only nearly so, and what keeps them apart is the size that the
-    evidence gave the rival, at most `LARGE`.
+    Beside a reference baseline and alignment have theirs from the rows. A smooth function can take
+    the place of the baseline. At rest the two are exactly alike, but in motion, or beside a truth
+    with noise, only nearly so; what keeps them apart is the size that the evidence gave the rival,
+    at most `LARGE`.
     """
     start = rows.baseline.shape[1] + rows.nuisance.shape[1]
     width = start + sum(a.columns.shape[1] for a in accepted)
-    if not rows.aligned:
-        return np.zeros((0, width)), np.zeros(0)
     spread = np.full(width, np.inf)
     value = np.zeros(width)
-    spread[:start], value[:start] = rows.prior[:, 1], -rows.prior[:, 0]
+    if rows.aligned:
+        spread[:start], value[:start] = rows.prior[:, 1], -rows.prior[:, 0]
     at = start
     for a in accepted:
         if not a.candidate.physical:
