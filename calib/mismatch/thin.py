@@ -120,6 +120,7 @@ def thin(
     start, stop = finder.find()
     which = choose_poses(finder.accel(start, stop), start, stop, interval=finder.interval)
     keep = _kept(start[which], stop[which], finder.interval, resting)
+    del finder  # a mean of every 0.1 s, which is no longer needed
     recording, seen, index = _gather(batches, section, keep, (start, stop), progress)
     poses = average_poses(
         recording, np.searchsorted(index, start[which]), np.searchsorted(index, stop[which])
