@@ -166,6 +166,8 @@ def conclude(
             "alignment": {
                 "offset": alignment.offset,
                 "stretch": alignment.stretch,
+                "middle": alignment.middle,
+                "rotation": _rotvec(problem.setup.mat_sr).tolist(),
                 "correlation": alignment.correlation,
             },
         },

@@ -18,7 +18,7 @@ import numpy as np
 from scipy import fft
 
 from calib.errors import NoCommonMotionError
-from calib.types import FloatArray
+from calib.types import FloatArray, IntArray
 
 LEAST_CORRELATION = 0.5
 """Of the sizes of the rates: below it the two did not see the same motion. Noise and unlike motion
@@ -137,18 +137,26 @@ def _best_lag(a: FloatArray, b: FloatArray, least: int) -> tuple[float, int]:
     product = fft.irfft(np.conj(fft.rfft(a, size)) * fft.rfft(b, size), size)
     lag = np.arange(-(len(a) - 1), len(b))
     first, last = np.maximum(-lag, 0), np.minimum(len(a), len(b) - lag)
-    sums_a = np.concatenate(([0.0], np.cumsum(a * a)))
-    sums_b = np.concatenate(([0.0], np.cumsum(b * b)))
-    energy = (sums_a[last] - sums_a[first]) * (sums_b[last + lag] - sums_b[first + lag])
+    count = np.maximum(last - first, 1)
+    sum_a, square_a = (_within(a**k, first, last) for k in (1, 2))
+    sum_b, square_b = (_within(b**k, first + lag, last + lag) for k in (1, 2))
+    # About the means of the overlap itself: two that are at rest there are not alike for that.
+    match = product[lag] - sum_a * sum_b / count
+    energy = (square_a - sum_a**2 / count) * (square_b - sum_b**2 / count)
     least = min(least, len(a) // 2, len(b) // 2)
     # Short overlaps agree by chance, and so do stretches with little motion in either.
-    floor = 0.02 * sums_a[-1] * sums_b[-1]
+    floor = 0.02 * float(a @ a) * float(b @ b)
     usable = (last - first >= least) & (energy > floor)
-    value = np.where(usable, product[lag] / np.sqrt(np.maximum(energy, floor)), -1.0)
+    value = np.where(usable, match / np.sqrt(np.maximum(energy, floor)), -1.0)
     # Motion that repeats itself matches well in part: what counts is the likelihood of the whole.
     alike = np.clip(value, 0.0, 1.0 - 1e-9)
     best = int(np.argmax(-(last - first) * np.log1p(-np.square(alike))))
     return float(value[best]), int(lag[best])
+
+
+def _within(values: FloatArray, first: IntArray, last: IntArray) -> FloatArray:
+    sums = np.concatenate(([0.0], np.cumsum(values)))
+    return np.asarray(sums[last] - sums[first])
 
 
 def _parts(a: FloatArray, b: FloatArray, lag: int, step: float) -> list[tuple[float, float, float]]:

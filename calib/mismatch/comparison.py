@@ -33,6 +33,10 @@ UNLIKE = 0.3
 """Share of the power of rotation that differs, after the fit of the baseline, from which on the
 two are two motions."""
 
+UNIT = 10.0
+"""Factor beyond which rates or forces are of other units, not of another scale. What a sensor feels
+far from the axis of a fast table, and the reference does not, may be more: the square of it."""
+
 ACCEL_BASELINE = (
     *(f"accel.bias.{a}" for a in AXES),
     *(f"accel.scale_factor_error.{a}" for a in AXES),
@@ -218,6 +222,7 @@ class ComparisonProblem:
 
     def fit(self, *, iterations: int = 6) -> None:
         """Fit baseline and alignment by robust Gauss-Newton."""
+        self._same_units()
         for k in range(iterations):
             self.shapes = None if k < 3 else self.shapes
             rows = self.rows()
@@ -236,6 +241,29 @@ class ComparisonProblem:
                 "the two do not show the same motion: where they match best, "
                 f"{100 * left / total:.0f} % of the rotation differs; check that they belong "
                 "together and that the axes are the same"
+            )
+
+    def _same_units(self) -> None:
+        """Refuse a truth in other units, which a scale factor would take up.
+
+        Raises
+        ------
+        NoCommonMotionError
+        """
+        state = self.state()
+        turns = _spread(state.rate) / max(_spread(self.measured[:, 3:]), 1e-12)
+        pulls = float(np.quantile(np.linalg.norm(state.force, axis=1), 0.95))
+        felt = float(np.quantile(np.linalg.norm(self.measured[:, :3], axis=1), 0.95))
+        if not 1 / UNIT < turns < UNIT:
+            raise NoCommonMotionError(
+                f"the reference turns {turns:.3g} times as fast as the recording: check its unit "
+                "(degrees or radians; 1 rad is 57.3 degrees)"
+            )
+        if not felt / UNIT**2 < pulls < felt * UNIT:
+            raise NoCommonMotionError(
+                f"the reference accelerates {pulls / felt:.3g} times as much as the recording "
+                "feels: check the unit of its positions (expected m) or of its accelerometer "
+                "(expected m/s²)"
             )
 
     def _nuisance(self, state: State, name: str) -> Mapping[str, FloatArray]:
@@ -264,6 +292,10 @@ class ComparisonProblem:
                 for parameter, column in effect.columns(state, shape).items():
                     for channel, values in column.items():
                         yield channel, sizes[parameter] * values
+
+
+def _spread(values: FloatArray) -> float:
+    return float(np.linalg.norm(values - np.median(values, axis=0)))
 
 
 def _few_shapes(slug: str) -> Iterator[dict[str, float]]:

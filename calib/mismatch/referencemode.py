@@ -152,6 +152,12 @@ def compare_reference(
         poses = find_poses(reference)
         alignment = align(real.time, real.gyro, reference.time, reference.gyro)
         mat = mounting(real, RecordingTruth(reference, gravity), alignment)[0]
+        known = look_at_samples(reference, poses)
+        if known.fatal:
+            raise NoCommonMotionError(
+                "the reference cannot be trusted: "
+                + "; ".join(f.sentence for f in known.findings or ())
+            )
         common = matched(
             real,
             reference,
@@ -160,7 +166,7 @@ def compare_reference(
             mat,
             gravity=gravity,
             spoilt=seen.spoilt,
-            other_spoilt=look_at_samples(reference, poses).spoilt,
+            other_spoilt=known.spoilt,
         )
     else:
         common, alignment, mat = _captured(real, reference, gravity, seen.spoilt)

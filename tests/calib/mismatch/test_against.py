@@ -101,6 +101,24 @@ def test_alignment_finds_offset_and_stretch():
     assert np.abs(found.times(real.time) - expected).max() < 0.03
 
 
+def test_a_part_that_moves_is_not_aligned_with_a_rest():
+    time = np.arange(0.0, 160.0, 0.01)
+    rate = np.zeros((len(time), 3))
+    moving = (time > 30.0) & (time < 60.0)
+    rate[moving, 0] = np.sin(0.3 * np.square(time[moving] - 30.0))
+    rate += np.random.default_rng(3).normal(0.0, 0.02, rate.shape)
+    found = align(time[:4500], rate[:4500], time + 5.0, rate)
+    assert found.offset == pytest.approx(5.0, abs=0.02)
+
+
+def test_motion_that_repeats_itself_is_aligned_over_all_of_it():
+    time = np.arange(0.0, 120.0, 0.01)
+    rate = np.zeros((len(time), 3))
+    rate[:, 0] = np.sin(np.pi * time / 20.0) ** 2 * np.sin(np.pi * time / 2.0)
+    found = align(time, rate, time - 7.0, rate)
+    assert found.offset == pytest.approx(-7.0, abs=0.02)
+
+
 def test_another_motion_is_an_error_that_says_so():
     rng = np.random.default_rng(8)
     other = simulate(motion(9), SensorModel(), NoiseModel(), rng=rng, rate=80.0)

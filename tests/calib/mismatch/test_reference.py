@@ -101,3 +101,30 @@ def test_a_reference_that_saw_nothing_says_so():
     blind = ReferenceMotion(reference.time, np.full_like(reference.quat, np.nan))
     with pytest.raises(ValueError, match="finite rows"):
         diagnose_reference(recorded(), blind, gravity=GRAVITY)
+
+
+def test_a_reference_in_other_units_says_which():
+    real = recorded(seed=2)
+    millimetres = captured(start=0.0)
+    assert millimetres.position is not None
+    wrong = ReferenceMotion(millimetres.time, millimetres.quat, 1e3 * millimetres.position)
+    with pytest.raises(NoCommonMotionError, match="expected m"):
+        diagnose_reference(real, wrong, gravity=GRAVITY)
+    other = recorded(seed=3, rate=64.0)
+    degrees = Recording(other.time, other.accel, np.degrees(other.gyro), "device")
+    with pytest.raises(NoCommonMotionError, match=r"degrees|cannot be trusted"):
+        diagnose_reference(real, degrees, gravity=GRAVITY)
+    in_g = Recording(other.time, other.accel / GRAVITY, other.gyro, "device")
+    with pytest.raises(NoCommonMotionError, match="cannot be trusted"):
+        diagnose_reference(real, in_g, gravity=GRAVITY)
+
+
+def test_a_reference_of_another_time_says_that_nothing_is_common():
+    real = recorded(seed=2)
+    late = captured(start=0.0)
+    away = late.time > 0.8 * late.time[-1]
+    rest = ReferenceMotion(
+        late.time[away], np.tile([1.0, 0.0, 0.0, 0.0], (int(away.sum()), 1)), None
+    )
+    with pytest.raises(NoCommonMotionError, match=r"does not turn|lasts"):
+        diagnose_reference(real, rest, gravity=GRAVITY)
