@@ -50,7 +50,7 @@ def across(up: FloatArray) -> FloatArray:
     return np.stack((first, np.cross(up, first)), axis=-1)
 
 
-def _turned_frame(time: FloatArray, rate: FloatArray) -> FloatArray:
+def turned_frame(time: FloatArray, rate: FloatArray) -> FloatArray:
     """Return quaternions (n, 4) of the frame at each time seen from that at the first.
 
     A trapezoid is off by ``dt²/12 dw/dt`` in between, and right again where the sensor rests: at
@@ -100,7 +100,7 @@ def close_turn(
     weight = np.zeros(len(time))
     weight[:-1] += 0.5 * step
     weight[1:] += 0.5 * step
-    mat = mat_from_quat(_turned_frame(time, rate))
+    mat = mat_from_quat(turned_frame(time, rate))
     turned = np.einsum("nij,nj->ni", mat, force)
     increments = 0.5 * step[:, None] * (turned[:-1] + turned[1:])
     total = increments.sum(axis=0)

@@ -23,6 +23,8 @@ from calib.mismatch.grid import (
     steady,
     untouched,
 )
+from calib.mismatch.losses import find_losses
+from calib.mismatch.samples import lost_samples
 from calib.mismatch.search import Outcome, search
 from calib.mismatch.selfmode import SelfProblem
 from calib.mismatch.spectrum import look_at_spectrum
@@ -97,6 +99,8 @@ def diagnose_thinned(
         grid, model, gravity=gravity, full_gyro=full, spread=UNKNOWN_DRIFT if timeless else None
     )
     problem.drop = _spoilt_turns(grid, recording, seen.spoilt)
+    losses = [] if timeless else find_losses(problem)
+    problem.leave_out([loss.segment for loss in losses])
     skip: tuple[str, ...] = ("gyro_misalignment",) if full else ()
     if timeless:
         skip += ("time", *(k for k in effects() if k.endswith(_CLOCKED)))
@@ -115,7 +119,8 @@ def diagnose_thinned(
         known, covariance = _without_rates(known, covariance)
         final = replace(final, terms=tuple(t for t in final.terms if not _is_rate(t.effect)))
         findings = [_by_sample(f, thinned.samples) if _is_rate(f.effect) else f for f in findings]
-    findings = [*seen.findings, *findings]
+    lost = [lost_samples(recording, loss, grid.interval[loss.segment]) for loss in losses]
+    findings = [*seen.findings, *lost, *findings]
     unexplained = [*seen.unexplained, *unexplained, *noisy]
     change, likelihood = changes(outcome)
     return Diagnosis(

@@ -17,6 +17,8 @@ from calib.calibration import Quantity
 from calib.effects import get_effect
 from calib.effects.axis_error import ORDERS, signed_permutation
 from calib.mismatch.diagnosis import Finding, Interval, Unexplained
+from calib.mismatch.heldout import HeldOut
+from calib.mismatch.losses import Loss
 from calib.poses import Poses
 from calib.recording import CHANNELS, Recording
 from calib.types import BoolArray, FloatArray, IntArray
@@ -214,6 +216,27 @@ def _repeats(recording: Recording, repeats: IntArray) -> Finding:
     values["moment"] = Quantity(float(recording.time[repeats[0]]), None, "s")
     where = intervals_of(recording.time, repeats)
     return _finding("dropped_samples", recording, CHANNELS, values, intervals=where)
+
+
+def lost_samples(recording: Recording, loss: Loss, turn: FloatArray) -> Finding:
+    """Return the finding of a loss that the closure of its own turn shows."""
+    values = {
+        "count": Quantity(float(loss.number), None, "samples"),
+        "moment": Quantity(loss.moment, recording.interval, "s"),
+    }
+    found = _finding(
+        "dropped_samples",
+        recording,
+        CHANNELS,
+        values,
+        intervals=((float(turn[0]), float(turn[1])),),
+    )
+    # Two of the turn's five equations find where and how many; the others prove it.
+    gain = 2.5 * (loss.before**2 - loss.after**2)
+    proof = HeldOut(
+        loss.before, loss.after, 1.0, "1", "closure of this turn, in scatters of all turns", gain
+    )
+    return replace(found, held_out=proof, held_out_reason="")
 
 
 def _coarse(

@@ -38,12 +38,30 @@ class SelfProblem:
         spread: float | None = None,
     ) -> None:
         self.grid = grid
+        self._model = model
+        self.full_gyro = full_gyro
         self.noise = sample_noise(grid)
         self.spread = spread
         self.start = start_twin(grid, model, gravity=gravity, full_gyro=full_gyro)
         self.twin: Twin = fit_twin(grid, self.start, self.noise)
         self.given = () if model is None else model.terms
         self.drop: BoolArray | None = None
+
+    def with_full_gyro(self) -> SelfProblem:
+        """Return the same problem with the gyroscope's whole matrix in its baseline."""
+        if self.full_gyro:
+            return self
+        return SelfProblem(
+            self.grid, self._model, gravity=self.start.gravity, full_gyro=True, spread=self.spread
+        )
+
+    def leave_out(self, segments: list[int]) -> None:
+        """Leave segments out of the rows and of the twin's fit."""
+        if segments:
+            drop = np.zeros(len(self.grid.first), bool) if self.drop is None else self.drop
+            drop[segments] = True
+            self.drop = drop
+            self.twin = fit_twin(self.grid, self.twin, self.noise, drop=drop)
 
     def rows(self) -> Rows:
         """Return recording minus twin; the given model's own terms are fitted along with it."""

@@ -19,7 +19,7 @@ from calib.mismatch.heading import orient
 from calib.mismatch.rows import Component, Kind, Rows
 from calib.model import SensorModel, Triad
 from calib.recording import AXES, CHANNELS
-from calib.types import FloatArray, IntArray
+from calib.types import BoolArray, FloatArray, IntArray
 
 ACCEL_MISALIGNMENT = ("yx", "zx", "zy")
 GYRO_MISALIGNMENT = ("xy", "xz", "yx", "yz", "zx", "zy")
@@ -474,14 +474,24 @@ def sample_noise(grid: Grid) -> FloatArray:
     return np.asarray(each / grid.count[:, None])
 
 
-def fit_twin(grid: Grid, twin: Twin, noise: FloatArray, *, iterations: int = 8) -> Twin:
+def fit_twin(
+    grid: Grid,
+    twin: Twin,
+    noise: FloatArray,
+    *,
+    iterations: int = 8,
+    drop: BoolArray | None = None,
+) -> Twin:
     """Fit baseline and attitudes to the recording by robust Gauss-Newton.
 
     Closures that disagree with the rest by far (a bumped turn, lost samples) are down-weighted.
+    Segments in `drop` (s,) are left out.
     """
     loose = np.array([_LOOSE[n.split(".")[1]] for n in twin.names])
     for _ in range(iterations):
-        twin, size = _step(build_rows(grid, twin, noise), twin, loose)
+        rows = build_rows(grid, twin, noise)
+        rows = rows if drop is None else rows.without(drop[rows.segment])
+        twin, size = _step(rows, twin, loose)
         if size < 1e-7:
             break
     return twin
