@@ -38,6 +38,7 @@ from calib.model import SensorModel, Triad
 from calib.recording import CHANNELS, Recording
 from calib.simulate import simulate
 from calib.simulation.bench import bench_protocol
+from calib.simulation.kinematics import Motion
 from calib.simulation.noise import CONSUMER, NoiseModel
 from calib.statics import find_poses
 
@@ -174,7 +175,7 @@ def run(case: Case) -> Result:
     disturbed = None
     interval = None
     if case.names:
-        rows, whitener = oracle(clean)
+        rows, whitener = oracle(clean, motion)
         for name in case.names:
             if case.kind == "outside":
                 add, interval = OUTSIDE[name](rows, rng)
@@ -221,12 +222,17 @@ def run(case: Case) -> Result:
     return result
 
 
-def oracle(clean: Recording) -> tuple[Rows, Whitener]:
-    """Return rows of the clean recording and the whitener of the noise that it was made with."""
+def oracle(clean: Recording, motion: Motion) -> tuple[Rows, Whitener]:
+    """Return rows of the clean recording and the whitener of the noise that it was made with.
+
+    The state of the rows is the true one: what noise adds to a column shows in no recording.
+    """
     grid = make_grid(clean, find_poses(clean))
     problem = SelfProblem(grid, None, gravity=GRAVITY, full_gyro=False)
     rows = problem.rows()
     mean = np.hstack((rows.baseline, rows.nuisance))
+    true = motion.state(rows.state.time)
+    rows = replace(rows, state=replace(rows.state, force=true.force, rate=true.rate))
     return rows, make_whitener(rows, true_levels(rows, CONSUMER), rows.white_diagonal, mean)
 
 
