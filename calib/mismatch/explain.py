@@ -45,6 +45,10 @@ def explain(
     index = list(range(len(names)))
     for i, a in enumerate(accepted):
         rivals = _rivals(a)
+        if rows.state.temperature is None and a.candidate.name.endswith("_warm_up"):
+            # What warms up does so in time; without a thermometer nobody can tell which it follows.
+            heat = a.candidate.name.replace("_warm_up", "_bias_temperature")
+            rivals = (Rival(heat, 1.0), *rivals)
         if not a.candidate.physical:
             unexplained.append(_unexplained(rows, a, rivals))
             continue

@@ -59,6 +59,9 @@ def test_what_an_exponential_leaves_is_not_named_after_it_again():
     found = diagnose_recording(replace(real, temperature=None), gravity=GRAVITY)
     assert [f.effect for f in found.findings].count("gyro_warm_up") == 1
     assert any(u.follows == "time" for u in found.unexplained)
+    warm = next(f for f in found.findings if f.effect == "gyro_warm_up")
+    assert "gyro_bias_temperature" in {r.effect for r in warm.rivals}
+    assert "Cool the sensor" in warm.to_separate
 
 
 def test_nothing_is_chosen_below_the_claim(stacked):
