@@ -100,6 +100,7 @@ def compare_simulation(
         model=model,
         spoilt=common.spoilt,
         blur=common.blur,
+        passed=common.passed,
     )
     return problem, ((*_SELDOM_ALONE, "bandwidth") if common.limited else _SELDOM_ALONE)
 

@@ -103,6 +103,8 @@ class ComparisonProblem:
         Samples that no model explains (clipped, repeated).
     blur : float, s
         Standard deviation of the Gaussian through which the differences are seen; 0 is none.
+    passed : float
+        Share of white noise that a low-pass on both has left.
     """
 
     reference = True
@@ -119,6 +121,7 @@ class ComparisonProblem:
         mat_sr: FloatArray | None = None,
         spoilt: BoolArray | None = None,
         blur: float = 0.0,
+        passed: float = 1.0,
     ) -> None:
         self.truth, self.gravity = truth, gravity
         self.turned = mat_sr is not None
@@ -127,7 +130,8 @@ class ComparisonProblem:
             covered = covered & ~spoilt
         self.index = np.flatnonzero(covered)
         self.time = real.time[self.index]
-        self.blur = gaussian(self.time, blur, real.interval)
+        seen = gaussian(self.time, blur, real.interval)
+        self.blur = seen._replace(power=passed * seen.power)
         self.measured = np.hstack((real.accel, real.gyro))[self.index]
         self.temperature = (
             None if real.temperature is None else smooth_temperature(real)[self.index]

@@ -179,6 +179,7 @@ def compare_reference(
         mat_sr=mat,
         spoilt=common.spoilt,
         blur=common.blur,
+        passed=common.passed,
     )
     # What both were limited to hides the sensor's own low-pass.
     return problem, (("bandwidth",) if common.limited else ())
@@ -204,8 +205,7 @@ def _captured(
     if bandwidth is None:
         return Matched(real, truth, spoilt), alignment, mat
     truth = item.truth(gravity=gravity, bandwidth=bandwidth)
-    real, spoilt = limited(real, bandwidth, spoilt)
-    return Matched(real, truth, spoilt, limited=True), alignment, mat
+    return limited(real, truth, bandwidth, spoilt), alignment, mat
 
 
 def mounting(real: Recording, truth: Truth, alignment: Alignment) -> tuple[FloatArray, float]:

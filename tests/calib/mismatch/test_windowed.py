@@ -3,6 +3,7 @@
 import numpy as np
 
 from calib.effects.base import State
+from calib.mismatch.band import limited
 from calib.mismatch.noise import contrast_variance
 from calib.mismatch.ranking import Accepted
 from calib.mismatch.refit import cut
@@ -33,9 +34,12 @@ def test_no_blur_leaves_every_point():
     assert blur.power == 1.0
 
 
-def rows_of(left: np.ndarray, *, width: float = 0.0, aligned: tuple[str, ...] = ()) -> Rows:
+def rows_of(
+    left: np.ndarray, *, width: float = 0.0, aligned: tuple[str, ...] = (), passed: float = 1.0
+) -> Rows:
     time = STEP * np.arange(len(left))
     blur = gaussian(time, width, STEP)
+    blur = blur._replace(power=passed * blur.power)
     rate = np.stack([np.sin(2 * np.pi * f * time) for f in (0.5, 0.7, 1.1)], axis=1)
     state = State(time, np.tile([0.0, 0.0, 9.8], (len(time), 1)), rate)
     columns = [(c, rate[:, i % 3]) for i, c in enumerate(CHANNELS)]
@@ -105,3 +109,18 @@ def test_a_truth_is_not_believed_beside_a_spoilt_sample():
     assert not known[48:53].any()
     assert known[:48].all()
     assert known[54:].all()
+
+
+def test_what_a_low_pass_leaves_of_white_noise_has_the_variance_that_rows_say():
+    rng = np.random.default_rng(5)
+    raw = Recording(
+        STEP * np.arange(20000), rng.normal(size=(20000, 3)), rng.normal(size=(20000, 3)), "device"
+    )
+    truth = RecordingTruth(raw, 9.8)
+    common = limited(raw, truth, 3.0, np.zeros(20000, bool))
+    left = np.hstack((common.real.accel, common.real.gyro))
+    rows = rows_of(left, passed=common.passed)
+    own = rows.kind == Kind.MEAN
+    ratio = np.mean(rows.residual[own] ** 2 / np.diag(rows.white)[own[: rows.n_dense]])
+    assert common.passed < 0.5
+    assert np.isclose(ratio, 1.0, atol=0.25)
