@@ -35,8 +35,8 @@ recordings that reach it by 10 %, but only evidence that is all or nothing attai
 errors under as many looks as here, ``benchmarks/evidence.py`` counts less than 1 in 500."""
 
 DRIFTING = 0.1
-"""Prior weight of what a drift can mimic, relative to the rest: its evidence stands or falls with
-the slow end of the noise, of which a recording shows a few modes only."""
+"""What evidence counts where a drift can mimic it: it stands or falls with the slow end of the
+noise, of which a recording shows a few modes only."""
 
 SLOW_MODES = 8
 """Half waves over the recording in the fastest drift that is meant by that."""
@@ -74,12 +74,19 @@ class Ranking:
     best: dict[str, Candidate]
     groups: dict[str, float]
     levels: FloatArray
+    drifting: frozenset[str] = frozenset()
     pair: tuple[float, Candidate] | None = None
 
     @property
     def total(self) -> float:
         """Log e-value that anything is left."""
         return float(logsumexp(list(self.groups.values()))) if self.groups else -np.inf
+
+    @property
+    def claims(self) -> bool:
+        """Whether that is enough, where what a drift can mimic counts for less."""
+        less = [v + np.log(DRIFTING) * (g in self.drifting) for g, v in self.groups.items()]
+        return bool(less) and float(logsumexp(less)) >= np.log(CLAIM)
 
 
 def make_stack(rows: Rows, *, skip: tuple[str, ...], reference: bool) -> Stack:
@@ -166,20 +173,19 @@ def rank(rows: Rows, stack: Stack, accepted: list[Accepted], start: FloatArray) 
         evidence = np.maximum(evidence, again)
     best, groups = grouped(stack, evidence)
     whitener = make_whitener(rows, base.values, contrast, mean)
-    for name in _drifting(rows, stack, whitener, [best[g] for g, v in groups.items() if v > 0]):
-        groups[name] += np.log(DRIFTING)
-    ranking = Ranking(stack, evidence, best, groups, base.values)
-    if accepted or ranking.total >= np.log(CLAIM):
+    drifting = _drifting(rows, stack, whitener, [best[g] for g, v in groups.items() if v > 0])
+    ranking = Ranking(stack, evidence, best, groups, base.values, drifting)
+    if accepted or ranking.claims:
         return ranking
     return replace(ranking, pair=_pair(rows, stack, hidden, contrast, mean, weight))
 
 
 def _drifting(
     rows: Rows, stack: Stack, whitener: Whitener, candidates: list[Candidate]
-) -> list[str]:
+) -> frozenset[str]:
     """Return the groups of those candidates of which a drift can mimic more than half."""
     if not candidates:
-        return []
+        return frozenset()
     time = rows.state.time - rows.state.time[0]
     phase = np.pi * time[:, None] / max(float(time[-1]), 1e-9) * np.arange(1, SLOW_MODES + 1)
     slow = np.hstack([rows.columns(c, np.cos(phase)) for c in range(len(CHANNELS))])
@@ -189,7 +195,7 @@ def _drifting(
         columns = whitener.project(stack.of(c))
         if np.square(basis.T @ columns).sum() > 0.5 * np.square(columns).sum():
             out.append(c.group)
-    return out
+    return frozenset(out)
 
 
 def _moments(rows: Rows, event: Candidate) -> Stack:

@@ -20,7 +20,16 @@ from calib.mismatch.noise import (
     find_levels,
     make_whitener,
 )
-from calib.mismatch.ranking import CLAIM, Accepted, Ranking, fitted, grouped, make_stack, rank
+from calib.mismatch.ranking import (
+    CLAIM,
+    DRIFTING,
+    Accepted,
+    Ranking,
+    fitted,
+    grouped,
+    make_stack,
+    rank,
+)
 from calib.mismatch.refit import Problem, refined, refit
 from calib.mismatch.rows import Rows
 from calib.mismatch.score import Candidate, Stack
@@ -68,7 +77,7 @@ def search(problem: Problem, *, skip: tuple[str, ...] = ()) -> Outcome:
     accepted: list[Accepted] = []
     rows = problem.rows()
     ranking = _ranked(problem, rows, accepted, expected_levels(rows), skip)
-    if ranking.total < np.log(CLAIM) and ranking.pair is not None:
+    if not ranking.claims and ranking.pair is not None:
         value, first = ranking.pair
         accepted.append(_accept(rows, ranking.stack, first, float(np.exp(value))))
         levels = ranking.levels
@@ -76,7 +85,7 @@ def search(problem: Problem, *, skip: tuple[str, ...] = ()) -> Outcome:
         rows, accepted = refit(problem, rows, accepted, levels)
         ranking = _ranked(problem, rows, accepted, levels, skip)
     for _ in range(ROUNDS):
-        if ranking.total < np.log(CLAIM):
+        if not ranking.claims:
             break
         chosen = choose(rows, ranking, accepted)
         if chosen is None:
@@ -127,8 +136,12 @@ def choose(rows: Rows, ranking: Ranking, accepted: list[Accepted]) -> Candidate 
         for g, v in ranking.groups.items()
         if not _within(rows, best[g], accepted) and not _again(best[g], accepted)
     }
-    if not groups or logsumexp(list(groups.values())) < np.log(CLAIM):
+    ranking = replace(ranking, groups=groups)
+    if not ranking.claims:
         return None
+    if ranking.total < np.log(CLAIM / DRIFTING):
+        # Not enough for what a drift can mimic: the claim is that of the others.
+        groups = {g: v for g, v in groups.items() if g not in ranking.drifting}
     physical = [g for g in groups if best[g].physical]
     rival = [g for g in groups if not best[g].physical]
     top = max(physical, key=lambda g: groups[g], default=None)
