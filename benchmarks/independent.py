@@ -415,6 +415,10 @@ def spoil(
 def report(results: list[Result]) -> int:
     """Print the tables; return 1 if a goal is missed."""
     missed = 0
+    small = [r for r in results if min(r.truth.powers.values(), default=np.inf) < 0.5 * SMALLEST]
+    results = [r for r in results if r not in small]
+    if small:
+        print("too small at the largest size that is physical:", *(r.case.label for r in small))
     single = [r for r in results if r.case.part == "single"]
     print("| what | size | recordings | found | right name | or a stated rival | false name |")
     print("|---|---|---|---|---|---|---|")

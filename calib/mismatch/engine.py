@@ -31,7 +31,7 @@ from calib.mismatch.spectrum import look_at_spectrum
 from calib.mismatch.thin import Thinned, thin
 from calib.model import SensorModel
 from calib.poses import Poses
-from calib.recording import Recording
+from calib.recording import CHANNELS, Recording
 from calib.types import BoolArray, FloatArray
 
 UNKNOWN_DRIFT = 4.0
@@ -99,6 +99,8 @@ def diagnose_thinned(
         grid, model, gravity=gravity, full_gyro=full, spread=UNKNOWN_DRIFT if timeless else None
     )
     problem.drop = _spoilt_turns(grid, recording, seen.spoilt)
+    rounded = [f.channels for f in seen.findings if f.effect == "quantization"]
+    problem.coarse = tuple(c for c in range(3, 6) if any(CHANNELS[c] in names for names in rounded))
     losses = [] if timeless else find_losses(problem)
     problem.leave_out([loss.segment for loss in losses])
     skip: tuple[str, ...] = ("gyro_misalignment",) if full else ()

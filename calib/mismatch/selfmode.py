@@ -46,6 +46,9 @@ class SelfProblem:
         self.twin: Twin = fit_twin(grid, self.start, self.noise)
         self.given = () if model is None else model.terms
         self.drop: BoolArray | None = None
+        self.coarse: tuple[int, ...] = ()
+        """Channels whose counts are coarse: at rest they stick to one, so that the bias that is
+        seen there is not that of turns."""
 
     def with_full_gyro(self) -> SelfProblem:
         """Return the same problem with the gyroscope's whole matrix in its baseline."""
@@ -71,6 +74,7 @@ class SelfProblem:
             for term in self.given
             for signals in get_effect(term.effect).columns(rows.state, _shape(term)).values()
         ]
+        known += [rows.functional[c] @ (self.grid.pose < 0) for c in self.coarse]
         if known:
             rows = replace(rows, nuisance=np.column_stack((rows.nuisance, *known)))
         out = self._drifting(rows)

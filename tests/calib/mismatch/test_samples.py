@@ -58,3 +58,13 @@ def test_what_one_axis_shows_of_the_range_is_the_range_of_all() -> None:
     assert finding.effect == "saturation"
     assert f"gyro.{'xyz'[short]}" in finding.channels
     assert seen.spoilt[at]
+
+
+def test_a_bias_that_sticks_to_a_coarse_count_at_rest_is_no_second_finding() -> None:
+    for seed in (3, 5):
+        recording = simulated(seed=seed)
+        lsb = 1.6e-3
+        gyro = np.round(recording.gyro / lsb) * lsb
+        found = diagnose_recording(replace(recording, gyro=gyro), gravity=GRAVITY)
+        assert [f.effect for f in found.findings] == ["quantization"]
+        assert not found.unexplained
