@@ -9,10 +9,12 @@ so the angular acceleration that a lever arm feels, is not known. There the diff
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from scipy import fft
 
 from calib.mismatch.alignment import Alignment
 from calib.mismatch.comparison import Truth
@@ -81,7 +83,7 @@ def matched(
     if other_spoilt is not None:
         other_spoilt = widened(other_spoilt, bandwidth, other.interval)
     truth = RecordingTruth(low_passed(other, bandwidth), gravity, other_spoilt)
-    return limited(real, truth, bandwidth, spoilt)
+    return limited(real, truth, bandwidth, spoilt, low_passed)
 
 
 def noise_of(recording: Recording) -> FloatArray:
@@ -110,7 +112,13 @@ def widened(spoilt: BoolArray, bandwidth: float, interval: float) -> BoolArray:
     return np.asarray(np.convolve(spoilt, np.ones(2 * reach + 1), mode="same") > 0)
 
 
-def limited(real: Recording, truth: Truth, bandwidth: float, spoilt: BoolArray) -> Matched:
+def limited(
+    real: Recording,
+    truth: Truth,
+    bandwidth: float,
+    spoilt: BoolArray,
+    low_pass: Callable[[Recording, float], Recording],
+) -> Matched:
     """Return a recording limited to the band of its truth, with as many samples as that needs.
 
     What the low-pass leaves of white noise is alike from sample to sample: of a Butterworth of
@@ -119,7 +127,7 @@ def limited(real: Recording, truth: Truth, bandwidth: float, spoilt: BoolArray) 
     wide = widened(spoilt, bandwidth, real.interval)
     thin = max(1, int(1.0 / (KEPT * bandwidth * real.interval)))
     passed = min(1.0, 2.0 * 0.898 * bandwidth * thin * real.interval)
-    kept = thinned(low_passed(real, bandwidth), thin)
+    kept = thinned(low_pass(real, bandwidth), thin)
     return Matched(kept, truth, wide[::thin], limited=True, passed=passed)
 
 
@@ -151,6 +159,16 @@ def common_band(
 
 
 def low_passed(recording: Recording, bandwidth: float) -> Recording:
+    """Return the recording through `zero_phase`."""
+    cutoff = bandwidth * recording.interval
+    return replace(
+        recording,
+        accel=zero_phase(recording.accel, cutoff),
+        gyro=zero_phase(recording.gyro, cutoff),
+    )
+
+
+def low_passed_as_motion(recording: Recording, bandwidth: float) -> Recording:
     """Return the recording through the low-pass that `motion_from_reference` has, no delay."""
     rate = 1.0 / recording.interval
     if bandwidth >= 0.45 * rate or len(recording) < 32:
@@ -163,6 +181,25 @@ def low_passed(recording: Recording, bandwidth: float) -> Recording:
         accel=sosfiltfilt(sos, recording.accel, axis=0),
         gyro=sosfiltfilt(sos, recording.gyro, axis=0),
     )
+
+
+def zero_phase(values: FloatArray, cutoff: float) -> FloatArray:
+    """Return (n, k) values through ``1 / (1 + (f / cutoff)**8)``, f in cycles per sample.
+
+    That is a Butterworth low-pass of fourth order there and back, of the same response at any rate:
+    a digital one is warped, and two sampled at unlike rates would differ by their filters.
+    """
+    n = len(values)
+    if cutoff >= 0.45 or n < 32:
+        return np.array(values)
+    pad = min(n - 1, int(8.0 / cutoff))
+    before = 2 * values[0] - values[pad:0:-1]
+    after = 2 * values[-1] - values[-2 : -pad - 2 : -1]
+    spectrum = fft.rfft(np.concatenate((before, values, after)), axis=0)
+    size = n + 2 * pad
+    gain = 1.0 / (1.0 + (fft.rfftfreq(size) / cutoff) ** 8)
+    out: FloatArray = fft.irfft(spectrum * gain[:, None], size, axis=0)[pad : pad + n]
+    return out
 
 
 def thinned(recording: Recording, step: int) -> Recording:

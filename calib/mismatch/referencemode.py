@@ -21,7 +21,7 @@ from calib.mismatch.against import (
     unfit,
 )
 from calib.mismatch.alignment import Alignment, align
-from calib.mismatch.band import Matched, common_band, limited, matched
+from calib.mismatch.band import Matched, common_band, limited, low_passed_as_motion, matched
 from calib.mismatch.comparison import ComparisonProblem, Truth
 from calib.mismatch.diagnosis import Diagnosis
 from calib.mismatch.samples import Samples, look_at_samples
@@ -205,7 +205,7 @@ def _captured(
     if bandwidth is None:
         return Matched(real, truth, spoilt), alignment, mat
     truth = item.truth(gravity=gravity, bandwidth=bandwidth)
-    return limited(real, truth, bandwidth, spoilt), alignment, mat
+    return limited(real, truth, bandwidth, spoilt, low_passed_as_motion), alignment, mat
 
 
 def mounting(real: Recording, truth: Truth, alignment: Alignment) -> tuple[FloatArray, float]:

@@ -3,7 +3,7 @@
 import numpy as np
 
 from calib.effects.base import State
-from calib.mismatch.band import limited
+from calib.mismatch.band import limited, low_passed, zero_phase
 from calib.mismatch.noise import contrast_variance
 from calib.mismatch.ranking import Accepted
 from calib.mismatch.refit import cut
@@ -117,10 +117,21 @@ def test_what_a_low_pass_leaves_of_white_noise_has_the_variance_that_rows_say():
         STEP * np.arange(20000), rng.normal(size=(20000, 3)), rng.normal(size=(20000, 3)), "device"
     )
     truth = RecordingTruth(raw, 9.8)
-    common = limited(raw, truth, 3.0, np.zeros(20000, bool))
+    common = limited(raw, truth, 3.0, np.zeros(20000, bool), low_passed)
     left = np.hstack((common.real.accel, common.real.gyro))
     rows = rows_of(left, passed=common.passed)
     own = rows.kind == Kind.MEAN
     ratio = np.mean(rows.residual[own] ** 2 / np.diag(rows.white)[own[: rows.n_dense]])
     assert common.passed < 0.5
     assert np.isclose(ratio, 1.0, atol=0.25)
+
+
+def test_a_low_pass_is_the_same_at_any_rate():
+    for rate in (50.0, 64.0, 286.0):
+        time = np.arange(0.0, 20.0, 1 / rate)
+        wave = np.sin(2 * np.pi * 9.0 * time)[:, None]
+        middle = (time > 5.0) & (time < 15.0)
+        expected = wave / (1 + (9.0 / 6.0) ** 8)
+        assert np.allclose(zero_phase(wave, 6.0 / rate)[middle], expected[middle], atol=2e-4)
+        slow = np.stack((time, np.sin(0.5 * time)), axis=1)
+        assert np.allclose(zero_phase(slow, 6.0 / rate), slow, atol=1e-3)
