@@ -15,10 +15,10 @@ class AccelVibrationRectification(Effect):
     title = "accel vibration rectification"
     equation = "f_m,i += k_i var(f_i)"
     source = (
-        "IEEE Std 1293-2018 (vibration rectification error); 1 mg at 1 g rms is an estimate "
-        "for consumer parts"
+        "IEEE Std 1293-2018 (vibration rectification error); 10 mg at 1 g rms is an estimate "
+        "for consumer parts: 1 mg where nothing clips, 60 mg where the range is nearly reached"
     )
-    parameters = per_axis("accel", "k", "(m/s²)/(m/s²)²", 1e-3 / G)
+    parameters = per_axis("accel", "k", "(m/s²)/(m/s²)²", 1e-2 / G)
     follows = "variance of specific force within a second"
     needs = "the same pose with and without vibration"
     sentence = "The mean of the accelerometer shifts while the sensor is shaken."
@@ -27,7 +27,7 @@ class AccelVibrationRectification(Effect):
     reads = ("vibration",)
 
     def reach(self, parameters: Mapping[str, float], *, interval: float) -> int:
-        return seconds_of_samples(0.5 * VIBRATION_WINDOW, interval)
+        return seconds_of_samples(0.5 * VIBRATION_WINDOW, interval) + 1
 
     def columns(self, state: State, shape: Mapping[str, float]) -> dict[str, Column]:
         """Return each axis' own variance of specific force; nothing where it is not known."""

@@ -29,7 +29,7 @@ class GyroVibrationRectification(Effect):
     reads = ("vibration",)
 
     def reach(self, parameters: Mapping[str, float], *, interval: float) -> int:
-        return seconds_of_samples(0.5 * VIBRATION_WINDOW, interval)
+        return seconds_of_samples(0.5 * VIBRATION_WINDOW, interval) + 1
 
     def columns(self, state: State, shape: Mapping[str, float]) -> dict[str, Column]:
         """Return the variance of specific force, all axes together; nothing if not known."""

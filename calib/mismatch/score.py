@@ -35,11 +35,10 @@ square."""
 LARGE = 30.0
 """Size relative to the typical one beyond which a number is hardly physical."""
 
-SCALES = np.append(np.geomspace(0.01, 3.0, 8), [10.0, LARGE, 100.0, 300.0, 1000.0, 3000.0])
-"""Sizes that are tried, relative to the typical one. What is far beyond it is improbable, but what
-has the shape of an effect at that size has its name too."""
+SCALES = np.append(np.geomspace(0.01, 3.0, 8), [10.0, LARGE])
+"""Sizes that are tried, relative to the typical one; the last for what is far beyond typical."""
 
-SHARES = np.append(np.full(8, 0.115), [0.02, 0.02, 0.01, 0.01, 0.01, 0.01])
+SHARES = np.append(np.full(8, 0.12), [0.02, 0.02])
 """How probable each of them is."""
 
 _LOG_SHARES = np.log(SHARES)
