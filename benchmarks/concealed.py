@@ -77,6 +77,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--quick", action="store_true", help="a few seeds, two sizes")
     parser.add_argument("--seeds", type=int, default=20)
+    parser.add_argument("--first", type=int, default=0, help="first seed")
     parser.add_argument("--clean", type=int, default=200)
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--effects", nargs="*", help="only these")
@@ -87,19 +88,22 @@ def main() -> int:
     seeds, clean, powers = args.seeds, args.clean, args.powers
     if args.quick:
         seeds, clean, powers = 1, 12, [50.0, 100.0]
+    seen = range(args.first, args.first + seeds)
     names = args.effects or hidden_effects()
     cases: list[Case] = []
     if "single" in args.parts:
-        cases += [Case("single", (n,), p, s) for n in names for p in powers for s in range(seeds)]
+        cases += [Case("single", (n,), p, s) for n in names for p in powers for s in seen]
     if "clean" in args.parts:
-        cases += [Case("clean", (), 0.0, 10_000 + s) for s in range(clean)]
+        cases += [Case("clean", (), 0.0, 10_000 + args.first + s) for s in range(clean)]
     if "pairs" in args.parts:
-        rng = np.random.default_rng(7)
+        rng = np.random.default_rng(7 + args.first)
         pairs = [tuple(rng.choice(names, 2, replace=False)) for _ in range(max(4, 2 * seeds))]
-        cases += [Case("pairs", p, 80.0, 20_000 + i) for i, p in enumerate(pairs)]
+        cases += [Case("pairs", p, 80.0, 20_000 + args.first + i) for i, p in enumerate(pairs)]
     if "outside" in args.parts:
         cases += [
-            Case("outside", (n,), 100.0, 30_000 + s) for n in OUTSIDE for s in range(max(2, seeds))
+            Case("outside", (n,), 100.0, 30_000 + args.first + s)
+            for n in OUTSIDE
+            for s in range(max(2, seeds))
         ]
     results = list(_run_all(cases, args.jobs, verbose=args.verbose))
     return report(results)

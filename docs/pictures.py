@@ -12,17 +12,29 @@ import sys
 import tempfile
 from pathlib import Path
 
+import matplotlib as mpl
+import numpy as np
+from matplotlib import pyplot as plt
 from rich.console import Console
 
 from calib.calibrate import calibrate
 from calib.calibration import Gravity
+from calib.effects.base import Term
+from calib.mismatch import diagnose_recording
+from calib.model import SensorModel
+from calib.simulate import simulate
+from calib.simulation.bench import bench_protocol
+from calib.simulation.noise import CONSUMER
 from drivers.formats import read_recording
 from imu_cli.bench.run import slices
 from imu_cli.bench.screen import Header, render
 from imu_cli.bench.session import Session
 from imu_cli.bench.targets import make_targets
 from imu_cli.report.contents import calibration_report
+from imu_cli.report.diagnosis import diagnosis_report
 from imu_cli.report.page import render_page
+
+mpl.use("Agg")
 
 ROOT = Path(__file__).resolve().parents[1]
 IMAGES = ROOT / "docs/pages/images"
@@ -53,6 +65,49 @@ def report_page() -> str:
     """Return the report of the same recording."""
     calibration = calibrate(read_recording(ROOT / "fixtures/bench.csv"), gravity=GRAVITY)
     return render_page(calibration_report(calibration))
+
+
+def diagnosis_page() -> str:
+    """Return the report of a recording in which a gyroscope feels specific force."""
+    motion = bench_protocol(np.random.default_rng(5), poses=24)
+    term = Term("gyro_g_sensitivity", {"gxz": 4e-5})
+    recording = simulate(
+        motion, SensorModel(terms=(term,)), CONSUMER, rng=np.random.default_rng(6), rate=100.0
+    )
+    found = diagnose_recording(recording, gravity=GRAVITY.value)
+    return render_page(diagnosis_report(found.to_json()))
+
+
+def draw_concealed(picture: Path) -> None:
+    """Draw the README's table of the concealed effects."""
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    part = text[text.index("| non-centrality | found |") :].split("\n\n")[0]
+    rows = [
+        [float(x) if (x := cell.strip(" %")) else np.nan for cell in line.split("|")[1:-1]]
+        for line in part.splitlines()[2:]
+    ]
+    power, found, first, among, false, goal = np.array(rows).T
+    figure, axes = plt.subplots(figsize=(7, 3.6), layout="constrained")
+    for values, label, style in (
+        (found, "something found", "o--"),
+        (among, "right name, alone or a stated rival", "o-"),
+        (first, "right name first", "o:"),
+        (false, "a false name", "x-"),
+        (goal, "goal for the name", "k_"),
+    ):
+        axes.plot(power, values, style, label=label, ms=16 if style == "k_" else 6)
+    axes.set(
+        xscale="log",
+        xticks=power,
+        xticklabels=[f"{p:.0f}" for p in power],
+        ylim=(-3, 103),
+        xlabel="non-centrality of the concealed effect for one who knows it",
+        ylabel="share of recordings, %",
+    )
+    axes.minorticks_off()
+    axes.grid(alpha=0.3)
+    axes.legend(fontsize=8)
+    figure.savefig(picture, dpi=130)
 
 
 def shoot(page: str, picture: Path, size: tuple[int, int]) -> None:
@@ -87,6 +142,8 @@ def main() -> None:
     IMAGES.mkdir(parents=True, exist_ok=True)
     shoot(bench_page(), IMAGES / "bench.png", (1240, 690))
     shoot(report_page(), IMAGES / "report.png", (1100, 1500))
+    shoot(diagnosis_page(), IMAGES / "diagnosis.png", (1100, 1350))
+    draw_concealed(IMAGES / "concealed.png")
 
 
 if __name__ == "__main__":
