@@ -312,7 +312,9 @@ def sized_term(
     if chosen is not None:
         names = names[:1] if len(columns) == 1 else names
     single = rng.random() < 0.5
-    used = [str(rng.choice(names))] if single else names
+    # What refines other parameters (a cube of temperature) comes with them only.
+    alone = [p.name for p in effect.parameters if p.name in names and not p.refining]
+    used = [str(rng.choice(alone))] if single else names
     weights = {n: typical[n] * rng.normal() for n in used}
     if single:
         weights = {n: typical[n] * float(rng.choice([-1.0, 1.0])) for n in used}
