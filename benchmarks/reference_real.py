@@ -13,12 +13,14 @@ import argparse
 import os
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
+from calib.effects import get_effect
 from calib.mismatch import ReferenceMotion, diagnose_reference
 from calib.mismatch.alignment import Alignment
 from calib.mismatch.comparison import ComparisonProblem, Setup
@@ -105,12 +107,15 @@ def second_half(real: Recording, reference: Recording | ReferenceMotion) -> tupl
     first = real.slice(0, middle)
     plain = compared(first, reference).setup
     found = diagnose_reference(first, reference, gravity=GRAVITY)
+    # What happened once in the first half says nothing of the second.
+    lasting = tuple(t for t in found.model.terms if get_effect(t.effect).kind != "event")
+    model = replace(found.model, terms=lasting)
     at = found.summary["alignment"]
     alignment = Alignment(at["offset"], at["stretch"], at["middle"])
     whole = compared(real, reference)
     unseen = (whole.time > real.time[middle]) & (whole.time < real.time[fast[-1]])
     out = []
-    for setup in (plain, Setup(found.model, alignment, mat_from_rotvec(np.array(at["rotation"])))):
+    for setup in (plain, Setup(model, alignment, mat_from_rotvec(np.array(at["rotation"])))):
         whole.setup = setup
         left = whole.residual(whole.state())[unseen, :3]
         out.append(float(np.sqrt(np.mean(np.square(left)))))

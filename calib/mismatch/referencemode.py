@@ -182,7 +182,8 @@ def compare_reference(
         passed=common.passed,
     )
     # What both were limited to hides the sensor's own low-pass.
-    return problem, (("bandwidth",) if common.limited else ())
+    # Where samples do not resolve the motion, one that is lost cannot be told from motion either.
+    return problem, (("bandwidth", "dropped_samples") if common.limited else ())
 
 
 def _captured(
