@@ -170,16 +170,12 @@ def low_passed(recording: Recording, bandwidth: float) -> Recording:
 
 def low_passed_as_motion(recording: Recording, bandwidth: float) -> Recording:
     """Return the recording through the low-pass that `motion_from_reference` has, no delay."""
-    rate = 1.0 / recording.interval
-    if bandwidth >= 0.45 * rate or len(recording) < 32:
-        return recording
-    from scipy.signal import butter, sosfiltfilt  # half a second to import
+    from calib.simulation.recorded import low_pass  # half a second to import
 
-    sos = butter(4, bandwidth, fs=rate, output="sos")
     return replace(
         recording,
-        accel=sosfiltfilt(sos, recording.accel, axis=0),
-        gyro=sosfiltfilt(sos, recording.gyro, axis=0),
+        accel=low_pass(recording.time, recording.accel, bandwidth),
+        gyro=low_pass(recording.time, recording.gyro, bandwidth),
     )
 
 
