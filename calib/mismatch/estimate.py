@@ -16,7 +16,7 @@ import numpy as np
 
 from calib.effects import get_effect
 from calib.effects.base import ShapeParameter
-from calib.mismatch.families import effect_columns, shape_grid
+from calib.mismatch.families import candidate_columns, shape_grid
 from calib.mismatch.noise import make_whitener
 from calib.mismatch.ranking import Accepted, fitted
 from calib.mismatch.refit import cut, likelihood_gain, prior_rows
@@ -171,10 +171,9 @@ def _moved(
 ) -> Accepted | None:
     """Return a finding with another value of a shape; None if it has no columns there."""
     shape = {**a.candidate.shape, item.name: value}
-    found = effect_columns(get_effect(a.candidate.name), rows, shape, reference=reference)
-    if not all(n in found for n in a.candidate.parameters):
+    columns = candidate_columns(rows, a.candidate, shape, reference=reference)
+    if columns is None:
         return None
-    columns = np.stack([found[n] for n in a.candidate.parameters], axis=1)
     return replace(a, candidate=replace(a.candidate, shape=shape), columns=columns)
 
 

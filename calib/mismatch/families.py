@@ -8,7 +8,7 @@ from itertools import product
 
 import numpy as np
 
-from calib.effects import effects
+from calib.effects import effects, get_effect
 from calib.effects.base import (
     PRESENCE,
     Column,
@@ -103,6 +103,16 @@ def effect_columns(
             if np.abs(values).max() > 0:
                 out[name] = values
     return out
+
+
+def candidate_columns(
+    rows: Rows, candidate: Candidate, shape: Mapping[str, float], *, reference: bool
+) -> FloatArray | None:
+    """Return the columns of an effect's candidate at a shape; None if one shows nothing there."""
+    found = effect_columns(get_effect(candidate.name), rows, shape, reference=reference)
+    if not all(n in found for n in candidate.parameters):
+        return None
+    return np.stack([found[n] for n in candidate.parameters], axis=1)
 
 
 def _undone(

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from calib.effects import get_effect
-from calib.mismatch.families import add_catalogue, effect_columns, neighbours
+from calib.mismatch.families import add_catalogue, candidate_columns, neighbours
 from calib.mismatch.noise import (
     Whitener,
     contrast_variance,
@@ -202,12 +202,10 @@ def _moments(rows: Rows, event: Candidate) -> Stack:
     """Return an event at other moments within its rest or turn; nothing for what is no event."""
     stack = Stack(len(rows.residual))
     if "moment" in event.shape:
-        effect = get_effect(event.name)
-        for shape in neighbours(effect, rows, event.shape):
-            found = effect_columns(effect, rows, shape, reference=True)
-            if all(n in found for n in event.parameters):
-                index = stack.add(np.stack([found[n] for n in event.parameters], axis=1))
-                stack.candidates.append(replace(event, index=index, shape=shape))
+        for shape in neighbours(get_effect(event.name), rows, event.shape):
+            columns = candidate_columns(rows, event, shape, reference=True)
+            if columns is not None:
+                stack.candidates.append(replace(event, index=stack.add(columns), shape=shape))
     return stack
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from calib.effects import get_effect
 from calib.effects.base import PRESENCE, Term, TransformEffect
-from calib.mismatch.families import effect_columns, neighbours
+from calib.mismatch.families import candidate_columns, neighbours
 from calib.mismatch.noise import Whitener, contrast_variance, find_levels, make_whitener
 from calib.mismatch.ranking import Accepted, fitted
 from calib.mismatch.rivals import WINDOWED, window_columns
@@ -90,11 +90,8 @@ def _movable(candidate: Candidate, *, signals: bool) -> bool:
 def _renew(a: Accepted, rows: Rows, *, reference: bool) -> Accepted:
     if not a.candidate.physical:
         return a
-    found = effect_columns(
-        get_effect(a.candidate.name), rows, a.candidate.shape, reference=reference
-    )
-    columns = [found[n] for n in a.candidate.parameters]
-    return replace(a, columns=np.stack(columns, axis=1))
+    columns = candidate_columns(rows, a.candidate, a.candidate.shape, reference=reference)
+    return a if columns is None else replace(a, columns=columns)
 
 
 def prior_rows(
@@ -203,10 +200,9 @@ def refined(
 
     def try_shape(shape: dict[str, float]) -> float:
         nonlocal best, value
-        found = effect_columns(effect, rows, shape, reference=reference)
-        if not all(n in found for n in candidate.parameters):
+        tried = candidate_columns(rows, candidate, shape, reference=reference)
+        if tried is None:
             return -np.inf
-        tried = np.stack([found[n] for n in candidate.parameters], axis=1)
         new = gain(tried)
         if new > value:
             best, value = (replace(candidate, shape=shape), tried), new

@@ -13,7 +13,7 @@ from scipy.special import logsumexp
 
 from calib.effects import get_effect
 from calib.mismatch.estimate import Estimate, estimate, settle
-from calib.mismatch.families import effect_columns
+from calib.mismatch.families import candidate_columns
 from calib.mismatch.noise import (
     contrast_variance,
     expected_levels,
@@ -223,23 +223,24 @@ def _with(
         return [*accepted, new]
     effect = get_effect(new.candidate.name)
     shape = {**new.candidate.shape, **old.candidate.shape}
-    found = effect_columns(effect, rows, shape, reference=reference)
     both = {*old.candidate.parameters, *new.candidate.parameters}
     chosen = [p for p in effect.parameters if p.name in both]
-    if not all(p.name in found for p in chosen):
-        return [*accepted, new]
     names = tuple(p.name for p in chosen)
+    candidate = replace(
+        old.candidate,
+        index=np.arange(len(names)),
+        parameters=names,
+        channels=tuple(dict.fromkeys(c for p in chosen for c in p.channels)),
+        shape=shape,
+    )
+    columns = candidate_columns(rows, candidate, shape, reference=reference)
+    if columns is None:
+        return [*accepted, new]
     values = dict(zip(old.candidate.parameters, old.values, strict=True))
     merged = replace(
         old,
-        candidate=replace(
-            old.candidate,
-            index=np.arange(len(names)),
-            parameters=names,
-            channels=tuple(dict.fromkeys(c for p in chosen for c in p.channels)),
-            shape=shape,
-        ),
-        columns=np.stack([found[n] for n in names], axis=1),
+        candidate=candidate,
+        columns=columns,
         typical=np.array([p.typical for p in chosen]),
         values=np.array([values.get(n, 0.0) for n in names]),
     )
