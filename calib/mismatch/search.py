@@ -217,9 +217,12 @@ def _lasting(candidate: Candidate) -> bool:
 def _with(
     rows: Rows, accepted: list[Accepted], new: Accepted, *, reference: bool
 ) -> list[Accepted]:
-    """Return the findings with a new one; other parameters of one effect are one finding."""
+    """Return the findings with a new one; other parameters of one effect are one finding.
+
+    But for what is there or not: how strong it is is in a shape, and each channel has its own.
+    """
     old = next((a for a in accepted if a.candidate.name == new.candidate.name), None)
-    if old is None or not _lasting(new.candidate):
+    if old is None or not _lasting(new.candidate) or new.candidate.present:
         return [*accepted, new]
     effect = get_effect(new.candidate.name)
     shape = {**new.candidate.shape, **old.candidate.shape}

@@ -49,6 +49,14 @@ def test_events_of_one_kind_stay_apart(stacked):
     assert not _again(steps[0], [first])
 
 
+def test_low_passes_of_unlike_channels_stay_apart(stacked):
+    rows, stack = stacked
+    first = _accept(rows, stack, candidate(stack, "bandwidth", ("accel",)), 100.0)
+    new = _accept(rows, stack, candidate(stack, "bandwidth", ("gyro",)), 50.0)
+    apart = _with(rows, [first], new, reference=False)
+    assert [a.candidate.parameters for a in apart] == [("accel",), ("gyro",)]
+
+
 def test_what_an_exponential_leaves_is_not_named_after_it_again():
     real = recording(
         Term("gyro_warm_up", {"kx": 0.02, "ky": -0.02, "tau": 15.0}),
