@@ -9,11 +9,10 @@ import numpy as np
 
 from calib.calibration import Quantity
 from calib.effects import effects, get_effect
-from calib.effects.base import PRESENCE
 from calib.mismatch.alignment import LEAST_OVERLAP, align
 from calib.mismatch.band import matched
 from calib.mismatch.comparison import ComparisonProblem
-from calib.mismatch.diagnosis import Diagnosis, Finding, Unexplained
+from calib.mismatch.diagnosis import Diagnosis, Finding
 from calib.mismatch.estimate import Estimate
 from calib.mismatch.explain import changes, explain, verdict
 from calib.mismatch.families import PHYSICAL
@@ -135,10 +134,8 @@ def conclude(
     findings, unexplained, (known, covariance) = explain(outcome, fit, names=problem.names)
     found = _setups(outcome, fit, problem, setups)
     findings = [*seen.findings, *found, *findings]
-    named = [f for f in findings if not _impossible(f)]
-    left = [_nameless(f) for f in findings if _impossible(f)]
-    findings, unexplained = named, [*seen.unexplained, *unexplained, *left]
-    slugs = {f.effect for f in named}
+    unexplained = [*seen.unexplained, *unexplained]
+    slugs = {f.effect for f in findings}
     keep = [i for i, n in enumerate(known) if n in problem.names or n.split(".")[0] in slugs]
     known, covariance = tuple(known[i] for i in keep), covariance[np.ix_(keep, keep)]
     open_ = _open(problem.names, fit)
@@ -173,17 +170,6 @@ def conclude(
             },
         },
     )
-
-
-def _impossible(item: Finding) -> bool:
-    """Return whether what is either there or not would be there by half, or twice."""
-    units = {p.name: p.unit for p in get_effect(item.effect).parameters}
-    there = [q.value for name, q in item.parameters.items() if units.get(name) == PRESENCE]
-    return item.held_out is not None and any(not 0.5 < value < 1.5 for value in there)
-
-
-def _nameless(item: Finding) -> Unexplained:
-    return Unexplained(item.channels, item.intervals, item.regime, item.p_value, item.rivals)
 
 
 def _open(names: tuple[str, ...], fit: Estimate) -> list[str]:
