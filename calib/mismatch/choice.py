@@ -62,6 +62,11 @@ def choose_poses(
     return np.flatnonzero(chosen)
 
 
+def distinct_directions(accel: FloatArray) -> int:
+    """Return how many directions of gravity are not `ALIKE`."""
+    return len(np.unique(_directions(accel)))
+
+
 def _directions(accel: FloatArray) -> IntArray:
     """Return the number of the direction that each vector has, (k,)."""
     up = accel / np.maximum(np.linalg.norm(accel, axis=1, keepdims=True), 1e-300)

@@ -10,7 +10,7 @@ from calib.calibration import Quantity
 from calib.effects import effects
 from calib.effects.base import TransformEffect
 from calib.errors import InsufficientMotionError
-from calib.mismatch.choice import choose_poses
+from calib.mismatch.choice import choose_poses, distinct_directions
 from calib.mismatch.diagnosis import Diagnosis, Finding
 from calib.mismatch.explain import changes, explain, verdict
 from calib.mismatch.grid import (
@@ -172,16 +172,6 @@ def _without_rates(
     """Return names and covariance without rates."""
     keep = [i for i, n in enumerate(names) if not _is_rate(n.split(".")[0])]
     return tuple(names[i] for i in keep), covariance[np.ix_(keep, keep)]
-
-
-def distinct_directions(accel: FloatArray, *, angle: float = 0.26) -> int:
-    """Return how many directions of gravity differ by more than `angle` (rad) from each other."""
-    up = accel / np.linalg.norm(accel, axis=1, keepdims=True)
-    kept: list[FloatArray] = []
-    for vec in up:
-        if all(float(vec @ k) < np.cos(angle) for k in kept):
-            kept.append(vec)
-    return len(kept)
 
 
 def _spoilt_turns(grid: Grid, recording: Recording, spoilt: BoolArray) -> BoolArray:
