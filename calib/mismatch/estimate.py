@@ -103,8 +103,10 @@ def estimate(
             drop = gains.max() - gains
             weights = np.exp(-drop) / np.exp(-drop).sum()
             for value, weight, lost in zip(values, weights, drop, strict=True):
+                if lost > REACH:
+                    continue
                 other = _moved(rows, a, item, float(value), reference=reference)
-                if lost > REACH or other is None:
+                if other is None:
                     continue
                 there = (*accepted[:i], other, *accepted[i + 1 :])
                 step, own = _fit(rows, there, levels, contrast)
