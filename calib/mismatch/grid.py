@@ -43,7 +43,6 @@ ROWS = 1000
 """Rows with a dense covariance, up to which rests are cut: six a cell, five a turn. The cost grows
 with their cube."""
 
-
 UNCLOCKED = 600.0
 """s that a recording of unknown length is taken to last where a rate of temperature is wanted: the
 windows that it is fitted through are made for recordings of ten minutes."""
@@ -231,10 +230,10 @@ def _cell_counts(poses: Poses, shortest: float) -> IntArray:
     few = max(1.0, 30.0 / len(poses))
     typical = max(shortest, float(np.median(length)) * 1.5 / few, float(length.sum()) / CELLS)
     samples = (poses.stop - poses.start) // 30
-    most = min(CELLS, max((ROWS - 5 * (len(poses) - 1)) // 6, len(poses)))
+    most = max(min(CELLS, (ROWS - 5 * (len(poses) - 1)) // 6), len(poses))
     while True:
         cells = np.minimum(np.floor(length / max(typical, 1e-12)).astype(np.int64), samples)
-        if np.maximum(cells, 1).sum() <= max(most, len(poses)):
+        if np.maximum(cells, 1).sum() <= most:
             break
         typical = max(1.1 * typical, 1e-9)
     return np.asarray(np.maximum(cells, 1))
