@@ -1,15 +1,30 @@
-"""Option values that several commands read the same way: durations, gravity."""
+"""Options that several commands have in common, and how their values are read."""
 
 from __future__ import annotations
 
 import math
 import re
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 if TYPE_CHECKING:
     from calib.calibration import Gravity
+
+ProfileOption = Annotated[
+    str | None, typer.Option(help="Import profile of a foreign log: a name, or a .toml file.")
+]
+ImuOption = Annotated[int | None, typer.Option(help="Which sensor of a board, from 1.")]
+DropInvalidOption = Annotated[bool, typer.Option(help="Turn rows that are not finite into gaps.")]
+GravityOption = Annotated[
+    float | None, typer.Option(help="Local gravity, m/s²  [default: 9.80665]")
+]
+LatitudeOption = Annotated[
+    float | None, typer.Option(help="Latitude, °: gravity by the normal-gravity formula.")
+]
+HeightOption = Annotated[
+    float | None, typer.Option(help="Height, m, with --latitude  [default: 0]")
+]
 
 _UNITS = {"": 1.0, "ms": 1e-3, "s": 1.0, "sec": 1.0, "m": 60.0, "min": 60.0, "h": 3600.0}
 

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from imu_cli.options import DropInvalidOption, ImuOption, ProfileOption
+
 if TYPE_CHECKING:
     from calib.apply import Coverage
     from calib.calibration import Calibration
@@ -26,13 +28,9 @@ def apply(
         Path | None,
         typer.Option("-o", "--output", help="Recording to write; its suffix names the format."),
     ] = None,
-    profile: Annotated[
-        str | None, typer.Option(help="Import profile of a foreign log: a name, or a .toml file.")
-    ] = None,
-    imu: Annotated[int | None, typer.Option(help="Which sensor of a board, from 1.")] = None,
-    drop_invalid: Annotated[
-        bool, typer.Option(help="Turn rows that are not finite into gaps.")
-    ] = False,
+    profile: ProfileOption = None,
+    imu: ImuOption = None,
+    drop_invalid: DropInvalidOption = False,
     json: Annotated[bool, typer.Option("--json", help="Print what was done as JSON.")] = False,
 ) -> None:
     """Correct a recording, or a stream, with a calibration.

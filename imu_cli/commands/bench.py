@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from imu_cli.options import GravityOption, HeightOption, LatitudeOption, choose_gravity
+
 
 def bench(
     url: Annotated[
@@ -27,13 +29,9 @@ def bench(
             metavar="NAME=QUANTITY", help='Standard error to reach, such as accel.bias="1 mg".'
         ),
     ] = None,
-    gravity: Annotated[
-        float | None, typer.Option(help="Local gravity, m/s² (9.80665 if not given).")
-    ] = None,
-    latitude: Annotated[
-        float | None, typer.Option(help="Latitude, degrees: gravity by the normal formula.")
-    ] = None,
-    height: Annotated[float | None, typer.Option(help="Height above the ellipsoid, m.")] = None,
+    gravity: GravityOption = None,
+    latitude: LatitudeOption = None,
+    height: HeightOption = None,
     auto: Annotated[
         bool, typer.Option("--auto", help="Ask nothing: for a replay or an emulator.")
     ] = False,
@@ -52,7 +50,6 @@ def bench(
     from imu_cli.bench.session import Session
     from imu_cli.bench.targets import make_targets
     from imu_cli.bench.view import Screen
-    from imu_cli.options import choose_gravity
     from imu_cli.recording_view import stop_on_signals
 
     try:

@@ -9,6 +9,16 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from imu_cli.options import (
+    DropInvalidOption,
+    GravityOption,
+    HeightOption,
+    ImuOption,
+    LatitudeOption,
+    ProfileOption,
+    choose_gravity,
+)
+
 if TYPE_CHECKING:
     from calib.calibration import Calibration
 
@@ -23,10 +33,8 @@ def calibrate(
         Path | None,
         typer.Option("-o", "--output", help="Calibration to write  [default: LOG.cal.json]"),
     ] = None,
-    profile: Annotated[
-        str | None, typer.Option(help="Import profile of a foreign log: a name, or a .toml file.")
-    ] = None,
-    imu: Annotated[int | None, typer.Option(help="Which sensor of a board, from 1.")] = None,
+    profile: ProfileOption = None,
+    imu: ImuOption = None,
     accel_method: Annotated[str, typer.Option(help=ACCEL_METHODS)] = "maximum_likelihood",
     gyro_method: Annotated[str, typer.Option(help=GYRO_METHODS)] = "rotation_segment_3x3",
     table_rate: Annotated[
@@ -36,15 +44,9 @@ def calibrate(
             "start,stop,rate in s and °/s."
         ),
     ] = None,
-    gravity: Annotated[
-        float | None, typer.Option(help="Local gravity, m/s²  [default: 9.80665]")
-    ] = None,
-    latitude: Annotated[
-        float | None, typer.Option(help="Latitude, °: gravity by the normal-gravity formula.")
-    ] = None,
-    height: Annotated[
-        float | None, typer.Option(help="Height, m, with --latitude  [default: 0]")
-    ] = None,
+    gravity: GravityOption = None,
+    latitude: LatitudeOption = None,
+    height: HeightOption = None,
     housing_faces: Annotated[
         Path | None,
         typer.Option(help="CSV `time,up` or `pose,up`: which face (+X ... -Z) was up in a pose."),
@@ -52,9 +54,7 @@ def calibrate(
     note: Annotated[
         list[str] | None, typer.Option(metavar="KEY=VALUE", help="Kept in the file; repeatable.")
     ] = None,
-    drop_invalid: Annotated[
-        bool, typer.Option(help="Turn rows that are not finite into gaps.")
-    ] = False,
+    drop_invalid: DropInvalidOption = False,
     json: Annotated[bool, typer.Option("--json", help="Print the calibration as JSON.")] = False,
 ) -> None:
     """Calibrate an IMU from a recording of static poses and turns.
@@ -63,7 +63,6 @@ def calibrate(
     more between them. What it does not determine is marked in the file, and the exit code is 5.
     """
     from imu_cli import output
-    from imu_cli.options import choose_gravity
 
     destination = _destination(log, out)
     notes = _notes(note or [])

@@ -7,19 +7,17 @@ from typing import Annotated
 
 import typer
 
+from imu_cli.options import DropInvalidOption, ImuOption, ProfileOption
+
 
 def convert(
     log: Annotated[list[Path], typer.Argument(metavar="LOG...", help="Recordings of one device.")],
     out: Annotated[
         Path, typer.Option("-o", "--output", help="Recording to write; its suffix is the format.")
     ],
-    profile: Annotated[
-        str | None, typer.Option(help="Import profile of a foreign log: a name, or a .toml file.")
-    ] = None,
-    imu: Annotated[int | None, typer.Option(help="Which sensor of a board, from 1.")] = None,
-    drop_invalid: Annotated[
-        bool, typer.Option(help="Turn rows that are not finite into gaps.")
-    ] = False,
+    profile: ProfileOption = None,
+    imu: ImuOption = None,
+    drop_invalid: DropInvalidOption = False,
     json: Annotated[bool, typer.Option("--json", help="Print what was written as JSON.")] = False,
 ) -> None:
     """Convert a recording to another format: Arrow, Parquet, CSV in SI.

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from imu_cli.options import HeightOption, ImuOption, LatitudeOption, ProfileOption, choose_gravity
+
 if TYPE_CHECKING:
     from calib.calibration import Calibration, Quantity
     from calib.mismatch import Diagnosis, Finding
@@ -36,18 +38,14 @@ def diagnose(
     reference_imu: Annotated[
         int | None, typer.Option(help="Which sensor of the reference's board, from 1.")
     ] = None,
-    profile: Annotated[str | None, typer.Option(help="Import profile of a foreign log.")] = None,
-    imu: Annotated[int | None, typer.Option(help="Which sensor of a board, from 1.")] = None,
+    profile: ProfileOption = None,
+    imu: ImuOption = None,
     gravity: Annotated[
         float | None,
         typer.Option(help="Local gravity, m/s²  [default: the calibration's, or 9.80665]"),
     ] = None,
-    latitude: Annotated[
-        float | None, typer.Option(help="Latitude, °: gravity by the normal-gravity formula.")
-    ] = None,
-    height: Annotated[
-        float | None, typer.Option(help="Height, m, with --latitude  [default: 0]")
-    ] = None,
+    latitude: LatitudeOption = None,
+    height: HeightOption = None,
     output: Annotated[
         Path | None,
         typer.Option("-o", "--output", help="Write the sensor model that was found."),
@@ -72,7 +70,6 @@ def diagnose(
     from drivers.calibration_file import load_calibration, save_calibration
     from drivers.formats import read_recording
     from drivers.reference_file import read_reference
-    from imu_cli.options import choose_gravity
     from imu_cli.output import print_json
 
     local = choose_gravity(gravity, latitude, height)

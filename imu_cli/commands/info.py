@@ -7,18 +7,16 @@ from typing import Annotated
 
 import typer
 
+from imu_cli.options import DropInvalidOption, ImuOption, ProfileOption
+
 CHECK_SAID_NO = 6
 
 
 def info(
     log: Annotated[list[Path], typer.Argument(metavar="LOG...", help="Recordings of one device.")],
-    profile: Annotated[
-        str | None, typer.Option(help="Import profile of a foreign log: a name, or a .toml file.")
-    ] = None,
-    imu: Annotated[int | None, typer.Option(help="Which sensor of a board, from 1.")] = None,
-    drop_invalid: Annotated[
-        bool, typer.Option(help="Turn rows that are not finite into gaps.")
-    ] = False,
+    profile: ProfileOption = None,
+    imu: ImuOption = None,
+    drop_invalid: DropInvalidOption = False,
     strict: Annotated[bool, typer.Option(help="Exit with 6 if anything was found.")] = False,
     json: Annotated[bool, typer.Option("--json", help="Print the audit as JSON.")] = False,
 ) -> None:

@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from imu_cli.options import ImuOption, ProfileOption
+
 
 def plot(
     source: Annotated[Path, typer.Argument(help="Calibration, diagnosis (JSON), or a recording.")],
@@ -14,10 +16,8 @@ def plot(
         Path | None,
         typer.Option("-o", "--output", help="PNG or SVG; by default the source's name with .png."),
     ] = None,
-    profile: Annotated[
-        str | None, typer.Option("--profile", help="Import profile of a foreign log.")
-    ] = None,
-    imu: Annotated[int | None, typer.Option("--imu", help="Which IMU of a log of several.")] = None,
+    profile: ProfileOption = None,
+    imu: ImuOption = None,
 ) -> None:
     """Draw the charts of a report, one below the other, for terminals without a browser."""
     from imu_cli import output

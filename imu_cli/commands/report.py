@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from imu_cli.options import ImuOption, ProfileOption
+
 
 def report(
     source: Annotated[Path, typer.Argument(help="Calibration, diagnosis (JSON), or a recording.")],
@@ -14,10 +16,8 @@ def report(
         Path | None,
         typer.Option("-o", "--output", help="The page; by default the source's name with .html."),
     ] = None,
-    profile: Annotated[
-        str | None, typer.Option("--profile", help="Import profile of a foreign log.")
-    ] = None,
-    imu: Annotated[int | None, typer.Option("--imu", help="Which IMU of a log of several.")] = None,
+    profile: ProfileOption = None,
+    imu: ImuOption = None,
 ) -> None:
     """Write one self-contained page: opens without a network, prints to an A4 certificate."""
     from drivers.calibration_file import write_atomic

@@ -7,22 +7,20 @@ from typing import Annotated
 
 import typer
 
+from imu_cli.options import DropInvalidOption, ImuOption, ProfileOption
+
 NOT_RIGHT = 6
 
 
 def verify(
     calibration: Annotated[Path, typer.Argument(metavar="CAL.JSON", help="A calibration file.")],
     log: Annotated[list[Path], typer.Argument(metavar="LOG...", help="New recording.")],
-    profile: Annotated[
-        str | None, typer.Option(help="Import profile of a foreign log: a name, or a .toml file.")
-    ] = None,
-    imu: Annotated[int | None, typer.Option(help="Which sensor of a board, from 1.")] = None,
+    profile: ProfileOption = None,
+    imu: ImuOption = None,
     significance: Annotated[
         float, typer.Option(help="Chance of calling the calibration of an unchanged device wrong.")
     ] = 0.001,
-    drop_invalid: Annotated[
-        bool, typer.Option(help="Turn rows that are not finite into gaps.")
-    ] = False,
+    drop_invalid: DropInvalidOption = False,
     json: Annotated[bool, typer.Option("--json", help="Print the answer as JSON.")] = False,
 ) -> None:
     """Say whether a calibration is still right for a device, from a new recording.
