@@ -105,11 +105,11 @@ def main() -> int:
             for n in OUTSIDE
             for s in range(max(2, seeds))
         ]
-    results = list(_run_all(cases, args.jobs, verbose=args.verbose))
+    results = list(run_all(cases, args.jobs, verbose=args.verbose))
     return report(results)
 
 
-def _run_all(
+def run_all(
     cases: list[Case], jobs: int, *, verbose: bool, work: Callable[[Case], Result] | None = None
 ):
     work = run if work is None else work
@@ -159,13 +159,7 @@ def run(case: Case) -> Result:
     motion = bench_protocol(
         rng, poses=30, power_on=0.0, vibration=0.3 * rng.uniform(0.5, 1.5) if shaken else 0.0
     )
-    model = SensorModel(
-        Triad(
-            rng.normal(0, 0.2, 3), rng.normal(0, 0.01, 3), np.tril(rng.normal(0, 0.01, (3, 3)), -1)
-        ),
-        Triad(rng.normal(0, 0.01, 3), rng.normal(0, 0.01, 3)),
-        reference_temperature=30.0,
-    )
+    model = random_sensor(rng)
     noise_seed = int(rng.integers(1 << 40))
 
     def record(sensor: SensorModel) -> Recording:
@@ -224,6 +218,17 @@ def run(case: Case) -> Result:
                 result.overlap, common / (max(b, interval[1]) - min(a, interval[0]))
             )
     return result
+
+
+def random_sensor(rng: np.random.Generator) -> SensorModel:
+    """Return a consumer part with errors of the paper's model only."""
+    return SensorModel(
+        Triad(
+            rng.normal(0, 0.2, 3), rng.normal(0, 0.01, 3), np.tril(rng.normal(0, 0.01, (3, 3)), -1)
+        ),
+        Triad(rng.normal(0, 0.01, 3), rng.normal(0, 0.01, 3)),
+        reference_temperature=30.0,
+    )
 
 
 def oracle(clean: Recording, motion: Motion) -> tuple[Rows, Whitener]:

@@ -21,9 +21,10 @@ from concealed import (
     GRAVITY,
     Case,
     Result,
-    _run_all,
     hidden_effects,
+    random_sensor,
     report,
+    run_all,
     sized_term,
     true_levels,
 )
@@ -35,7 +36,7 @@ from calib.mismatch.against import compare_simulation
 from calib.mismatch.noise import contrast_variance, make_whitener
 from calib.mismatch.referencemode import compare_reference
 from calib.mismatch.samples import look_at_samples
-from calib.model import SensorModel, Triad
+from calib.model import SensorModel
 from calib.recording import Recording
 from calib.rotation import mat_from_rotvec, quat_from_rotvec, quat_multiply
 from calib.simulate import Sampling, simulate
@@ -74,7 +75,7 @@ def main() -> int:
         cases = [Case(mode, (n,), p, s) for n in names for p in args.powers for s in seeds]
         cases += [Case(mode, (), 0.0, 10_000 + args.first + s) for s in range(args.clean)]
         print(f"\n## {mode}\n", flush=True)
-        results = list(_run_all(cases, args.jobs, verbose=args.verbose, work=run))
+        results = list(run_all(cases, args.jobs, verbose=args.verbose, work=run))
         kinds = {True: "single", False: "clean"}
         named = [replace(r, case=replace(r.case, kind=kinds[bool(r.case.names)])) for r in results]
         missed += report(named)
@@ -103,13 +104,7 @@ def run(case: Case) -> Result:
         tremor=0.3,
         vibration=0.3 * rng.uniform(0.5, 1.5) if shaken else 0.0,
     )
-    model = SensorModel(
-        Triad(
-            rng.normal(0, 0.2, 3), rng.normal(0, 0.01, 3), np.tril(rng.normal(0, 0.01, (3, 3)), -1)
-        ),
-        Triad(rng.normal(0, 0.01, 3), rng.normal(0, 0.01, 3)),
-        reference_temperature=30.0,
-    )
+    model = random_sensor(rng)
     noise_seed = int(rng.integers(1 << 40))
     truth, expected = make_truth(case.kind, motion, rng)
 
