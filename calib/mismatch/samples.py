@@ -30,6 +30,12 @@ _JOIN = 1.0
 _COARSE = 0.5
 """A count larger than the noise over this: rounding is no longer hidden by noise."""
 
+GAP = 2.5
+"""Sample intervals without a sample, from which on a turn is not integrated across them."""
+
+STUCK = 0.2
+"""Share of the recording for which a channel that is stuck leaves nothing to compare with."""
+
 
 class Samples(NamedTuple):
     """What the samples show. ``fatal`` means that nothing else can be said until it is mended.
@@ -46,21 +52,22 @@ class Samples(NamedTuple):
     told: int = 0
 
 
-GAP = 2.5
-"""Sample intervals without a sample, from which on a turn is not integrated across them."""
-STUCK = 0.2
-"""Share of the recording for which a channel that is stuck leaves nothing to compare with."""
-
-
 def look_at_samples(recording: Recording, poses: Poses) -> Samples:
     """Look for what is wrong with single samples, units and axes."""
     wrong = look_at_units(recording, poses)
     if wrong:
         return Samples(wrong, (), np.zeros(len(recording), bool), fatal=True)
-    moving = np.ones(len(recording), bool)
-    for start, stop in zip(poses.start, poses.stop, strict=True):
-        moving[start:stop] = False
+    moving = outside_rests(recording, poses.start, poses.stop)
     return look_at_faults(recording, moving, whole=True)
+
+
+def outside_rests(part: Recording, start: IntArray, stop: IntArray, *, begin: int = 0) -> BoolArray:
+    """Return where no rest is in a part that begins at sample `begin`."""
+    moving = np.ones(len(part), bool)
+    here = (start < begin + len(part)) & (stop > begin)
+    for a, b in zip(start[here] - begin, stop[here] - begin, strict=True):
+        moving[max(a, 0) : b] = False
+    return moving
 
 
 def look_at_units(recording: Recording, poses: Poses) -> tuple[Finding, ...]:

@@ -30,6 +30,7 @@ from calib.mismatch.samples import (
     look_at_faults,
     look_at_samples,
     look_at_units,
+    outside_rests,
 )
 from calib.poses import Poses, average_poses
 from calib.recording import Recording, join
@@ -203,7 +204,7 @@ def _gather(
         # One sample more, so that no step from sample to sample is missed.
         whole = part if before is None else join((before, part))
         begin = offset + len(part) - len(whole)
-        moving = _outside(whole, *rests, begin)
+        moving = outside_rests(whole, *rests, begin=begin)
         found = look_at_faults(whole, moving, whole=False)
         own = np.zeros(len(part), bool)
         for a, b in keep[(keep[:, 0] < offset + len(part)) & (keep[:, 1] > offset)] - offset:
@@ -221,15 +222,6 @@ def _gather(
     cut = np.diff(index, prepend=index[0] - 1) - 1
     merged = join_samples(seen)._replace(spoilt=np.concatenate(spoilt))
     return replace(recording, lost=recording.lost + cut), merged, index
-
-
-def _outside(part: Recording, start: IntArray, stop: IntArray, begin: int) -> BoolArray:
-    """Return where no rest is in a part that begins at sample `begin`."""
-    moving = np.ones(len(part), bool)
-    here = (start < begin + len(part)) & (stop > begin)
-    for a, b in zip(start[here] - begin, stop[here] - begin, strict=True):
-        moving[max(a, 0) : b] = False
-    return moving
 
 
 def _rows(part: Recording, which: BoolArray) -> Recording:
