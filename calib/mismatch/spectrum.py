@@ -23,11 +23,11 @@ NEIGHBOURS = 12
 CLAIM = 1e-4
 """Family-wise p-value below which something is reported."""
 
-_LOUDER = 4.0
-"""A rest counts as louder only if its noise power is this many times the usual."""
-
 _HERE = 0.01
 """The same for whether one rest has a line that is known to be in the recording."""
+
+_LOUDER = 4.0
+"""A rest counts as louder only if its noise power is this many times the usual."""
 
 _STEADY = 2.0
 """Noise power whose trend over the recording stays below this factor counts as steady."""
@@ -63,9 +63,12 @@ def look_at_spectrum(recording: Recording, poses: Poses) -> tuple[Unexplained, .
         own = power[:, :, c]
         if not np.median(own) > 0:
             continue
-        line = _lines(recording, poses, own, pose, channel)
-        bursts = _bursts(recording, poses, own, pose, channel, narrow=not line)
-        out += line + (bursts or _changes(recording, poses, own, pose, channel))
+        # Where rounding leaves a channel constant there is no floor to compare with.
+        noisy = own.all(axis=0)
+        own, rest = own[:, noisy], pose[noisy]
+        line = _lines(recording, poses, own, rest, channel)
+        bursts = _bursts(recording, poses, own, rest, channel, narrow=not line)
+        out += line + (bursts or _changes(recording, poses, own, rest, channel))
     return tuple(_merged(out))
 
 

@@ -1,5 +1,7 @@
 """Lines and bursts in the samples at rest."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from calib.mismatch.spectrum import look_at_spectrum
@@ -47,6 +49,18 @@ def test_rests_that_are_shaken_at_several_levels_have_no_line() -> None:
         for item in look_at_spectrum(*rests(seed, loud)):
             assert "one frequency" not in item.follows
             assert "line" not in item.follows
+
+
+def test_a_rest_that_rounding_leaves_constant_hides_no_burst_in_another() -> None:
+    loud = np.ones(POSES)
+    loud[7] = 4.0
+    recording, poses = rests(3, loud)
+    accel = recording.accel.copy()
+    accel[poses.start[2] : poses.stop[2], 0] = 0.0
+    (burst,) = look_at_spectrum(replace(recording, accel=accel), poses)
+    assert burst.follows == "the time: noise is louder there"
+    assert burst.channels == ("accel.x", "accel.y", "accel.z")
+    assert burst.intervals == (tuple(poses.interval[7]),)
 
 
 def test_a_line_in_some_rests_is_said_to_be_there() -> None:
