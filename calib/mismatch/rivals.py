@@ -184,10 +184,9 @@ def _of_channel(
 ) -> Iterator[tuple[str, Candidate]]:
     """Yield candidates of a channel, each with the part of its kind that it belongs to."""
     state, size = rows.state, typical_size(CHANNELS[c].split(".")[0])
-    own = (state.force if c < 3 else state.rate)[:, c % 3]
+    own = _scaled(state, c)
     member = sparse.csr_matrix(
-        (own / (state.gravity if c < 3 else FAST), (np.arange(len(own)), rows.point_segment)),
-        shape=(len(own), len(rows.interval)),
+        (own, (np.arange(len(own)), rows.point_segment)), shape=(len(own), len(rows.interval))
     )
     parts = stack.add(size * (rows.functional[c] @ slots.member).toarray())
     gains = stack.add(size * (rows.functional[c] @ member).toarray())
@@ -225,14 +224,21 @@ def window_columns(rows: Rows, candidate: Candidate, start: float, stop: float) 
     state, size = rows.state, typical_size(candidate.channels[0].split(".")[0])
     values = _function(candidate.shape, state.time, start, stop)
     if candidate.name == "gain in a window":
-        own = (state.force if c < 3 else state.rate)[:, c % 3]
-        values = values * (own / (state.gravity if c < 3 else FAST))[:, None]
+        values = values * _scaled(state, c)[:, None]
     inside = (state.time >= start) & (state.time <= stop)
     return rows.columns(c, size * values * inside[:, None])
 
 
+def _scaled(state: State, c: int) -> FloatArray:
+    """Return a channel's own signal (n,), in g or brisk turns."""
+    return state.force[:, c] / state.gravity if c < 3 else state.rate[:, c - 3] / FAST
+
+
 def _ripples(rows: Rows, slots: _Slots) -> Iterator[tuple[float, FloatArray]]:
-    """Yield weights of waves over one component of gravity's direction, and of caps (0)."""
+    """Yield how fast a function of gravity's direction varies, and what each slot has of it.
+
+    Waves over one component of the direction; and what acts near one direction only (0).
+    """
     count = np.maximum(slots.member.sum(axis=0).A1, 1.0)
     up = (slots.member.T @ rows.state.gravity_direction) / count[:, None]
     for ripple in RIPPLES:

@@ -251,9 +251,9 @@ def _coarse(
 ) -> list[Finding]:
     """Rounding is coarse where most neighbours at rest are equal, and the others a count apart."""
     rest = np.flatnonzero(~moving)
-    if len(rest) < 2:
-        return []
     inside = np.diff(rest) == 1
+    if not inside.any():
+        return []
     change = np.abs(np.diff(values[rest], axis=0))[inside]
     out = []
     for first, triad, unit in ((0, "accel", "m/s²"), (3, "gyro", "rad/s")):
