@@ -22,10 +22,10 @@ from calib.errors import (
     RecordingWriteError,
 )
 from calib.live_statics import LiveStatics
-from calib.recording import DeviceInfo, Recording
+from calib.recording import DeviceInfo, Recording, join
 from drivers.capture import CaptureWriter
 from drivers.driver import Driver
-from drivers.formats import join, open_writer
+from drivers.formats import open_writer
 from drivers.stream import StreamDriver
 
 FLUSH = 0.5

@@ -13,11 +13,10 @@ import numpy as np
 
 from calib.calibration import Calibration
 from calib.errors import DeviceLostError, DriverError
-from calib.recording import DeviceInfo, Recording
+from calib.recording import DeviceInfo, Recording, join
 from calib.types import FloatArray
 from drivers.chips.base import BiasField, BiasSet, Register
 from drivers.flash.target import Action, Native, Plan, Row, Target, determined_bias, not_held
-from drivers.formats import join
 from drivers.transports.i2c import I2CDriver
 
 SETTLE = 0.2

@@ -7,10 +7,9 @@ import time
 import numpy as np
 
 from calib.errors import DeviceLostError, DriverError
-from calib.recording import DeviceInfo, Recording
+from calib.recording import DeviceInfo, Recording, join
 from calib.types import FloatArray
 from drivers.flash.target import Action, Target
-from drivers.formats import join
 from drivers.stream import StreamDriver
 
 SETTLE = 0.5

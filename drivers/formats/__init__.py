@@ -32,7 +32,6 @@ from drivers.formats.text import decode_head
 __all__ = [
     "ArrowWriter",
     "Writer",
-    "join",
     "open_batches",
     "open_writer",
     "read_recording",

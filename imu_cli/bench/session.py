@@ -27,7 +27,7 @@ from calib.planning import (
     turn_information,
 )
 from calib.poses import Poses
-from calib.recording import Recording
+from calib.recording import Recording, join
 from calib.rotation import integrate_rate, mat_from_quat
 from calib.statics import find_poses
 from calib.turns import Turns, find_turns
@@ -110,8 +110,6 @@ class Session:
     @property
     def recording(self) -> Recording | None:
         """Everything so far."""
-        from drivers.formats import join
-
         if self._whole is None and self._parts:
             self._whole = join(self._parts)
             self._parts = [self._whole]

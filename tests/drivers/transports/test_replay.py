@@ -5,13 +5,13 @@ import numpy as np
 import pytest
 
 from calib.errors import RecordingFormatError, RecordingNotFoundError, UnitError
-from calib.recording import Recording
+from calib.recording import Recording, join
 from drivers.capture import CaptureWriter, open_capture
 from drivers.driver import Driver
 from drivers.emulators.arduino import ArduinoSketch
 from drivers.emulators.base import EmulatorOptions, make_sensor
 from drivers.emulators.witmotion import WitMotionDevice
-from drivers.formats import join, write_recording
+from drivers.formats import write_recording
 from drivers.transports import make_driver, open_driver
 
 RATE = 100.0
