@@ -19,7 +19,7 @@ import numpy as np
 from scipy import linalg
 
 from calib.mismatch.rows import Rows
-from calib.types import FloatArray, IntArray
+from calib.types import BoolArray, FloatArray, IntArray
 
 WITHIN = 0.7
 """How much levels of one group differ among each other: standard deviation of the logarithm of a
@@ -183,10 +183,11 @@ def _projector(cov: FloatArray, basis: FloatArray, y: FloatArray) -> tuple[Float
     return projector, float(-0.5 * (log_det + y @ projector @ y))
 
 
-def contrast_variance(rows: Rows) -> FloatArray:
+def contrast_variance(rows: Rows, *, apart: BoolArray | None = None) -> FloatArray:
     """Return the variance of the contrast rows: white noise times one robust factor a channel.
 
-    Restless segments have a factor of their own, each.
+    Restless segments have a factor of their own, each. Rows that are marked in ``apart``, by number
+    of contrast, hold more than noise: their channel's factor is that of the others.
 
     Drift within a rest and correlated noise lift it above white noise. What repeats in every rest
     or goes with time (an effect) is taken out first.
@@ -204,6 +205,8 @@ def contrast_variance(rows: Rows) -> FloatArray:
         squares = []
         for k in (0, 1):
             own = np.flatnonzero(mine & (order == k))
+            if apart is not None and (~apart[own]).sum() >= 5:
+                own = own[~apart[own]]
             if len(own) < 5:
                 continue
             scaled = y[own] / np.sqrt(variance[own])
@@ -224,6 +227,12 @@ def contrast_variance(rows: Rows) -> FloatArray:
             own = mine & (rows.segment[start:] == s)
             variance[own] *= _inflation(float(np.square(y[own]) @ (1 / variance[own])), own.sum())
     return variance
+
+
+def contrast_likelihood(rows: Rows, variance: FloatArray) -> float:
+    """Return the log-likelihood of the contrast rows as noise of this variance."""
+    y = rows.residual[rows.n_dense :]
+    return float(-0.5 * (np.log(variance) + np.square(y) / variance).sum())
 
 
 def _inflation(total: float, count: int) -> float:

@@ -6,7 +6,7 @@ terms.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -16,6 +16,7 @@ from calib.effects import get_effect
 from calib.mismatch.families import add_catalogue, candidate_columns, neighbours
 from calib.mismatch.noise import (
     Whitener,
+    contrast_likelihood,
     contrast_variance,
     estimate_levels,
     find_levels,
@@ -23,9 +24,9 @@ from calib.mismatch.noise import (
     make_whitener,
     range_basis,
 )
-from calib.mismatch.rivals import add_rivals
+from calib.mismatch.rivals import WINDOWED, add_rivals, nearby_windows, window_columns
 from calib.mismatch.rows import Rows
-from calib.mismatch.score import Candidate, Stack
+from calib.mismatch.score import Candidate, Stack, log_bayes_factor
 from calib.recording import CHANNELS
 from calib.types import FloatArray
 
@@ -102,6 +103,19 @@ def fitted(rows: Rows, accepted: list[Accepted] | tuple[Accepted, ...]) -> Float
     return np.hstack((rows.baseline, rows.nuisance, *(a.columns for a in accepted)))
 
 
+def contrast_noise(rows: Rows, accepted: Sequence[Accepted], *also: Candidate) -> FloatArray:
+    """Return the variance of the contrast rows, as it is outside of what is found in windows."""
+    apart = np.zeros(len(rows.residual) - rows.n_dense, bool)
+    for item in (*(a.candidate for a in accepted), *also):
+        if item.physical or item.interval is None:
+            continue
+        start, stop = item.interval
+        inside = (rows.interval[:, 0] < stop) & (rows.interval[:, 1] > start)
+        own = np.isin(rows.channel, [CHANNELS.index(c) for c in item.channels])
+        apart |= (inside[rows.segment] & own)[rows.n_dense :]
+    return contrast_variance(rows, apart=apart)
+
+
 def rank(rows: Rows, stack: Stack, accepted: list[Accepted], start: FloatArray) -> Ranking:
     """Score every candidate under the noise that it implies.
 
@@ -114,16 +128,35 @@ def rank(rows: Rows, stack: Stack, accepted: list[Accepted], start: FloatArray) 
     mean = fitted(rows, accepted)
     dense = mean[: rows.n_dense]
     basis = range_basis(dense)
-    contrast = contrast_variance(rows)
+    contrast = contrast_noise(rows, accepted)
     base = find_levels(rows, dense, start)
     wide = np.hstack((dense, _physics(stack)[: rows.n_dense]))
     every = find_levels(rows, wide, base.values)
     weight = np.log(np.array([c.weight for c in stack.candidates]))
 
-    def score(levels: FloatArray, null: float, which: list[int] | None) -> FloatArray:
+    def score(
+        levels: FloatArray, contrast: FloatArray, null: float, which: list[int] | None
+    ) -> FloatArray:
         whitener = make_whitener(rows, levels, contrast, mean)
         y = whitener.project(rows.residual)
         return stack.log_bayes_factors(whitener, y, which=which) + (null - base.log_likelihood)
+
+    def suited(levels: FloatArray, rival: Candidate, own: FloatArray) -> tuple[FloatArray, float]:
+        """Return the variance of contrasts that suits a rival better, and what it costs the null.
+
+        It is that outside of the rival's window, or that of all.
+        """
+        if rival.physical or rival.interval is None:
+            return contrast, 0.0
+        outside = contrast_noise(rows, accepted, rival)
+        # Where the null prefers it as well, that is no merit of the rival.
+        cost = contrast_likelihood(rows, outside) - contrast_likelihood(rows, contrast)
+        cost = min(cost, 0.0)
+        value = []
+        for variance in (contrast, outside):
+            whitener = make_whitener(rows, levels, variance, mean)
+            value.append(log_bayes_factor(whitener.project(own), whitener.project(rows.residual)))
+        return (outside, cost) if value[1] + cost > value[0] else (contrast, 0.0)
 
     def sharing(channels: tuple[str, ...], *, physical: bool) -> list[int]:
         return [
@@ -132,8 +165,9 @@ def rank(rows: Rows, stack: Stack, accepted: list[Accepted], start: FloatArray) 
             if c.channels == channels and c.physical == physical
         ]
 
-    evidence = score(base.values, base.log_likelihood, None)
-    strongest = _strongest(stack, evidence)[: rows.n_dense]
+    evidence = score(base.values, contrast, base.log_likelihood, None)
+    rivals = _strongest(stack, evidence)
+    strongest = np.hstack([stack.of(c) for c in rivals.values()])[: rows.n_dense]
     free = estimate_levels(rows, np.hstack((dense, strongest)), every.values)
     hidden: list[tuple[FloatArray, float, list[int], FloatArray]] = []
     for channels in (*((c,) for c in CHANNELS), CHANNELS[:3], CHANNELS[3:]):
@@ -143,7 +177,11 @@ def rank(rows: Rows, stack: Stack, accepted: list[Accepted], start: FloatArray) 
                 continue
             levels = _swap(rows, base.values, other.values, channels)
             null = level_likelihood(rows, basis, levels)
-            scored = score(levels, null, which)
+            if physical:
+                scored = score(levels, contrast, null, which)
+            else:
+                outside, cost = suited(levels, rivals[channels[0]], stack.of(rivals[channels[0]]))
+                scored = score(levels, outside, null + cost, which)
             evidence = np.maximum(evidence, scored)
             if physical:
                 hidden.append((scored + weight, null - base.log_likelihood, which, levels))
@@ -153,23 +191,26 @@ def rank(rows: Rows, stack: Stack, accepted: list[Accepted], start: FloatArray) 
         if groups[name] < np.log(CLAIM) - 7:
             break
         leader = best[name]
-        own, moments = stack.of(leader), _moments(rows, leader)
-        if moments.candidates:
+        here, moved = leader, _nearby(rows, leader)
+        own = stack.of(leader)
+        if moved.candidates:
             whitener = make_whitener(rows, base.values, contrast, mean)
-            factors = moments.log_bayes_factors(whitener, whitener.project(rows.residual))
-            own = moments.of(moments.candidates[int(np.argmax(factors))])
+            factors = moved.log_bayes_factors(whitener, whitener.project(rows.residual))
+            here = moved.candidates[int(np.argmax(factors))]
+            own = moved.of(here)
         dense_own = np.hstack((dense, own[: rows.n_dense]))
         levels = estimate_levels(rows, dense_own, every.values).values
-        null = level_likelihood(rows, basis, levels)
+        outside, cost = suited(levels, here, own)
+        null = level_likelihood(rows, basis, levels) + cost
         names, code = stack.groups()
         which = np.flatnonzero(code == names.index(name)).tolist()
-        again = score(levels, null, which) + weight
-        if moments.candidates:
-            whitener = make_whitener(rows, levels, contrast, mean)
-            factors = moments.log_bayes_factors(whitener, whitener.project(rows.residual))
+        again = score(levels, outside, null, which) + weight
+        if moved.candidates:
+            whitener = make_whitener(rows, levels, outside, mean)
+            factors = moved.log_bayes_factors(whitener, whitener.project(rows.residual))
             i = stack.candidates.index(leader)
-            moved = logsumexp(factors) - np.log(len(factors)) + null - base.log_likelihood
-            again[i] = max(again[i], moved + weight[i])
+            average = logsumexp(factors) - np.log(len(factors)) + null - base.log_likelihood
+            again[i] = max(again[i], average + weight[i])
         evidence = np.maximum(evidence, again)
     best, groups = grouped(stack, evidence)
     whitener = make_whitener(rows, base.values, contrast, mean)
@@ -198,14 +239,23 @@ def _drifting(
     return frozenset(out)
 
 
-def _moments(rows: Rows, event: Candidate) -> Stack:
-    """Return an event at other moments within its rest or turn; nothing for what is no event."""
+def _nearby(rows: Rows, leader: Candidate) -> Stack:
+    """Return a candidate at the places nearest to its own; nothing for what has none.
+
+    An event is moved within its rest or turn, a window at both of its ends.
+    """
     stack = Stack(len(rows.residual))
-    if "moment" in event.shape:
-        for shape in neighbours(get_effect(event.name), rows, event.shape):
-            columns = candidate_columns(rows, event, shape, reference=True)
+    if "moment" in leader.shape:
+        for shape in neighbours(get_effect(leader.name), rows, leader.shape):
+            columns = candidate_columns(rows, leader, shape, reference=True)
             if columns is not None:
-                stack.candidates.append(replace(event, index=stack.add(columns), shape=shape))
+                stack.candidates.append(replace(leader, index=stack.add(columns), shape=shape))
+    if leader.name in WINDOWED:
+        for window in nearby_windows(rows, leader):
+            index = stack.add(window_columns(rows, leader, *window))
+            stack.candidates.append(
+                replace(leader, index=index, interval=window, mixing=None, summed=False)
+            )
     return stack
 
 
@@ -264,13 +314,13 @@ def grouped(stack: Stack, evidence: FloatArray) -> tuple[dict[str, Candidate], d
     )
 
 
-def _strongest(stack: Stack, evidence: FloatArray) -> FloatArray:
-    """Return the columns of the rival with the largest Bayes factor of each channel."""
+def _strongest(stack: Stack, evidence: FloatArray) -> dict[str, Candidate]:
+    """Return the rival with the largest Bayes factor of each channel."""
     best: dict[str, int] = {}
     for i, c in enumerate(stack.candidates):
         if not c.physical and evidence[i] > evidence[best.setdefault(c.channels[0], i)]:
             best[c.channels[0]] = i
-    return np.hstack([stack.of(stack.candidates[i]) for i in best.values()])
+    return {channel: stack.candidates[i] for channel, i in best.items()}
 
 
 def _physics(stack: Stack) -> FloatArray:

@@ -11,8 +11,8 @@ import numpy as np
 from calib.effects import get_effect
 from calib.effects.base import PRESENCE, Term, TransformEffect
 from calib.mismatch.families import candidate_columns, neighbours
-from calib.mismatch.noise import Whitener, contrast_variance, find_levels, make_whitener
-from calib.mismatch.ranking import Accepted, fitted
+from calib.mismatch.noise import Whitener, find_levels, make_whitener
+from calib.mismatch.ranking import Accepted, contrast_noise, fitted
 from calib.mismatch.rivals import WINDOWED, window_columns
 from calib.mismatch.rows import Rows
 from calib.mismatch.score import LARGE, Candidate, log_bayes_factor
@@ -46,7 +46,7 @@ def refit(
     levels: FloatArray,
 ) -> tuple[Rows, list[Accepted]]:
     """Fit everything jointly, move the model there, and linearise anew."""
-    contrast = contrast_variance(rows)
+    contrast = contrast_noise(rows, accepted)
     levels = find_levels(rows, fitted(rows, accepted)[: rows.n_dense], levels).values
     for _ in range(REFINED if accepted and not accepted[-1].in_model else 0):
         before = accepted[-1].candidate

@@ -61,6 +61,12 @@ contrasts are all that the rows know of a rest."""
 MOST_SLOTS = 240
 """Where there are more parts, functions of time are constant in each segment."""
 
+ROOM = 1.22
+"""Half the ratio, in its logarithm, of one length of window to the next."""
+
+NEARBY = 5
+"""Windows near one of the grid that are tried, for each of their ends, about."""
+
 RIPPLES = (2.0, 3.0, 4.0, 5.0)
 """How fast a function of one component of gravity's direction varies, rad per unit."""
 
@@ -232,6 +238,25 @@ def window_columns(rows: Rows, candidate: Candidate, start: float, stop: float) 
 def _scaled(state: State, c: int) -> FloatArray:
     """Return a channel's own signal (n,), in g or brisk turns."""
     return state.force[:, c] / state.gravity if c < 3 else state.rate[:, c - 3] / FAST
+
+
+def nearby_windows(rows: Rows, candidate: Candidate) -> Iterator[tuple[float, float]]:
+    """Yield the windows, to the segment, that are nearer to a candidate's than to others tried."""
+    if candidate.interval is None:
+        return
+    start, stop = candidate.interval
+    a = int(np.searchsorted(rows.interval[:, 0], start - 1e-9))
+    length = int(np.searchsorted(rows.interval[:, 1], stop - 1e-9)) + 1 - a
+    reach = max(1, length // 4) // 2
+    shortest, longest = int(np.ceil(length / ROOM)), int(length * ROOM)
+    low, high = 0, len(rows.interval)
+    if candidate.name == "bias in a window":
+        # Open at one end it would be a step, which has a name.
+        low, high = 1, high - 1
+    for first in range(a - reach, a + reach + 1, max(1, (2 * reach + 1) // NEARBY)):
+        for size in range(shortest, longest + 1, max(1, (longest - shortest + 1) // NEARBY)):
+            if first >= low and first + size <= high:
+                yield float(rows.interval[first, 0]), float(rows.interval[first + size - 1, 1])
 
 
 def _ripples(rows: Rows, slots: _Slots) -> Iterator[tuple[float, FloatArray]]:

@@ -15,7 +15,6 @@ from calib.effects import get_effect
 from calib.mismatch.estimate import Estimate, estimate, settle
 from calib.mismatch.families import candidate_columns
 from calib.mismatch.noise import (
-    contrast_variance,
     expected_levels,
     find_levels,
     make_whitener,
@@ -25,6 +24,7 @@ from calib.mismatch.ranking import (
     DRIFTING,
     Accepted,
     Ranking,
+    contrast_noise,
     fitted,
     grouped,
     make_stack,
@@ -101,7 +101,7 @@ def search(problem: Problem, *, skip: tuple[str, ...] = ()) -> Outcome:
             rows, accepted = refit(problem, rows, accepted, levels)
         ranking = _ranked(problem, rows, accepted, levels, skip)
     stack = ranking.stack
-    contrast = contrast_variance(rows)
+    contrast = contrast_noise(rows, accepted)
     levels = find_levels(rows, fitted(rows, accepted)[: rows.n_dense], ranking.levels).values
     accepted = [
         replace(
@@ -261,7 +261,7 @@ def _accept(rows: Rows, stack: Stack, chosen: Candidate, e_value: float) -> Acce
 
 def _superfluous(rows: Rows, accepted: list[Accepted], levels: FloatArray) -> Accepted | None:
     """Return the rival or transform that later findings have made worthless, if there is one."""
-    contrast = contrast_variance(rows)
+    contrast = contrast_noise(rows, accepted)
     # With all findings in the mean: drift must not take up again what they explained.
     levels = find_levels(rows, fitted(rows, accepted)[: rows.n_dense], levels).values
     worst: tuple[float, Accepted | None] = (KEEP, None)
@@ -293,7 +293,7 @@ def _posterior(
     others = [b for i, b in enumerate(accepted) if i != which]
     own = accepted[which]
     mean = fitted(rows, others)
-    whitener = make_whitener(rows, levels, contrast_variance(rows), mean)
+    whitener = make_whitener(rows, levels, contrast_noise(rows, others), mean)
     residual = rows.residual
     if own.in_model:
         residual = residual + own.columns @ (own.values / own.typical)

@@ -7,6 +7,7 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from calib.mismatch.noise import (
+    contrast_likelihood,
     contrast_variance,
     covariance,
     estimate_levels,
@@ -91,3 +92,29 @@ def test_bayes_factors_agree_with_the_densities():
         ]
         expected = np.log(np.sum(SHARES * np.exp(np.array(each) - null)))
         np.testing.assert_allclose(value, expected, rtol=1e-8)
+
+
+def test_the_noise_of_contrasts_is_that_outside_of_what_is_set_apart():
+    _, self_mode = problem()
+    rows = self_mode.rows()
+    rng = np.random.default_rng(5)
+    residual = np.sqrt(3.0 * rows.white_diagonal) * rng.normal(size=len(rows.white_diagonal))
+    loud = (rows.channel[rows.n_dense :] == 4) & (rows.segment[rows.n_dense :] % 3 == 0)
+    residual[loud] *= 6.0
+    rows = replace(rows, residual=np.append(np.zeros(rows.n_dense), residual))
+    assert loud.any()
+    factor = {
+        kind: np.median((variance / rows.white_diagonal)[loud])
+        for kind, variance in (
+            ("all", contrast_variance(rows)),
+            ("outside", contrast_variance(rows, apart=loud)),
+        )
+    }
+    assert 2.0 < factor["outside"] < 4.5
+    assert factor["all"] > 1.3 * factor["outside"]
+    other = rows.channel[rows.n_dense :] != 4
+    both = contrast_variance(rows), contrast_variance(rows, apart=loud)
+    assert np.array_equal(both[0][other], both[1][other])
+    # The likelihood prefers what made them.
+    quiet, even = (contrast_likelihood(rows, v) for v in (both[1], rows.white_diagonal))
+    assert quiet > even

@@ -8,7 +8,7 @@ import pytest
 from calib.effects.base import Term
 from calib.mismatch import diagnose_recording
 from calib.mismatch.ranking import make_stack
-from calib.mismatch.rivals import RIVAL, WINDOWED, window_columns
+from calib.mismatch.rivals import RIVAL, WINDOWED, nearby_windows, window_columns
 from calib.mismatch.score import Candidate, Stack
 from calib.recording import Recording
 
@@ -37,6 +37,25 @@ def test_rivals_share_one_prior_and_a_window_is_the_same_column_wherever_it_come
         # The grid takes functions of time as constant in a part of a segment; ends do not matter.
         like = np.square((on_grid * exact).sum()) / np.square(on_grid).sum() / (exact**2).sum()
         assert like > 0.95, name
+
+
+def test_nearby_windows_lie_around_a_window_and_make_no_step_of_a_bias():
+    _, made = problem()
+    rows = made.rows()
+    stack = make_stack(rows, skip=(), reference=False)
+    ends = rows.interval[0, 0], rows.interval[-1, 1]
+    for name in WINDOWED:
+        for candidate in rivals(stack, name)[::97]:
+            assert candidate.interval is not None
+            near = list(nearby_windows(rows, candidate))
+            assert candidate.interval in near
+            assert len(near) == len(set(near)) < 150
+            length = np.ptp(candidate.interval)
+            some = np.array(near) if length > 20 else np.zeros((0, 2))
+            assert (np.ptp(some, axis=1) > 0.6 * length).all()
+            assert (np.ptp(some, axis=1) < 1.6 * length).all()
+            if name == "bias in a window":
+                assert not set(ends) & set(np.ravel(near))
 
 
 @pytest.mark.parametrize(("channel", "size"), [("gyro.y", 0.001), ("accel.x", 0.03)])
