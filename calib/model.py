@@ -1,6 +1,7 @@
 """The sensor's error model: the one forward model, and its inverse.
 
-``measured = (I + S + M) @ true + bias + further terms + noise``, for each triad.
+``measured = (I + S + M) @ true + bias + further terms + noise``, for each triad. Terms of the setup
+(a lever arm) are part of what is true where the sensor is: see `SensorModel.felt`.
 """
 
 from __future__ import annotations
@@ -123,10 +124,10 @@ class SensorModel:
 
         ``noise`` is added to the finished signal before it is read out (clipped, rounded).
         """
-        state = replace(state, reference_temperature=self.reference_temperature)
+        state = self.felt(replace(state, reference_temperature=self.reference_temperature))
         accel = self.accel.distort(state.force)
         gyro = self.gyro.distort(state.rate)
-        signals = self._add(Signals(accel, gyro), state, sign=1.0)
+        signals = self._add(Signals(accel, gyro), state, sign=1.0, setup=False)
         for effect, parameters in self._transforms("signal"):
             signals = effect.transform(state.time, signals, parameters)
         if noise is not None:
@@ -134,6 +135,17 @@ class SensorModel:
         for effect, parameters in self._transforms("readout"):
             signals = effect.transform(state.time, signals, parameters)
         return signals
+
+    def felt(self, state: State) -> State:
+        """Return the true state where the sensor is, from that where the setup was said to be.
+
+        A lever arm, or a leaning vertical, changes what there is to feel: the errors of the sensor
+        act on it as on all else.
+        """
+        if not any(self._additive(setup=True)):
+            return state
+        felt = self._add(Signals(state.force, state.rate), state, sign=1.0, setup=True)
+        return replace(state, force=felt.accel, rate=felt.gyro)
 
     def correct(self, measured: State, *, iterations: int = 12) -> Signals:
         """Return the true signals from the measured ones: the inverse of `distort`.
@@ -153,17 +165,20 @@ class SensorModel:
             for effect, parameters in reversed(self._transforms(stage)):
                 signals = effect.inverse(measured.time, signals, parameters)
         accel, gyro = self.accel.correct(signals.accel), self.gyro.correct(signals.gyro)
-        if not any(self._additive()):
+        additive = [*self._additive(setup=True), *self._additive(setup=False)]
+        if not additive:
             return Signals(accel, gyro)
-        reads = {name for effect, _ in self._additive() for name in effect.reads}
+        reads = {name for effect, _ in additive for name in effect.reads}
         measured = replace(
             measured, force=accel, rate=gyro, reference_temperature=self.reference_temperature
         )
         measured = observed(measured, reads)
         for _ in range(iterations):
-            left = self._add(signals, replace(measured, force=accel, rate=gyro), sign=-1.0)
+            true = replace(measured, force=accel, rate=gyro)
+            left = self._add(signals, self.felt(true), sign=-1.0, setup=False)
             before = accel, gyro
-            accel, gyro = self.accel.correct(left.accel), self.gyro.correct(left.gyro)
+            here = Signals(self.accel.correct(left.accel), self.gyro.correct(left.gyro))
+            accel, gyro = self._add(here, true, sign=-1.0, setup=True)
             if _settled(before[0], accel) and _settled(before[1], gyro):
                 break
         return Signals(accel, gyro)
@@ -172,13 +187,16 @@ class SensorModel:
         found = ((get_effect(t.effect), t.parameters) for t in self.terms)
         return [(e, p) for e, p in found if isinstance(e, TransformEffect) and e.stage == stage]
 
-    def _additive(self) -> Iterator[tuple[Effect, Mapping[str, float]]]:
+    def _additive(self, *, setup: bool) -> Iterator[tuple[Effect, Mapping[str, float]]]:
+        """Yield the terms that add: those of the setup, or those of the sensor."""
         found = ((get_effect(t.effect), t.parameters) for t in self.terms)
-        return ((e, p) for e, p in found if not isinstance(e, TransformEffect))
+        for effect, parameters in found:
+            if not isinstance(effect, TransformEffect) and (effect.kind == "setup") == setup:
+                yield effect, parameters
 
-    def _add(self, signals: Signals, state: State, *, sign: float) -> Signals:
+    def _add(self, signals: Signals, state: State, *, sign: float, setup: bool) -> Signals:
         accel, gyro = signals.accel.copy(), signals.gyro.copy()
-        for effect, parameters in self._additive():
+        for effect, parameters in self._additive(setup=setup):
             for channel, values in effect.contribution(state, parameters).items():
                 triad, axis = channel.split(".")
                 (accel if triad == "accel" else gyro)[:, AXES.index(axis)] += sign * values

@@ -21,6 +21,7 @@ from calib.mismatch.ranking import CLAIM
 from calib.mismatch.samples import Samples, look_at_samples
 from calib.mismatch.score import SCALES, SHARES
 from calib.mismatch.search import Outcome, search
+from calib.mismatch.truths import RecordingTruth
 from calib.model import SensorModel
 from calib.recording import CHANNELS, Recording
 from calib.statics import find_poses
@@ -84,12 +85,11 @@ def compare_simulation(
     alignment = align(real.time, real.gyro, simulated.time, simulated.gyro)
     common = matched(
         real,
-        simulated,
-        find_poses(simulated),
+        RecordingTruth(simulated, gravity),
         alignment,
         np.eye(3),
-        gravity=gravity,
         spoilt=seen.spoilt,
+        rests=find_poses(simulated),
     )
     problem = ComparisonProblem(
         common.real,

@@ -9,7 +9,6 @@ so the angular acceleration that a lever arm feels, is not known. There the diff
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -17,11 +16,10 @@ import numpy as np
 from scipy import fft
 
 from calib.mismatch.alignment import Alignment
-from calib.mismatch.comparison import Truth
 from calib.mismatch.truths import RecordingTruth
 from calib.poses import Poses
 from calib.recording import Recording
-from calib.types import BoolArray, FloatArray
+from calib.types import BoolArray, FloatArray, IntArray
 
 COHERENT = 0.5
 """Coherence of the rates of recording and reference below which a frequency is noise: half of its
@@ -37,6 +35,13 @@ BLUR = 1.1
 """Sample intervals: passes 40 % at a fifth of the rate, up to where a spline through samples gives
 derivatives, and 3 % at 0.4 of it."""
 
+RESOLVED = 0.3
+"""Of the slower rate: the highest frequency that both are limited to. A low-pass that is cut off at
+half the rate while it still passes something rings."""
+
+FELT = 2.0
+"""Periods of the cut-off within which the low-pass still passes 0.2 % of a step."""
+
 QUIET = 0.1
 """Noise of a truth, relative to the recording's, up to which it counts as exact."""
 
@@ -49,7 +54,7 @@ class Matched(NamedTuple):
     """
 
     real: Recording
-    truth: Truth
+    truth: RecordingTruth
     spoilt: BoolArray
     limited: bool = False
     blur: float = 0.0
@@ -58,32 +63,30 @@ class Matched(NamedTuple):
 
 def matched(
     real: Recording,
-    other: Recording,
-    poses: Poses,
+    truth: RecordingTruth,
     alignment: Alignment,
     mat: FloatArray,
     *,
-    gravity: float,
     spoilt: BoolArray,
-    other_spoilt: BoolArray | None = None,
+    rests: Poses | None = None,
+    forces: bool = False,
 ) -> Matched:
-    """Return a recording and another as its truth, in the band that both share.
+    """Return a recording and its truth in the band that both share.
 
-    The recording comes back as it is if the other has little noise beside it.
+    Both come back as they are if the truth has little noise beside the recording. Otherwise its
+    ``rests`` are made still. With ``forces`` the specific forces have a say in the band too.
     """
-    plain = RecordingTruth(other, gravity, other_spoilt)
+    other = truth.recording
     if (noise_of(other) <= QUIET * noise_of(real)).all():
-        return Matched(real, plain, spoilt)
-    bandwidth = common_band(real, plain, alignment, mat, forces=False)
-    other = stilled(other, poses)
+        return Matched(real, truth, spoilt)
+    bandwidth = common_band(real, truth, alignment, mat, forces=forces)
+    if rests is not None:
+        truth = replace(truth, recording=stilled(other, rests))
     if bandwidth is None:
         blur = BLUR * max(real.interval, other.interval)
-        truth = RecordingTruth(other, gravity, other_spoilt)
         return Matched(real, truth, spoilt, limited=True, blur=blur)
-    if other_spoilt is not None:
-        other_spoilt = widened(other_spoilt, bandwidth, other.interval)
-    truth = RecordingTruth(low_passed(other, bandwidth), gravity, other_spoilt)
-    return limited(real, truth, bandwidth, spoilt, low_passed)
+    bandwidth = min(bandwidth, RESOLVED / max(real.interval, other.interval))
+    return limited(real, truth, bandwidth, spoilt)
 
 
 def noise_of(recording: Recording) -> FloatArray:
@@ -106,33 +109,48 @@ def stilled(recording: Recording, poses: Poses) -> Recording:
     return replace(recording, accel=accel, gyro=gyro)
 
 
-def widened(spoilt: BoolArray, bandwidth: float, interval: float) -> BoolArray:
-    """Return what a low-pass makes of spoilt samples: their neighbours are spoilt too."""
-    reach = int(np.ceil(0.5 / bandwidth / interval))
-    return np.asarray(np.convolve(spoilt, np.ones(2 * reach + 1), mode="same") > 0)
+def limited(real: Recording, truth: RecordingTruth, bandwidth: float, spoilt: BoolArray) -> Matched:
+    """Return a recording and its truth through one low-pass, with as many samples as that needs.
 
-
-def limited(
-    real: Recording,
-    truth: Truth,
-    bandwidth: float,
-    spoilt: BoolArray,
-    low_pass: Callable[[Recording, float], Recording],
-) -> Matched:
-    """Return a recording limited to the band of its truth, with as many samples as that needs.
+    It is the signals in the sensors' own frames that pass: orientations and positions that had
+    passed it would give other ones, as a turn makes products of them.
 
     What the low-pass leaves of white noise is alike from sample to sample: of a Butterworth of
     fourth order, there and back, the noise bandwidth is 0.898 of the cut-off.
     """
-    wide = widened(spoilt, bandwidth, real.interval)
     thin = max(1, int(1.0 / (KEPT * bandwidth * real.interval)))
     passed = min(1.0, 2.0 * 0.898 * bandwidth * thin * real.interval)
-    kept = thinned(low_pass(real, bandwidth), thin)
-    return Matched(kept, truth, wide[::thin], limited=True, passed=passed)
+    kept, wide = low_passed(real, bandwidth), widened(real, bandwidth, spoilt)
+    other = truth.recording
+    narrow = replace(
+        truth,
+        recording=low_passed(other, bandwidth),
+        spoilt=widened(other, bandwidth, truth.spoilt),
+    )
+    return Matched(thinned(kept, thin), narrow, wide[::thin], limited=True, passed=passed)
+
+
+def widened(recording: Recording, bandwidth: float, spoilt: BoolArray | None) -> BoolArray:
+    """Return which samples of a low-pass to disbelieve: near spoilt ones, gaps, and the ends."""
+    reach = int(np.ceil(FELT / bandwidth / recording.interval))
+    at = _places(recording.time, reach)
+    bad = np.ones(at[-1] + 1 + 2 * reach, bool)
+    bad[at + reach] = False if spoilt is None else spoilt
+    # Of how many of its neighbours a sample has bad ones.
+    count = np.concatenate(([0], np.cumsum(bad)))
+    return np.asarray(count[at + 2 * reach + 1] > count[at])
+
+
+def _places(time: FloatArray, most: int) -> IntArray:
+    """Return the place of every sample among even ones, with at most so many in a gap."""
+    step = np.diff(time)
+    missing = np.round(step / np.median(step)) - 1 if len(step) else step
+    steps = 1 + np.clip(missing, 0, 2 * most).astype(np.int64)
+    return np.concatenate((np.zeros(1, np.int64), np.cumsum(steps)))
 
 
 def common_band(
-    real: Recording, truth: Truth, alignment: Alignment, mat: FloatArray, *, forces: bool
+    real: Recording, truth: RecordingTruth, alignment: Alignment, mat: FloatArray, *, forces: bool
 ) -> float | None:
     """Return the frequency (Hz) up to which recording and truth agree, None if they do throughout.
 
@@ -141,6 +159,10 @@ def common_band(
     """
     from scipy.signal import coherence  # half a second to import
 
+    if truth.recording.interval < real.interval:
+        # Its noise above what the recording resolves must not be folded down.
+        narrow = low_passed(truth.recording, 0.4 / real.interval)
+        truth = replace(truth, recording=narrow)
     at = alignment.times(real.time)
     state = truth.state(np.clip(at, *truth.span))
     rate = 1.0 / real.interval
@@ -159,24 +181,15 @@ def common_band(
 
 
 def low_passed(recording: Recording, bandwidth: float) -> Recording:
-    """Return the recording through `zero_phase`."""
+    """Return the recording through `zero_phase`; gaps are bridged by straight lines."""
     cutoff = bandwidth * recording.interval
-    return replace(
-        recording,
-        accel=zero_phase(recording.accel, cutoff),
-        gyro=zero_phase(recording.gyro, cutoff),
-    )
-
-
-def low_passed_as_motion(recording: Recording, bandwidth: float) -> Recording:
-    """Return the recording through the low-pass that `motion_from_reference` has, no delay."""
-    from calib.simulation.recorded import low_pass  # half a second to import
-
-    return replace(
-        recording,
-        accel=low_pass(recording.time, recording.accel, bandwidth),
-        gyro=low_pass(recording.time, recording.gyro, bandwidth),
-    )
+    at = _places(recording.time, int(np.ceil(FELT / cutoff)))
+    signals = np.hstack((recording.accel, recording.gyro))
+    if at[-1] >= len(at):
+        whole = np.arange(at[-1] + 1)
+        signals = np.stack([np.interp(whole, at, column) for column in signals.T], axis=1)
+    signals = zero_phase(signals, cutoff)[at]
+    return replace(recording, accel=signals[:, :3], gyro=signals[:, 3:])
 
 
 def zero_phase(values: FloatArray, cutoff: float) -> FloatArray:
@@ -185,16 +198,10 @@ def zero_phase(values: FloatArray, cutoff: float) -> FloatArray:
     That is a Butterworth low-pass of fourth order there and back, of the same response at any rate:
     a digital one is warped, and two sampled at unlike rates would differ by their filters.
     """
-    n = len(values)
-    if cutoff >= 0.45 or n < 32:
-        return np.array(values)
-    pad = min(n - 1, int(8.0 / cutoff))
-    before = 2 * values[0] - values[pad:0:-1]
-    after = 2 * values[-1] - values[-2 : -pad - 2 : -1]
-    spectrum = fft.rfft(np.concatenate((before, values, after)), axis=0)
-    size = n + 2 * pad
-    gain = 1.0 / (1.0 + (fft.rfftfreq(size) / cutoff) ** 8)
-    out: FloatArray = fft.irfft(spectrum * gain[:, None], size, axis=0)[pad : pad + n]
+    # Mirrored at both ends: there noise makes no step, and what moves does not jump.
+    spectrum = fft.dct(values, axis=0)
+    frequency = np.arange(len(values)) / (2 * len(values))
+    out: FloatArray = fft.idct(spectrum / (1.0 + (frequency[:, None] / cutoff) ** 8), axis=0)
     return out
 
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from itertools import product
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,9 +19,10 @@ from calib.effects import effects, get_effect
 from calib.effects.base import State, Term, TransformEffect
 from calib.effects.observed import observed
 from calib.errors import NoCommonMotionError
-from calib.mismatch.alignment import Alignment
+from calib.mismatch.alignment import LEAST_OVERLAP, Alignment
 from calib.mismatch.grid import smooth_temperature
 from calib.mismatch.rows import Rows
+from calib.mismatch.truths import RecordingTruth
 from calib.mismatch.twin import ACCEL_MISALIGNMENT, baseline_column
 from calib.mismatch.windowed import Shapes, find_shapes, gaussian, make_rows, robust_step
 from calib.model import SensorModel
@@ -50,32 +51,19 @@ BASELINE = (*ACCEL_BASELINE, *GYRO_BASELINE)
 
 LOOSE = {
     "bias": 2.0,
-    "scale_factor_error": 0.5,
-    "misalignment": 0.3,
+    "scale_factor_error": 0.05,
+    "misalignment": 0.05,
     "delay": 0.1,
     "scale": 0.01,
     **dict.fromkeys(("rx", "ry", "rz"), 0.2),
 }
-"""How far (SI) baseline and alignment may be from where they start; of the alignment that is what
-the correlation of rates and Wahba's problem leave open. What the motion does not determine (the
-heading of a sensor on a table that turns about the vertical) stays there."""
+"""How far (SI) baseline and alignment may be from where they start.
 
-
-class Truth(Protocol):
-    """What a simulation or a reference says of the motion, on its own clock and in its frame."""
-
-    @property
-    def span(self) -> tuple[float, float]:
-        """First and last time, s."""
-        ...
-
-    def covers(self, time: FloatArray) -> BoolArray:
-        """Return where the truth is known, (n,) bool."""
-        ...
-
-    def state(self, time: FloatArray) -> State:
-        """Return the true state at (n,) times of its own clock."""
-        ...
+Some more than data sheets say (MPU-6050 product specification rev. 3.4: 3 % of scale, 2 % across
+axes, 80 mg), and of the alignment what the correlation of rates and Wahba's problem leave open.
+What the motion does not determine (the heading of a sensor on a table that turns about the
+vertical) stays there.
+"""
 
 
 class Setup(NamedTuple):
@@ -92,7 +80,7 @@ class ComparisonProblem:
     Parameters
     ----------
     real : Recording
-    truth : Truth
+    truth : RecordingTruth
     alignment : Alignment
     gravity : float, m/s²
     model : SensorModel, optional
@@ -113,7 +101,7 @@ class ComparisonProblem:
     def __init__(
         self,
         real: Recording,
-        truth: Truth,
+        truth: RecordingTruth,
         alignment: Alignment,
         *,
         gravity: float,
@@ -128,6 +116,12 @@ class ComparisonProblem:
         covered = truth.covers(alignment.times(real.time))
         if spoilt is not None:
             covered = covered & ~spoilt
+        common = float(covered.sum()) * real.interval
+        if common < LEAST_OVERLAP:
+            raise NoCommonMotionError(
+                f"the two have {common:.2g} s in common that both know without gaps, expected "
+                f"{LEAST_OVERLAP:g} s or more"
+            )
         self.index = np.flatnonzero(covered)
         self.time = real.time[self.index]
         seen = gaussian(self.time, blur, real.interval)
@@ -198,20 +192,30 @@ class ComparisonProblem:
         """Return recording minus model of the truth."""
         state = self.state()
         left = self.residual(state)
+        # The sensor's errors act on what it feels where it is.
+        felt = self.setup.model.felt(state)
         if self.shapes is None:
             self.shapes = find_shapes(
-                self.time, left, list(self._shape_columns(state)), blur=self.blur
+                self.time, left, list(self._shape_columns(felt)), blur=self.blur
             )
-        return make_rows(
+        turned = [n.startswith("reference_misalignment") for n in self.aligned]
+        rows = make_rows(
             self.shapes,
-            state,
+            felt,
             left,
             blur=self.blur,
             names=self.names,
-            nuisance=[self._nuisance(state, name) for name in self.aligned],
+            nuisance=[
+                self._nuisance(state if turn else felt, name)
+                for name, turn in zip(self.aligned, turned, strict=True)
+            ],
             aligned=self.aligned,
             prior=np.stack((self.moved, self.loose), axis=1),
         )
+        if felt is state:
+            return rows
+        plain = [rows.column(baseline_column(n, state)) for n in self.names]
+        return replace(rows, plain=np.stack(plain, axis=1))
 
     @property
     def loose(self) -> FloatArray:

@@ -192,8 +192,8 @@ def _proof(
     outcome: Outcome, fit: Estimate, which: int, names: tuple[str, ...]
 ) -> tuple[tuple[Absorbed, ...], HeldOut, FloatArray]:
     """Return what had absorbed a finding, its held-out worth, and the residuals without it."""
-    rows = outcome.rows
     own = outcome.accepted[which]
+    rows = outcome.rows.judging(own.candidate.name) if own.candidate.physical else outcome.rows
     others = [a for i, a in enumerate(outcome.accepted) if i != which]
     mean = fitted(rows, others)
     residual = rows.residual

@@ -21,18 +21,25 @@ from calib.mismatch.against import (
     unfit,
 )
 from calib.mismatch.alignment import Alignment, align
-from calib.mismatch.band import Matched, common_band, limited, low_passed_as_motion, matched
-from calib.mismatch.comparison import ComparisonProblem, Truth
+from calib.mismatch.band import Matched, low_passed, matched
+from calib.mismatch.comparison import ComparisonProblem
 from calib.mismatch.diagnosis import Diagnosis
 from calib.mismatch.samples import Samples, look_at_samples
-from calib.mismatch.truths import MotionTruth, RecordingTruth
+from calib.mismatch.truths import DEGREE, RecordingTruth
 from calib.model import SensorModel
 from calib.recording import Recording
+from calib.rotation import mat_from_quat, quat_multiply
 from calib.statics import find_poses
 from calib.types import BoolArray, FloatArray
 
 UNTURNED = 1e-3
 """Weight of no rotation in a mounting, relative to what was measured."""
+
+ROUGH = 20.0
+"""Hz up to which a captured motion is aligned and its frame is found, noisy as its rates are."""
+
+BRIDGE = 8
+"""Samples beside an end, or a gap, after which a spline has forgotten it to a hundredth."""
 
 SETUPS = ("time_offset", "clock_scale", "reference_misalignment")
 
@@ -63,50 +70,53 @@ class ReferenceMotion:
             good &= np.isfinite(self.position).all(axis=1)
         return np.asarray(good)
 
-    def truth(self, *, gravity: float, bandwidth: float | None) -> MotionTruth:
-        """Return the motion, band-limited."""
-        from calib.simulation.recorded import motion_from_reference  # a second to import
+    def truth(self, *, gravity: float) -> RecordingTruth:
+        """Return what a perfect sensor at its point, in its frame, would have recorded."""
+        # A third of a second to import.
+        from scipy.interpolate import PchipInterpolator, make_interp_spline
 
         good = self.known
-        if good.sum() < 4:
-            raise ValueError(f"the reference has {good.sum()} finite rows, expected at least four")
-        time = self.time[good]
-        quat = self.quat[good]
-        flip = np.where(np.einsum("ij,ij->i", quat[1:], quat[:-1]) < 0, -1.0, 1.0)
-        quat = quat * np.concatenate(([1.0], np.cumprod(flip)))[:, None]
-        # A filter needs even samples: gaps are bridged, and not compared.
-        whole = self.time[(self.time >= time[0]) & (self.time <= time[-1])]
-        position = None
+        if good.sum() < 4 * BRIDGE:
+            raise ValueError(
+                f"the reference has {good.sum()} finite rows, expected at least {4 * BRIDGE}"
+            )
+        first, last = np.flatnonzero(good)[[0, -1]]
+        good = good[first : last + 1]
+        time = self.time[first : last + 1]
+        values = self.quat[first : last + 1] * _one_sign(self.quat[first : last + 1], good)
         if self.position is not None:
-            position = _bridged(time, self.position[good], whole)
-        motion = motion_from_reference(
-            whole,
-            _bridged(time, quat, whole),
-            position,
-            gravity=gravity,
-            bandwidth=bandwidth,
-        )
-        if bandwidth is not None:
-            reach = 1.0 / bandwidth
-            edges = np.append(self.time[~good], (time[0], time[-1]))
-            edges.sort()
-            after = np.clip(np.searchsorted(edges, time), 1, len(edges) - 1)
-            away = np.minimum(np.abs(edges[after] - time), np.abs(time - edges[after - 1]))
-            time = time[away > reach]
-            if len(time) < 4:
-                raise NoCommonMotionError(
-                    "the reference lost the body too often: there is no stretch of "
-                    f"{2 * reach:.2g} s without a gap"
-                )
-        return MotionTruth(motion, time, float(whole[0]))
+            values = np.hstack((values, self.position[first : last + 1]))
+        if not good.all():
+            values[~good] = PchipInterpolator(time[good], values[good])(time[~good])
+        # A cubic spline would lose 2 % of the acceleration of a tremor.
+        spline = make_interp_spline(time - time[0], values, k=DEGREE)
+        slope, bend = spline(time - time[0], nu=1), spline(time - time[0], nu=2)
+        size = np.linalg.norm(values[:, :4], axis=1, keepdims=True)
+        quat = values[:, :4] / size
+        # dq/dt = q (0, w) / 2
+        rate = 2 * quat_multiply(quat * [1, -1, -1, -1], slope[:, :4] / size)[:, 1:]
+        total = np.tile([0.0, 0.0, gravity], (len(time), 1))
+        if self.position is not None:
+            total += bend[:, 4:]
+        force = np.einsum("nij,ni->nj", mat_from_quat(quat), total)
+        bridged = np.convolve(~good, np.ones(2 * BRIDGE + 1), mode="same") > 0
+        # At its ends the derivatives of a spline are loose.
+        inner = slice(BRIDGE, -BRIDGE)
+        recording = Recording(time[inner], force[inner], rate[inner], "device")
+        return RecordingTruth(recording, gravity, bridged[inner], quat[inner])
 
     def inverted(self) -> ReferenceMotion:
         """Return the reference with the inverse orientations."""
         return replace(self, quat=self.quat * np.array([1.0, -1.0, -1.0, -1.0]))
 
 
-def _bridged(time: FloatArray, values: FloatArray, at: FloatArray) -> FloatArray:
-    return np.stack([np.interp(at, time, column) for column in values.T], axis=1)
+def _one_sign(quat: FloatArray, good: BoolArray) -> FloatArray:
+    """Return the signs (n, 1) that make neighbours alike, over what is not known too."""
+    known = quat[good]
+    flip = np.where(np.einsum("ij,ij->i", known[1:], known[:-1]) < 0, -1.0, 1.0)
+    sign = np.ones((len(quat), 1))
+    sign[good, 0] = np.concatenate(([1.0], np.cumprod(flip)))
+    return sign
 
 
 def diagnose_reference(
@@ -158,16 +168,8 @@ def compare_reference(
                 "the reference cannot be trusted: "
                 + "; ".join(f.sentence for f in known.findings or ())
             )
-        common = matched(
-            real,
-            reference,
-            poses,
-            alignment,
-            mat,
-            gravity=gravity,
-            spoilt=seen.spoilt,
-            other_spoilt=known.spoilt,
-        )
+        truth = RecordingTruth(reference, gravity, known.spoilt)
+        common = matched(real, truth, alignment, mat, spoilt=seen.spoilt, rests=poses)
     else:
         common, alignment, mat = _captured(real, reference, gravity, seen.spoilt)
     problem = ComparisonProblem(
@@ -190,26 +192,23 @@ def _captured(
     real: Recording, reference: ReferenceMotion, gravity: float, spoilt: BoolArray
 ) -> tuple[Matched, Alignment, FloatArray]:
     """Align a captured motion, and limit both to the band that they share."""
-    found: tuple[float, ReferenceMotion, Alignment, FloatArray] | None = None
+    found: list[tuple[float, RecordingTruth, Alignment, FloatArray]] = []
     for item in (reference, reference.inverted()):
-        truth = item.truth(gravity=gravity, bandwidth=None)
-        rough = item.truth(gravity=gravity, bandwidth=20.0)
-        known = truth.known
+        truth = item.truth(gravity=gravity)
+        rough = replace(truth, recording=low_passed(truth.recording, ROUGH))
+        known = rough.recording.time[truth.covers(truth.recording.time)]
         alignment = align(real.time, real.gyro, known, rough.state(known).rate)
         mat, error = mounting(real, rough, alignment)
-        if found is None or error < found[0]:
-            found = (error, item, alignment, mat)
-    assert found is not None
-    _, item, alignment, mat = found
-    truth = item.truth(gravity=gravity, bandwidth=None)
-    bandwidth = common_band(real, truth, alignment, mat, forces=item.position is not None)
-    if bandwidth is None:
-        return Matched(real, truth, spoilt), alignment, mat
-    truth = item.truth(gravity=gravity, bandwidth=bandwidth)
-    return limited(real, truth, bandwidth, spoilt, low_passed_as_motion), alignment, mat
+        found.append((error, truth, alignment, mat))
+    _, truth, alignment, mat = min(found, key=lambda item: item[0])
+    forces = reference.position is not None
+    common = matched(real, truth, alignment, mat, spoilt=spoilt, forces=forces)
+    return common, alignment, mat
 
 
-def mounting(real: Recording, truth: Truth, alignment: Alignment) -> tuple[FloatArray, float]:
+def mounting(
+    real: Recording, truth: RecordingTruth, alignment: Alignment
+) -> tuple[FloatArray, float]:
     """Return the rotation from the truth's frame to s, and the share of rotation that it leaves.
 
     Wahba's problem over rates and specific forces, by singular values.

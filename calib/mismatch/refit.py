@@ -99,10 +99,11 @@ def prior_rows(
 ) -> tuple[FloatArray, FloatArray]:
     """Return rows (k, p) of the priors, and their values (k,).
 
-    Beside a reference baseline and alignment have theirs from the rows. A smooth function can take
-    the place of the baseline. At rest the two are exactly alike, but in motion, or beside a truth
-    with noise, only nearly so; what keeps them apart is the size that the evidence gave the rival,
-    at most `LARGE`.
+    Beside a reference baseline and alignment have theirs from the rows, and no finding is much
+    beyond what is physical: what the motion leaves open (the height of a sensor over a table that
+    turns about the vertical) stays there. A smooth function can take the place of the baseline. At
+    rest the two are exactly alike, but in motion, or beside a truth with noise, only nearly so;
+    what keeps them apart is the size that the evidence gave the rival, at most `LARGE`.
     """
     start = rows.baseline.shape[1] + rows.nuisance.shape[1]
     width = start + sum(a.columns.shape[1] for a in accepted)
@@ -112,9 +113,12 @@ def prior_rows(
         spread[:start], value[:start] = rows.prior[:, 1], -rows.prior[:, 0]
     at = start
     for a in accepted:
-        if not a.candidate.physical:
-            spread[at : at + a.columns.shape[1]] = LARGE
-        at += a.columns.shape[1]
+        own = slice(at, at + a.columns.shape[1])
+        if rows.aligned or not a.candidate.physical:
+            spread[own] = LARGE
+        if a.in_model:
+            value[own] = -a.values / a.typical
+        at = own.stop
     known = np.isfinite(spread)
     return np.diag(1.0 / spread)[known], (value / spread)[known]
 

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from calib.effects import get_effect
 from calib.effects.base import State
 from calib.recording import CHANNELS
 from calib.types import BoolArray, FloatArray, IntArray
@@ -91,6 +92,8 @@ class Rows:
     prior : (p + q, 2) array
         How far baseline and nuisances are from where they are expected, and how far they may be;
         empty where the rows determine all of them.
+    plain : (m, p) array
+        `baseline` where no setup is felt (no lever arm); empty where none is.
     """
 
     residual: FloatArray
@@ -113,6 +116,7 @@ class Rows:
     aligned: tuple[str, ...] = ()
     restless: BoolArray = field(default_factory=lambda: np.zeros(0, bool))
     prior: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
+    plain: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
 
     @property
     def n_dense(self) -> int:
@@ -157,4 +161,15 @@ class Rows:
             block=self.block[keep],
             pieces=tuple(p[keep] for p in self.pieces),
             restless=self.restless[keep] if self.restless.size else self.restless,
+            plain=self.plain[keep] if self.plain.size else self.plain,
         )
+
+    def judging(self, slug: str) -> Rows:
+        """Return the rows as they are without an effect, to judge what it is worth.
+
+        Where a lever arm is all that an axis feels, a scale factor error is the same as a longer
+        arm; but no scale factor of what is not felt is the arm.
+        """
+        if not self.plain.size or get_effect(slug).kind != "setup":
+            return self
+        return replace(self, baseline=self.plain)

@@ -292,6 +292,8 @@ def _posterior(
     """Return the posterior of every group in the place of one finding, the others kept."""
     others = [b for i, b in enumerate(accepted) if i != which]
     own = accepted[which]
+    if own.candidate.physical:
+        rows = rows.judging(own.candidate.name)
     mean = fitted(rows, others)
     whitener = make_whitener(rows, levels, contrast_noise(rows, others), mean)
     residual = rows.residual

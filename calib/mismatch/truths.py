@@ -1,4 +1,4 @@
-"""Truths that a recording is compared with: another recording's signals, or a motion."""
+"""What a recording is compared with: the signals of another one, or of a captured motion."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from calib.effects.base import State
 from calib.recording import Recording
-from calib.simulation.kinematics import Motion
+from calib.rotation import mat_from_quat
 from calib.types import BoolArray, FloatArray
 
 if TYPE_CHECKING:
@@ -28,7 +28,9 @@ REACH = 2
 
 def near(known: FloatArray, time: FloatArray) -> BoolArray:
     """Return where times lie between known ones that are no gap apart, (n,) bool."""
-    limit = GAP * float(np.median(np.diff(known))) if len(known) > 1 else 0.0
+    if len(known) < 2:
+        return np.zeros(len(time), bool)
+    limit = GAP * float(np.median(np.diff(known)))
     after = np.clip(np.searchsorted(known, time), 1, len(known) - 1)
     inside = (time >= known[0]) & (time <= known[-1])
     return np.asarray(inside & (known[after] - known[after - 1] <= limit))
@@ -38,12 +40,14 @@ def near(known: FloatArray, time: FloatArray) -> BoolArray:
 class RecordingTruth:
     """The signals of another recording: of a simulated sensor, or of one on the same body.
 
-    ``spoilt`` marks samples that are not to be believed (clipped).
+    ``spoilt`` marks samples that are not to be believed (clipped). ``quat`` (n, 4) are orientations
+    ``mat_ns``, where they are known; neighbours have one sign.
     """
 
     recording: Recording
     gravity: float
     spoilt: BoolArray | None = None
+    quat: FloatArray | None = None
     _good: FloatArray = field(init=False)
     _spline: BSpline = field(init=False)
 
@@ -54,11 +58,12 @@ class RecordingTruth:
         good = np.ones(len(r), bool)
         if self.spoilt is not None:
             good = np.convolve(self.spoilt, np.ones(2 * REACH + 1), mode="same") < 0.5
-        signals = np.hstack((r.accel, r.gyro))
+        signals = [r.accel, r.gyro] if self.quat is None else [r.accel, r.gyro, self.quat]
         object.__setattr__(self, "_good", r.time[good])
         # Through all samples: a clipped one is nearer to the truth than what a spline makes of a
         # hole.
-        object.__setattr__(self, "_spline", make_interp_spline(r.time, signals, k=DEGREE))
+        spline = make_interp_spline(r.time, np.hstack(signals), k=DEGREE)
+        object.__setattr__(self, "_spline", spline)
 
     @property
     def span(self) -> tuple[float, float]:
@@ -73,32 +78,14 @@ class RecordingTruth:
         """Return what was measured as the true state, its angular acceleration by spline."""
         inside = np.clip(time, *self.span)
         values = self._spline(inside)
+        quat = values[:, 6:]
         return State(
             time,
             values[:, :3],
-            values[:, 3:],
-            angular_acceleration=self._spline(inside, nu=1)[:, 3:],
+            values[:, 3:6],
+            mat_ns=None
+            if self.quat is None
+            else mat_from_quat(quat / np.linalg.norm(quat, axis=1, keepdims=True)),
+            angular_acceleration=self._spline(inside, nu=1)[:, 3:6],
             gravity=self.gravity,
         )
-
-
-@dataclass(frozen=True, eq=False)
-class MotionTruth:
-    """A motion, known at some times of a clock that reads ``start`` at its time 0."""
-
-    motion: Motion
-    known: FloatArray
-    start: float = 0.0
-
-    @property
-    def span(self) -> tuple[float, float]:
-        """First and last time, s."""
-        return float(self.known[0]), float(self.known[-1])
-
-    def covers(self, time: FloatArray) -> BoolArray:
-        """Return where the motion was measured on either side, (n,) bool."""
-        return near(self.known, time)
-
-    def state(self, time: FloatArray) -> State:
-        """Return the true state."""
-        return self.motion.state(np.clip(time, *self.span) - self.start)

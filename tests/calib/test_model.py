@@ -55,3 +55,16 @@ def test_triad_parameters_round_trip() -> None:
 def test_triad_refuses_a_diagonal_misalignment() -> None:
     with pytest.raises(ValueError, match="`misalignment`"):
         Triad(misalignment=np.eye(3))
+
+
+def test_a_lever_arm_is_felt_through_the_errors_of_the_sensor() -> None:
+    state = a_state(np.random.default_rng(3))
+    arm = Term("accel_lever_arm", {"rx": 0.1, "rz": -0.05})
+    there = SensorModel(terms=(arm,)).felt(state)
+    assert np.abs(there.force - state.force).max() > 0.01
+    plain = SensorModel(accel=a_model().accel, gyro=a_model().gyro)
+    model = SensorModel(accel=plain.accel, gyro=plain.gyro, terms=(arm,))
+    measured = model.distort(state)
+    assert np.allclose(measured.accel, plain.distort(there).accel)
+    true = model.correct(State(state.time, measured.accel, measured.gyro))
+    assert np.allclose(true.accel, state.force, atol=1e-9)

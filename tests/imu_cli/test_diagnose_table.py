@@ -63,8 +63,9 @@ def test_a_commanded_profile_gives_arm_tilt_and_time(commanded: Path, tmp_path: 
     for (effect, name), value in expected.items():
         q = found[effect][name]
         assert abs(q["value"] - value) < 3.5 * q["sigma"], (effect, name, q)
-        assert q["sigma"] < 1e-3
-    # One axis tells neither the heading of the sensor on it nor most of its scale factors.
+        assert q["sigma"] < (5e-3 if name == "rx" else 1e-3)
+    # A scale factor error of what the arm alone makes felt is the same as a longer arm; one axis
+    # also tells neither the heading of the sensor on it nor most of its scale factors.
     assert "accel.scale_factor_error.x" in document["missing"][0]
 
 

@@ -8,15 +8,18 @@ import pytest
 from calib.effects.base import Term
 from calib.errors import NoCommonMotionError
 from calib.mismatch import ReferenceMotion, diagnose_reference
-from calib.model import SensorModel
+from calib.mismatch.band import limited
+from calib.model import SensorModel, Triad
 from calib.recording import Recording
 from calib.rotation import mat_from_rotvec
 from calib.simulate import Sampling, simulate
 from calib.simulation.bench import bench_protocol
 from calib.simulation.kinematics import Motion
-from calib.simulation.noise import CONSUMER
+from calib.simulation.noise import CONSUMER, NoiseModel
+from calib.simulation.turntable import turntable
 
 GRAVITY = 9.80665
+LOWER = np.tril(np.ones((3, 3)), -1)
 ARM = {"rx": 0.019, "ry": -0.012, "rz": 0.004}
 
 
@@ -86,6 +89,49 @@ def test_motion_capture_with_a_gap_gives_arm_and_delay(inverse):
     assert got["time_offset"]["delay"].value == pytest.approx(-0.02, abs=1e-3)
     for name, value in ARM.items():
         assert got["accel_lever_arm"][name].value == pytest.approx(value, abs=1e-3)
+
+
+@pytest.mark.parametrize(("rate", "other"), [(50.0, 60.0), (50.0, 200.0), (100.0, 60.0)])
+@pytest.mark.parametrize("bandwidth", [None, 5.0, 15.0])
+def test_what_a_captured_motion_predicts_is_what_a_sensor_feels(rate, other, bandwidth):
+    """Without noise the differences are far below that of a consumer part, at any two rates."""
+    rng = np.random.default_rng(2)
+    real = simulate(motion(), SensorModel(), NoiseModel(), rng=rng, rate=rate)
+    truth = captured(start=0.0, rate=other).truth(gravity=GRAVITY)
+    spoilt = np.zeros(len(real), bool)
+    if bandwidth is not None:
+        common = limited(real, truth, bandwidth, spoilt)
+        real, truth, spoilt = common.real, common.truth, common.spoilt
+    known = truth.covers(real.time) & ~spoilt
+    state = truth.state(real.time)
+    noise = np.sqrt(bandwidth or 0.5 * rate)
+    accel = (real.accel - state.force)[known] / (CONSUMER.accel_noise_density * noise)
+    gyro = (real.gyro - state.rate)[known] / (CONSUMER.gyro_noise_density * noise)
+    assert known.mean() > 0.8
+    assert np.sqrt(np.mean(accel**2)) < 0.1
+    assert np.sqrt(np.mean(gyro**2)) < 0.1
+
+
+def test_a_sensor_with_errors_off_the_centre_of_a_table_has_an_arm_and_nothing_else():
+    """What turning makes it feel is misaligned and scaled as all else; the height stays open."""
+    arm = (0.08, 0.0, 0.02)
+    table = turntable([1.0, -2.0, 3.5, -5.0], offset=arm)
+    model = SensorModel(
+        Triad(np.array([0.1, -0.2, 0.1]), np.array([0.01, -0.01, 0.005]), 0.01 * LOWER),
+        Triad(np.array([0.01, 0.0, -0.01]), np.array([0.005, 0.01, -0.01])),
+    )
+    rng = np.random.default_rng(5)
+    real = simulate(table, model, CONSUMER, rng=rng, rate=50.0)
+    time = np.arange(0.0, table.duration, 1 / 20)
+    reference = ReferenceMotion(time - 9.0, table.kinematics(time)[0].quat)
+    found = diagnose_reference(real, reference, gravity=GRAVITY)
+    assert set(named(found)) == {"time_offset", "accel_lever_arm"}
+    assert not found.unexplained
+    for name, value in zip(("rx", "ry", "rz"), arm, strict=True):
+        q = named(found)["accel_lever_arm"][name]
+        assert abs(q.value - value) < 3.5 * q.sigma, name
+    assert named(found)["accel_lever_arm"]["rx"].sigma < 0.005
+    assert named(found)["accel_lever_arm"]["rz"].sigma > 0.1
 
 
 def test_a_reference_of_another_motion_is_an_error():

@@ -3,7 +3,7 @@
 import numpy as np
 
 from calib.effects.base import State
-from calib.mismatch.band import limited, low_passed, zero_phase
+from calib.mismatch.band import limited, low_passed, widened, zero_phase
 from calib.mismatch.noise import contrast_variance
 from calib.mismatch.ranking import Accepted
 from calib.mismatch.refit import cut
@@ -117,7 +117,7 @@ def test_what_a_low_pass_leaves_of_white_noise_has_the_variance_that_rows_say():
         STEP * np.arange(20000), rng.normal(size=(20000, 3)), rng.normal(size=(20000, 3)), "device"
     )
     truth = RecordingTruth(raw, 9.8)
-    common = limited(raw, truth, 3.0, np.zeros(20000, bool), low_passed)
+    common = limited(raw, truth, 3.0, np.zeros(20000, bool))
     left = np.hstack((common.real.accel, common.real.gyro))
     rows = rows_of(left, passed=common.passed)
     own = rows.kind == Kind.MEAN
@@ -134,4 +134,18 @@ def test_a_low_pass_is_the_same_at_any_rate():
         expected = wave / (1 + (9.0 / 6.0) ** 8)
         assert np.allclose(zero_phase(wave, 6.0 / rate)[middle], expected[middle], atol=2e-4)
         slow = np.stack((time, np.sin(0.5 * time)), axis=1)
-        assert np.allclose(zero_phase(slow, 6.0 / rate), slow, atol=1e-3)
+        assert np.allclose(zero_phase(slow, 6.0 / rate)[middle], slow[middle], atol=1e-3)
+
+
+def test_a_low_pass_bridges_a_gap_and_says_where_it_is_not_to_be_believed():
+    time = np.delete(STEP * np.arange(1000), np.arange(400, 420))
+    slow = np.sin(2 * np.pi * 0.3 * time[:, None] + np.arange(6))
+    recording = Recording(time, slow[:, :3], slow[:, 3:], "device")
+    passed = low_passed(recording, 5.0)
+    bad = widened(recording, 5.0, np.arange(980) == 200)
+    reach = 2.0 / 5.0
+    for moment in (time[0], time[-1], time[200], time[399], time[400]):
+        assert bad[np.abs(time - moment) < reach - STEP].all()
+    assert bad.mean() < 0.15
+    assert np.allclose(passed.accel[~bad], recording.accel[~bad], atol=1e-3)
+    assert np.abs(passed.gyro - recording.gyro).max() < 1.0
