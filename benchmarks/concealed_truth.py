@@ -1,9 +1,11 @@
 """How well does the diagnosis name what a simulation or a reference does not have?
 
-As `concealed`, against a truth: the user's own simulation of the motion (without noise, at 80 Hz),
-motion capture (120 Hz, 0.2 mm and 0.1 degrees of noise, a tenth of a second lost), or another IMU
-on the same body (64 Hz, noisy, mounted at an angle). The recording is at 50 Hz; the clocks start
-apart. Each effect has the asked non-centrality after baseline and alignment have absorbed theirs.
+As `concealed`, against a truth: the user's own simulation of the motion (without noise), motion
+capture (0.2 mm and 0.1 degrees of noise, a tenth of a second lost), another IMU on the same body
+(as noisy, mounted at an angle), or the commanded profile of a rate table with the sensor off its
+centre. Rates are drawn from `RATES` and are seldom alike; the clocks start apart, and the truth
+begins or ends before the recording or after it. Each effect has the asked non-centrality after
+baseline and alignment have absorbed theirs, beside the noise and the drift of both.
 """
 
 from __future__ import annotations
@@ -43,16 +45,39 @@ from calib.simulate import Sampling, simulate
 from calib.simulation.bench import bench_protocol
 from calib.simulation.kinematics import Motion
 from calib.simulation.noise import CONSUMER, NoiseModel
+from calib.simulation.turntable import turntable
 from calib.statics import find_poses
 
-RATE = 50.0
-START = 40.0
-"""What the truth's clock shows at the recording's time 0, s."""
+RATES = {
+    "recording": (50.0, 100.0),
+    "simulation": (40.0, 80.0, 200.0),
+    "capture": (60.0, 100.0, 120.0, 200.0),
+    "imu": (50.0, 64.0, 100.0, 200.0),
+    "profile": (20.0, 50.0, 100.0),
+}
+"""Hz."""
 
 OUTSIDE_ONLY = ("clock_scale", "reference_misalignment", "accel_lever_arm", "time_offset")
 WITH_ORIENTATION = ("reference_tilt", "earth_rate", "gravity_magnitude")
-MODES = ("simulation", "capture", "imu")
+ON_A_TABLE = (
+    "gyro_scale_asymmetry",
+    "gyro_scale_quadratic",
+    "gyro_scale_nonlinearity",
+    "gyro_misalignment",
+    "gyro_bias_step",
+    "gyro_warm_up",
+    "accel_warm_up",
+    "accel_bias_step",
+    "reference_tilt",
+    "time_offset",
+)
+"""What turns about one axis show."""
+
+MODES = ("simulation", "capture", "imu", "profile")
 MOUNTING = np.array([0.03, -0.02, 0.6])
+ARM = (0.08, 0.0, 0.02)
+"""From a table's axis to the sensor, m."""
+
 
 Truth = Recording | ReferenceMotion
 
@@ -85,6 +110,8 @@ def main() -> int:
 def effects_of(mode: str) -> list[str]:
     """Return the effects that a truth shows: those of a recording alone, and its own."""
     more = (*OUTSIDE_ONLY[: 3 if mode != "simulation" else 1], "accel_lever_arm")
+    if mode == "profile":
+        return list(ON_A_TABLE)
     if mode == "capture":
         more += WITH_ORIENTATION
     hidden = [n for n in hidden_effects() if mode == "simulation" or n != "bandwidth"]
@@ -94,23 +121,15 @@ def effects_of(mode: str) -> list[str]:
 def run(case: Case) -> Result:
     """Make one recording and its truth, and diagnose."""
     rng = np.random.default_rng(case.seed)
-    shaken = any("vibration" in n for n in case.names)
-    motion = bench_protocol(
-        rng,
-        poses=20,
-        first_pose=3.0,
-        pose_duration=(2.0, 4.0),
-        power_on=0.0,
-        tremor=0.3,
-        vibration=0.3 * rng.uniform(0.5, 1.5) if shaken else 0.0,
-    )
+    motion = make_motion(case, rng)
+    rate = float(rng.choice(RATES["recording"]))
     model = random_sensor(rng)
     noise_seed = int(rng.integers(1 << 40))
     truth, expected = make_truth(case.kind, motion, rng)
 
     def record(*terms: Term) -> Recording:
         sensor = replace(model, terms=terms)
-        return simulate(motion, sensor, CONSUMER, rng=np.random.default_rng(noise_seed), rate=RATE)
+        return simulate(motion, sensor, CONSUMER, rng=np.random.default_rng(noise_seed), rate=rate)
 
     result = Result(case)
     recording = record()
@@ -146,31 +165,56 @@ def run(case: Case) -> Result:
     return result
 
 
+def make_motion(case: Case, rng: np.random.Generator) -> Motion:
+    """Return what both see: a sensor handled on a bench, or one on a table."""
+    if case.kind == "profile":
+        rates = np.radians(rng.choice([50.0, 100.0, 200.0, 300.0], 4) * [1, -1, 1, -1])
+        table = turntable(rates.tolist(), offset=ARM, spin=rng.uniform(6.0, 12.0))
+        return replace(table, temperature=lambda t: 28.0 + 6.0 * (1 - np.exp(-t / 180.0)))
+    shaken = any("vibration" in n for n in case.names)
+    return bench_protocol(
+        rng,
+        poses=20,
+        first_pose=3.0,
+        pose_duration=(2.0, 4.0),
+        power_on=0.0,
+        tremor=0.3,
+        vibration=0.3 * rng.uniform(0.5, 1.5) if shaken else 0.0,
+    )
+
+
 def make_truth(
     mode: str, motion: Motion, rng: np.random.Generator
 ) -> tuple[Truth, dict[str, dict[str, float]]]:
     """Return a truth, and the alignment that a diagnosis should report."""
-    if mode == "simulation":
-        sampling = Sampling(clock_offset=START)
-        whole = simulate(motion, SensorModel(), NoiseModel(), rng=rng, rate=80.0, sampling=sampling)
-        return whole.slice(100, len(whole)), {}
-    offset = {"time_offset": {"delay": -START}}
-    if mode == "imu":
-        sampling = Sampling(clock_offset=START)
-        other = simulate(motion, SensorModel(), CONSUMER, rng=rng, rate=64.0, sampling=sampling)
+    rate, start = float(rng.choice(RATES[mode])), float(rng.uniform(-100.0, 100.0))
+    early, late = rng.uniform(0.0, 2.5, 2)
+    at = np.arange(early, motion.duration - late, 1.0 / rate)
+    offset = {"time_offset": {"delay": -start}}
+    if mode in ("simulation", "imu"):
+        sampling = Sampling(clock_offset=start)
+        noise = NoiseModel() if mode == "simulation" else CONSUMER
+        other = simulate(motion, SensorModel(), noise, rng=rng, time=at, sampling=sampling)
+        if mode == "simulation":
+            return other, {}
         mat = mat_from_rotvec(MOUNTING)
         turned = replace(other, accel=other.accel @ mat, gyro=other.gyro @ mat)
         turn = dict(zip(("rx", "ry", "rz"), -MOUNTING, strict=True))
         return turned, {**offset, "reference_misalignment": turn}
-    at = np.arange(0.0, motion.duration, 1 / 120.0)
     turning, path = motion.kinematics(at)
+    if mode == "profile":
+        # A sensor off the centre has an arm, of which one axis leaves the height open.
+        return ReferenceMotion(at + start, turning.quat), {
+            **offset,
+            "accel_lever_arm": dict(zip(("rx", "ry"), ARM[:2], strict=True)),
+        }
     assert path is not None
     shake = quat_from_rotvec(rng.normal(0, np.radians(0.1), (len(at), 3)))
     quat = quat_multiply(turning.quat, shake)
     position = path.position + rng.normal(0, 2e-4, (len(at), 3))
     lost = int(rng.integers(200, len(at) - 200))
-    quat[lost : lost + 12] = np.nan
-    return ReferenceMotion(at + START, quat, position), offset
+    quat[lost : lost + round(0.1 * rate)] = np.nan
+    return ReferenceMotion(at + start, quat, position), offset
 
 
 def sized(case: Case, clean: Recording, truth: Truth, rng: np.random.Generator) -> Term:
@@ -186,7 +230,9 @@ def sized(case: Case, clean: Recording, truth: Truth, rng: np.random.Generator) 
     own = case.names[0] if case.names[0] != "time_offset" else ""
     other = [i for i, n in enumerate(rows.aligned) if n.split(".")[0] != own]
     mean = np.hstack((rows.baseline, rows.nuisance[:, other]))
-    whitener = make_whitener(rows, true_levels(rows, CONSUMER), contrast_variance(rows), mean)
+    # The drift of another IMU adds to the sensor's own.
+    noise = CONSUMER.scaled(np.sqrt(2.0)) if case.kind == "imu" else CONSUMER
+    whitener = make_whitener(rows, true_levels(rows, noise), contrast_variance(rows), mean)
     effect = get_effect(case.names[0])
     return sized_term(
         effect, rows, whitener, case.power, rng, reference=effect.slug != "time_offset"
