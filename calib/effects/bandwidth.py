@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 from scipy import linalg
+from scipy.fft import next_fast_len
 
 from calib.effects.base import (
     PRESENCE,
@@ -27,6 +28,10 @@ from calib.effects.resampling import (
 )
 from calib.recording import CHANNELS
 from calib.types import FloatArray
+
+GONE = 0.1
+"""Share of a signal below which a low-pass has taken it away for good: a hand's tremor is some ten
+times the noise of a consumer part."""
 
 
 class Bandwidth(TransformEffect):
@@ -112,6 +117,23 @@ class Bandwidth(TransformEffect):
             signals, parameters, "cutoff", lambda x, cutoff: _sharpen(time, x, cutoff, order=order)
         )
 
+    def before(
+        self, signals: Signals, parameters: Mapping[str, float], *, interval: float
+    ) -> Signals:
+        order = int(parameters.get("order", 1))
+        both = present(parameters, "both", "both_cutoff")
+        if both is not None:
+            late = _delay(both, order)
+            signals = Signals(
+                *(_restore(x, both, order=order, late=late, interval=interval) for x in signals)
+            )
+        return each_triad(
+            signals,
+            parameters,
+            "cutoff",
+            lambda x, cutoff: _restore(x, cutoff, order=order, late=0.0, interval=interval),
+        )
+
 
 def prompt_low_pass(
     time: FloatArray, values: FloatArray, cutoff: float, *, order: int
@@ -177,6 +199,26 @@ def _sharpen(time: FloatArray, values: FloatArray, cutoff: float, *, order: int)
         return first
     second: FloatArray = values + np.sqrt(2) / w0 * spline(time, 1) + spline(time, 2) / w0**2
     return second
+
+
+def _restore(
+    values: FloatArray, cutoff: float, *, order: int, late: float, interval: float
+) -> FloatArray:
+    """Return (n, k) values as they were before a low-pass, whose output was moved by `late` s.
+
+    What it left less than `GONE` of is noise by now, and stays away (Wiener's filter).
+    """
+    # On as it ends, to a length of small factors, and then backwards, so that it comes round.
+    n = next_fast_len(len(values), real=True)
+    whole = np.concatenate((values.T, np.repeat(values[-1:], n - len(values), axis=0).T), axis=1)
+    there_and_back = np.concatenate((whole, whole[:, ::-1]), axis=1)
+    frequency = np.fft.rfftfreq(2 * n, interval)
+    s = 1j * frequency / cutoff
+    passed = 1 / (1 + s) if order == 1 else 1 / (1 + np.sqrt(2) * s + s**2)
+    passed *= np.exp(2j * np.pi * frequency * late)
+    restored = (1 + GONE**2) * passed.conj() / (np.square(np.abs(passed)) + GONE**2)
+    spectrum = restored * np.fft.rfft(there_and_back)
+    return np.fft.irfft(spectrum, 2 * n)[:, : len(values)].T
 
 
 EFFECT = Bandwidth()

@@ -323,6 +323,16 @@ class TransformEffect(Effect):
     ) -> Signals:
         """Return the signals with the effect taken out, as far as that is possible."""
 
+    def before(
+        self, signals: Signals, parameters: Mapping[str, float], *, interval: float
+    ) -> Signals:
+        """Return noisy signals with the effect taken out, where they stand out of the noise.
+
+        They are sampled evenly, each `interval` s, and at rest at both ends.
+        """
+        time = np.arange(0.0, len(signals.accel)) * interval
+        return self.inverse(time, signals, parameters)
+
 
 @dataclass(frozen=True)
 class Term:

@@ -23,8 +23,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calib.rotation import cumulative_quat, mat_from_quat, quat_from_rotvec, rate_increments
-from calib.types import FloatArray
+from calib.rotation import (
+    cumulative_quat,
+    cumulative_quat_segments,
+    mat_from_quat,
+    quat_from_rotvec,
+    rate_increments,
+)
+from calib.types import FloatArray, IntArray
 
 
 class Closure(NamedTuple):
@@ -37,6 +43,13 @@ class Closure(NamedTuple):
     after: FloatArray
     angle: float
     effort: float
+
+
+class Ended(NamedTuple):
+    """Where k turns end, in the frame at the start of each: frame (k, 3, 3), velocity (k, 3)."""
+
+    frame: FloatArray
+    velocity: FloatArray
 
 
 def across(up: FloatArray) -> FloatArray:
@@ -66,6 +79,31 @@ def turned_frame(time: FloatArray, rate: FloatArray) -> FloatArray:
     quat[0, 0] = 1.0
     quat[1:] = cumulative_quat(quat_from_rotvec(increments))
     return quat
+
+
+def integrate_turns(
+    time: FloatArray, force: FloatArray, rate: FloatArray, first: IntArray
+) -> Ended:
+    """Return where turns end, all at once: what `close_turn` compares, without derivatives.
+
+    Points ``[first[i], first[i + 1])`` are turn i's. The velocity is the integral of the specific
+    force: gravity's is in it.
+    """
+    if len(first) < 2:
+        return Ended(np.zeros((0, 3, 3)), np.zeros((0, 3)))
+    start, last = first[:-1], first[1:] - 1
+    slope = np.gradient(rate, time, axis=0)
+    slope[start] = slope[last] = 0.0
+    increments = np.zeros_like(rate)
+    increments[1:] = rate_increments(time, rate)
+    increments[1:] -= np.square(np.diff(time))[:, None] / 12 * np.diff(slope, axis=0)
+    increments[start] = 0.0
+    mat = mat_from_quat(cumulative_quat_segments(quat_from_rotvec(increments), first))
+    turned = np.einsum("nij,nj->ni", mat, force)
+    step = np.diff(time, prepend=time[0])
+    step[start] = 0.0
+    weight = 0.5 * (step + np.append(step[1:], 0.0))
+    return Ended(mat[last], np.add.reduceat(weight[:, None] * turned, start, axis=0))
 
 
 def close_turn(

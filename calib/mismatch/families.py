@@ -9,18 +9,10 @@ from itertools import product
 import numpy as np
 
 from calib.effects import effects, get_effect
-from calib.effects.base import (
-    PRESENCE,
-    Column,
-    Effect,
-    ShapeParameter,
-    Signals,
-    State,
-    TransformEffect,
-)
+from calib.effects.base import PRESENCE, Effect, ShapeParameter, TransformEffect
+from calib.mismatch.restored import whole_changes
 from calib.mismatch.rows import Kind, Rows
 from calib.mismatch.score import Candidate, Stack
-from calib.recording import AXES, CHANNELS
 from calib.types import FloatArray
 
 SHAPES = 7
@@ -83,12 +75,12 @@ def effect_columns(
     effect: Effect, rows: Rows, shape: Mapping[str, float], *, reference: bool
 ) -> dict[str, FloatArray]:
     """Return the row columns of an effect's parameters, in units of their typical sizes."""
+    if not reference and all(p.unit == PRESENCE for p in effect.parameters):
+        assert isinstance(effect, TransformEffect)
+        return whole_changes(effect, rows, shape)
     sizes = {p.name: p.typical for p in effect.parameters if reference or not p.reference_only}
     out = {}
-    found = effect.columns(rows.state, shape)
-    if isinstance(effect, TransformEffect) and not reference:
-        found |= _undone(effect, rows.state, tuple(found), shape)
-    for name, signals in found.items():
+    for name, signals in effect.columns(rows.state, shape).items():
         if name in sizes and f"{effect.slug}.{name}" not in rows.aligned:
             values = rows.column(signals) * sizes[name]
             if isinstance(effect, TransformEffect):
@@ -113,23 +105,6 @@ def candidate_columns(
     if not all(n in found for n in candidate.parameters):
         return None
     return np.stack([found[n] for n in candidate.parameters], axis=1)
-
-
-def _undone(
-    effect: TransformEffect, state: State, names: tuple[str, ...], shape: Mapping[str, float]
-) -> dict[str, Column]:
-    """Return what a change of one triad that is there or not did to signals that have it in them.
-
-    Without a reference the state is what was measured: the change is what its inverse takes out.
-    """
-    measured = Signals(state.force, state.rate)
-    out: dict[str, Column] = {}
-    for p in effect.parameters:
-        if p.unit == PRESENCE and p.name in names and len(p.channels) <= len(AXES):
-            before = effect.inverse(state.time, measured, {p.name: 1.0, **shape})
-            change = np.hstack(measured) - np.hstack(before)
-            out[p.name] = {c: change[:, CHANNELS.index(c)] for c in p.channels}
-    return out
 
 
 def _subsets(

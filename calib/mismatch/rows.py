@@ -11,12 +11,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from calib.effects import get_effect
 from calib.effects.base import State
+from calib.mismatch.closure import Ended, integrate_turns
 from calib.recording import CHANNELS
 from calib.types import BoolArray, FloatArray, IntArray
 
@@ -51,6 +53,34 @@ class Component:
         own = keep[self.index]
         place = np.cumsum(keep) - 1
         return replace(self, index=place[self.index[own]], matrix=self.matrix[np.ix_(own, own)])
+
+
+@dataclass(frozen=True, eq=False)
+class ClosedTurns:
+    """The turns between rests whose closures are rows.
+
+    Parameters
+    ----------
+    index : (k, 5) array of int
+        Rows of each turn: two of its attitude, three of its velocity.
+    first : (k + 1,) array of int
+        Points ``[first[i], first[i + 1])`` are turn i's.
+    time, force, rate : (n,), (n, 3), (n, 3) arrays
+        On the points of all turns.
+    up_before, up_after : (k, 3) arrays
+        Unit vectors up at the rests on either side.
+    ended : Ended
+        Where the turns end.
+    """
+
+    index: IntArray
+    first: IntArray
+    time: FloatArray
+    force: FloatArray
+    rate: FloatArray
+    up_before: FloatArray
+    up_after: FloatArray
+    ended: Ended
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,6 +152,21 @@ class Rows:
     def n_dense(self) -> int:
         """How many rows have a dense covariance."""
         return len(self.white)
+
+    @cached_property
+    def turns(self) -> ClosedTurns:
+        """The turns whose closures are among the rows."""
+        index = np.flatnonzero(self.kind >= Kind.ATTITUDE).reshape(-1, 5)
+        start = np.searchsorted(self.point_segment, self.segment[index[:, 0]])
+        stop = np.searchsorted(self.point_segment, self.segment[index[:, 0]], side="right")
+        first = np.append(0, np.cumsum(stop - start))
+        points = np.arange(first[-1]) + np.repeat(start - first[:-1], stop - start)
+        state = self.state
+        time, force, rate = state.time[points], state.force[points], state.rate[points]
+        # At rest the state is exact: gravity in the poses on either side.
+        up_before, up_after = (state.force[k] / state.gravity for k in (start - 1, stop))
+        ended = integrate_turns(time, force, rate, first)
+        return ClosedTurns(index, first, time, force, rate, up_before, up_after, ended)
 
     def expected_variance(self) -> FloatArray:
         """Return the variance of each dense row, every component at the level expected of it."""

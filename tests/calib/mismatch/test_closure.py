@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from calib.mismatch.closure import close_turn
+from calib.mismatch.closure import close_turn, integrate_turns
 from calib.rotation import mat_from_rotvec
 from calib.types import FloatArray
 
@@ -48,3 +48,20 @@ def test_means_over_the_sample_interval_leave_what_the_rows_allow() -> None:
     # Samples that are points would have left nothing: the difference is that of the means.
     assert np.abs(closed.residual[2:]).max() > 5e-4
     assert np.abs(closed.residual[2:] - expected[2:]).max() < 0.5 * np.abs(expected[2:]).max()
+
+
+def test_turns_end_together_where_each_does_alone() -> None:
+    turns = [turn(step, angle) for step, angle in ((0.02, 2.0), (0.01, -1.0), (0.02, 0.5))]
+    first = np.append(0, np.cumsum([len(time) for time, *_ in turns]))
+    # Each on its own clock: what lies between them counts for nothing.
+    ended = integrate_turns(
+        np.concatenate([10.0 * i + time for i, (time, *_) in enumerate(turns)]),
+        np.concatenate([force for _, force, _, _ in turns]),
+        np.concatenate([rate for _, _, rate, _ in turns]),
+        first,
+    )
+    for (time, force, rate, up), frame, velocity in zip(turns, *ended, strict=True):
+        closed = close_turn(time, force, rate, up[0], up[-1], gravity=G)
+        left = velocity - G * (time[-1] - time[0]) * up[0]
+        np.testing.assert_allclose(left, closed.residual[2:], atol=1e-12)
+        np.testing.assert_allclose(frame @ up[-1], up[0], atol=1e-6)

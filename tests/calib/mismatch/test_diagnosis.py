@@ -128,6 +128,18 @@ def test_a_low_pass_that_both_triads_share_is_named() -> None:
     assert abs((7.0 / found.parameters["both_cutoff"].value) ** 2 - 1.0) < 0.2
 
 
+def test_a_strong_low_pass_of_one_triad_is_one_finding() -> None:
+    # It delays a turn by more than any linear change of it holds for.
+    real = recording(Term("bandwidth", {"accel_cutoff": 6.0, "order": 2.0}), seed=8)
+    found = diagnose_recording(real, gravity=GRAVITY)
+    (finding,) = found.findings
+    assert finding.effect == "bandwidth"
+    assert not found.unexplained
+    assert finding.parameters["order"].value == 2
+    cutoff = finding.parameters["accel_cutoff"]
+    assert abs(cutoff.value - 6.0) < 4.0 * cutoff.sigma < 0.5
+
+
 def test_a_low_pass_is_there_or_not_and_its_cutoff_is_right():
     real = recording(
         Term("bandwidth", {"gyro": 1.0, "gyro_cutoff": 20.0, "order": 1}), rate=100.0, seed=5

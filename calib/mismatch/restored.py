@@ -1,0 +1,54 @@
+"""What a change of whole signals did to the turns of a recording.
+
+Without a reference the signals that rows start from have the change in them, and a low-pass of a
+few hertz changes a turn far beyond what is linear. So its column is no functional of signals: the
+turns are integrated as recorded and as they were before the change, and the column is the
+difference of their closures.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from calib.effects.base import Signals, TransformEffect
+from calib.mismatch.closure import across, integrate_turns
+from calib.mismatch.rows import Rows
+from calib.types import FloatArray
+
+STILL = 1 / 3
+"""s of rest that are put at either end of each turn, in which a low-pass of 3 Hz settles."""
+
+
+def whole_changes(
+    effect: TransformEffect, rows: Rows, shape: Mapping[str, float]
+) -> dict[str, FloatArray]:
+    """Return what each part of an effect, there in the recorded signals, did to the rows (m,)."""
+    turns = rows.turns
+    out: dict[str, FloatArray] = {}
+    if not len(turns.index):
+        return out
+    # Signals rest before and after each turn; of that the grid keeps only a few points.
+    inside = np.ones(len(turns.time), bool)
+    inside[turns.first[1:] - 1] = False
+    interval = float(np.median(np.diff(turns.time)[inside[:-1]]))
+    still = int(np.ceil(STILL / interval))
+    count = np.ones(len(turns.time), np.int64)
+    count[turns.first[:-1]] += still
+    count[turns.first[1:] - 1] += still
+    place = np.cumsum(count) - 1
+    place[turns.first[1:] - 1] -= still
+    recorded = Signals(*(np.repeat(x, count, axis=0) for x in (turns.force, turns.rate)))
+    for p in effect.parameters:
+        alone = {q.name: float(q is p) for q in effect.parameters}
+        before = effect.before(recorded, {**alone, **shape}, interval=interval)
+        if all(a is b for a, b in zip(before, recorded, strict=True)):
+            continue
+        force, rate = before.accel[place], before.gyro[place]
+        ended = integrate_turns(turns.time, force, rate, turns.first)
+        tilt = np.einsum("kij,kj->ki", turns.ended.frame - ended.frame, turns.up_after)
+        out[p.name] = np.zeros(len(rows.residual))
+        out[p.name][turns.index[:, :2]] = np.einsum("kij,ki->kj", across(turns.up_before), tilt)
+        out[p.name][turns.index[:, 2:]] = turns.ended.velocity - ended.velocity
+    return out
