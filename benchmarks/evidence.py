@@ -32,7 +32,7 @@ from calib.simulation.noise import CONSUMER
 from calib.statics import find_poses
 
 GRAVITY = 9.80665
-THRESHOLDS = (2, 5, CLAIM, 20, 100)
+THRESHOLDS = (2, CLAIM, 10, 20, 100)
 MOST = 0.002
 
 

@@ -28,10 +28,16 @@ level (a variance)."""
 
 @dataclass(frozen=True, eq=False)
 class Levels:
-    """Levels of the components, and the penalised restricted log-likelihood that they reach."""
+    """Levels of the components, and the penalised restricted log-likelihood that they reach.
+
+    ``log_share`` is the logarithm of the share of the prior that reaches about as much: the
+    likelihood averaged over the prior is the product of both (Laplace's method). It is 0 for levels
+    that the rows say nothing of, and the lower, the more closely they determine them.
+    """
 
     values: FloatArray
     log_likelihood: float
+    log_share: float
 
 
 def covariance(rows: Rows, levels: FloatArray) -> FloatArray:
@@ -96,7 +102,7 @@ def estimate_levels(
     basis = range_basis(mean)
     logs = np.log(start)
     best: tuple[float, FloatArray] | None = None
-    halved, caution = 0, 0.1
+    halved, caution, log_share = 0, 0.1, 0.0
     for _ in range(iterations):
         levels = np.exp(logs)
         projector, value = _projector(covariance(rows, levels), basis, y)
@@ -123,13 +129,14 @@ def estimate_levels(
                 at += 1
         gradient = 0.5 * (vpy.T @ py - trace) - precision @ (logs - centre)
         information = 0.5 * vpy.T @ projector @ vpy + precision
+        log_share = -0.5 * float(np.linalg.slogdet(np.linalg.solve(precision, information))[1])
         # Average information is poor far from the optimum; near it, caution only costs steps.
         information += np.diag(caution * np.abs(trace))
         caution *= 0.3
         step = np.linalg.solve(information, gradient)
         logs = logs + np.clip(step, -2.0, 2.0)
     assert best is not None
-    return Levels(np.exp(best[1]), best[0])
+    return Levels(np.exp(best[1]), best[0], log_share)
 
 
 def find_levels(rows: Rows, mean: FloatArray, start: FloatArray) -> Levels:
@@ -137,22 +144,31 @@ def find_levels(rows: Rows, mean: FloatArray, start: FloatArray) -> Levels:
 
     The likelihood has two maxima where turns close badly (shocks, a coarse clock): closures with
     errors of their own, or drift that is far too large for the rests. From levels that expect good
-    closures only the second is reached.
+    closures only the second is reached. Where white noise is most of what closures err, there is
+    one.
     """
     above = expected_levels(rows)
     square = np.square(rows.residual[: rows.n_dense])
+    white = np.diag(rows.white)
+    worst = 0.0
     for i, component in enumerate(rows.components):
         if component.group:
             continue
         size = np.diag(component.matrix)
         own = size > 0
         if own.any():
-            # The median of chi-squared with one degree of freedom is 0.4549.
-            level = float(np.median(square[component.index[own]] / size[own])) / 0.4549
-            above[i] = max(above[i], level)
-    starts = [start] if np.array_equal(start, above) else [start, above]
-    found = [estimate_levels(rows, mean, at) for at in starts]
+            index = component.index[own]
+            above[i] = max(above[i], _typical(square[index] / size[own]))
+            worst = max(worst, _typical(square[index] / white[index]))
+    alone = worst < 2.0 or np.array_equal(start, above)
+    found = [estimate_levels(rows, mean, at) for at in ([start] if alone else [start, above])]
     return max(found, key=lambda levels: levels.log_likelihood)
+
+
+def _typical(squares: FloatArray) -> float:
+    """Return the variance of normal errors by the median of their squares."""
+    # The median of chi-squared with one degree of freedom is 0.4549.
+    return float(np.median(squares)) / 0.4549
 
 
 def range_basis(mean: FloatArray, *, tolerance: float = 1e-9) -> FloatArray:
@@ -216,8 +232,7 @@ def contrast_variance(rows: Rows, *, apart: BoolArray | None = None) -> FloatArr
         if not squares:
             continue
         values = np.concatenate(squares)
-        # The median of chi-squared with one degree of freedom is 0.4549.
-        level = float(np.median(values)) / 0.4549
+        level = _typical(values)
         level = max(level, float(np.minimum(values, 9.0 * max(level, 1e-12)).mean()))
         variance[mine] *= _inflation(len(values) * level, len(values))
         if not moved:

@@ -28,16 +28,18 @@ FAST = 3.0
 """A brisk turn by hand, rad/s: what rates are scaled by."""
 
 _KINDS = {
-    "bias in a window": 0.2,
-    "gain in a window": 0.1,
-    "fluctuation in a window": 0.15,
-    "wave in a window": 0.15,
-    "time": 0.05,
-    "temperature": 0.1,
+    "bias in a window": 0.23,
+    "gain in a window": 0.12,
+    "fluctuation in a window": 0.17,
+    "wave in a window": 0.17,
+    "time": 0.02,
+    "temperature": 0.02,
     "direction of gravity": 0.15,
-    "speed of rotation": 0.05,
-    "its own rate": 0.05,
+    "speed of rotation": 0.06,
+    "its own rate": 0.06,
 }
+"""Share of each. What follows temperature or time smoothly has names in the catalogue, or is drift:
+only odd shapes are left."""
 
 WINDOWED = ("bias in a window", "gain in a window", "fluctuation in a window", "wave in a window")
 """Rivals that are functions of time (or a gain) in a window, whose ends can be moved."""

@@ -35,10 +35,11 @@ square."""
 LARGE = 30.0
 """Size relative to the typical one beyond which a number is hardly physical."""
 
-SCALES = np.append(np.geomspace(0.01, 3.0, 8), [10.0, LARGE])
-"""Sizes that are tried, relative to the typical one; the last for what is far beyond typical."""
+SCALES = np.append(np.geomspace(0.01, 3.0, 8), [10.0, LARGE, 100.0, 300.0])
+"""Sizes that are tried, relative to the typical one; the last for what is far beyond typical. A
+part may be broken, and what is typical is known to a power of ten: the shape must speak then."""
 
-SHARES = np.append(np.full(8, 0.12), [0.02, 0.02])
+SHARES = np.append(np.full(8, 0.1175), [0.02, 0.02, 0.01, 0.01])
 """How probable each of them is."""
 
 _LOG_SHARES = np.log(SHARES)
