@@ -84,9 +84,14 @@ class Ranking:
         return float(logsumexp(list(self.groups.values()))) if self.groups else -np.inf
 
     @property
+    def discounted(self) -> dict[str, float]:
+        """Log evidence of each group, where what a drift can mimic counts for less."""
+        return {g: v + np.log(DRIFTING) * (g in self.drifting) for g, v in self.groups.items()}
+
+    @property
     def claims(self) -> bool:
-        """Whether that is enough, where what a drift can mimic counts for less."""
-        less = [v + np.log(DRIFTING) * (g in self.drifting) for g, v in self.groups.items()]
+        """Whether that is enough to say that anything is left."""
+        less = list(self.discounted.values())
         return bool(less) and float(logsumexp(less)) >= np.log(CLAIM)
 
 
@@ -191,7 +196,7 @@ def rank(rows: Rows, stack: Stack, accepted: list[Accepted], start: FloatArray) 
         if groups[name] < np.log(CLAIM) - 7:
             break
         leader = best[name]
-        here, moved = leader, _nearby(rows, leader)
+        here, moved = leader, nearby(rows, leader)
         own = stack.of(leader)
         if moved.candidates:
             whitener = make_whitener(rows, base.values, contrast, mean)
@@ -208,10 +213,9 @@ def rank(rows: Rows, stack: Stack, accepted: list[Accepted], start: FloatArray) 
         again = score(levels, outside, null, which) + weight
         if moved.candidates:
             whitener = make_whitener(rows, levels, outside, mean)
-            factors = moved.log_bayes_factors(whitener, whitener.project(rows.residual))
+            average = moved.average(whitener, whitener.project(rows.residual))
             i = stack.candidates.index(leader)
-            average = logsumexp(factors) - np.log(len(factors)) + null - base.log_likelihood
-            again[i] = max(again[i], average + weight[i])
+            again[i] = max(again[i], average + null - base.log_likelihood + weight[i])
         evidence = np.maximum(evidence, again)
     best, groups = grouped(stack, evidence)
     whitener = make_whitener(rows, base.values, contrast, mean)
@@ -240,13 +244,14 @@ def _drifting(
     return frozenset(out)
 
 
-def _nearby(rows: Rows, leader: Candidate) -> Stack:
-    """Return a candidate at the places nearest to its own; nothing for what has none.
+def nearby(rows: Rows, leader: Candidate) -> Stack:
+    """Return a candidate at the shapes and places nearest to its own; nothing for what has none.
 
-    An event is moved within its rest or turn, a window at both of its ends.
+    An event is moved within its rest or turn, a time constant between its neighbours on the grid,
+    a window at both of its ends.
     """
     stack = Stack(len(rows.residual))
-    if "moment" in leader.shape:
+    if leader.physical and not leader.present:
         for shape in neighbours(get_effect(leader.name), rows, leader.shape):
             columns = candidate_columns(rows, leader, shape, reference=True)
             if columns is not None:

@@ -204,6 +204,12 @@ class Stack:
             out[items] = _mixed([self.candidates[i] for i in items], place, projected, match)
         return out
 
+    def average(self, whitener: Whitener, y: FloatArray) -> float:
+        """Return log B of all candidates as one, each as probable as any other."""
+        return float(_average(self.log_bayes_factors(whitener, y))) - float(
+            np.log(len(self.candidates))
+        )
+
 
 def _mixed(
     candidates: list[Candidate], place: IntArray, projected: FloatArray, match: FloatArray

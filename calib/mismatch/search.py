@@ -22,12 +22,14 @@ from calib.mismatch.noise import (
 from calib.mismatch.ranking import (
     CLAIM,
     DRIFTING,
+    LEADERS,
     Accepted,
     Ranking,
     contrast_noise,
     fitted,
     grouped,
     make_stack,
+    nearby,
     rank,
 )
 from calib.mismatch.refit import Problem, refined, refit
@@ -140,8 +142,8 @@ def choose(rows: Rows, ranking: Ranking, accepted: list[Accepted]) -> Candidate 
     if not ranking.claims:
         return None
     if ranking.total < np.log(CLAIM / DRIFTING):
-        # Not enough for what a drift can mimic: the claim is that of the others.
-        groups = {g: v for g, v in groups.items() if g not in ranking.drifting}
+        # Not enough for what a drift can mimic by itself.
+        groups = ranking.discounted
     physical = [g for g in groups if best[g].physical]
     rival = [g for g in groups if not best[g].physical]
     top = max(physical, key=lambda g: groups[g], default=None)
@@ -300,8 +302,14 @@ def _posterior(
     if own.in_model:
         residual = residual + own.columns @ (own.values / own.typical)
     y = whitener.project(residual)
-    scores = stack.log_bayes_factors(whitener, y)
-    evidence = scores + np.log(np.array([c.weight for c in stack.candidates]))
+    weight = np.log(np.array([c.weight for c in stack.candidates]))
+    evidence = stack.log_bayes_factors(whitener, y) + weight
+    best, groups = grouped(stack, evidence)
+    for g in sorted(groups, key=lambda g: -groups[g])[:LEADERS]:
+        near = nearby(rows, best[g])
+        if near.candidates:
+            i = stack.candidates.index(best[g])
+            evidence[i] = max(evidence[i], near.average(whitener, y) + weight[i])
     best, groups = grouped(stack, evidence)
     total = logsumexp(list(groups.values()))
     out = {g: float(np.exp(v - total)) for g, v in groups.items() if v - total > np.log(1e-3)}

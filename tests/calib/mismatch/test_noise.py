@@ -13,7 +13,9 @@ from calib.mismatch.noise import (
     estimate_levels,
     expected_levels,
     find_levels,
+    level_likelihood,
     make_whitener,
+    range_basis,
 )
 from calib.mismatch.score import SCALES, SHARES, Candidate, Stack
 
@@ -118,3 +120,27 @@ def test_the_noise_of_contrasts_is_that_outside_of_what_is_set_apart():
     # The likelihood prefers what made them.
     quiet, even = (contrast_likelihood(rows, v) for v in (both[1], rows.white_diagonal))
     assert quiet > even
+
+
+@pytest.mark.parametrize(("size", "error"), [(0.0, 0.1), (30.0, 0.9), (1000.0, 0.2)])
+def test_likelihood_is_averaged_over_the_prior_of_a_level(size, error):
+    _, self_mode = problem()
+    rows = self_mode.rows()
+    component = next(c for c in rows.components if c.name == "attitude by angle")
+    rows = replace(rows, components=(component,))
+    mean = np.hstack((rows.baseline, rows.nuisance))[: rows.n_dense]
+    basis = range_basis(mean)
+    levels = np.array([max(size, 1e-3) * component.expected])
+    factor = np.linalg.cholesky(covariance(rows, levels))
+    residual = np.zeros(len(rows.residual))
+    residual[: rows.n_dense] = factor @ np.random.default_rng(7).normal(size=rows.n_dense)
+    rows = replace(rows, residual=residual)
+    fit = estimate_levels(rows, mean, expected_levels(rows))
+    logs = np.linspace(-8, 8, 321) * component.spread
+    each = [level_likelihood(rows, basis, component.expected * np.exp(np.array([u]))) for u in logs]
+    density = np.exp(np.array(each) - fit.log_likelihood) / (component.spread * np.sqrt(2 * np.pi))
+    averaged = np.log(density.sum() * (logs[1] - logs[0]))
+    # Where a level is but half determined, its likelihood has a long tail, which Laplace misses.
+    assert fit.log_share == pytest.approx(averaged, abs=error)
+    # A level that is determined takes a smaller share of its prior than one that is not.
+    assert fit.log_share < (-0.8 if size else 0.05)

@@ -8,7 +8,7 @@ import pytest
 from calib.effects.base import Term
 from calib.mismatch import diagnose_recording
 from calib.mismatch.noise import expected_levels
-from calib.mismatch.ranking import make_stack, rank
+from calib.mismatch.ranking import Ranking, make_stack, rank
 from calib.mismatch.search import _accept, _again, _with, choose
 
 from .bench import GRAVITY, problem, recording
@@ -47,6 +47,24 @@ def test_events_of_one_kind_stay_apart(stacked):
     first, new = (_accept(rows, stack, c, 100.0) for c in (steps[0], steps[9]))
     assert len(_with(rows, [first], new, reference=False)) == 2
     assert not _again(steps[0], [first])
+
+
+def test_what_a_drift_can_mimic_is_not_passed_over_for_a_poorer_rival(stacked):
+    rows, stack = stacked
+    step = candidate(stack, "gyro_bias_step", ("bz",))
+    wave = next(c for c in stack.candidates if c.group == "wave in a window gyro.z")
+    best = {c.group: c for c in (step, wave)}
+
+    def chosen(of_step, of_wave):
+        groups = {step.group: of_step, wave.group: of_wave}
+        drifting = frozenset({step.group})
+        levels = expected_levels(rows)
+        return choose(rows, Ranking(stack, np.zeros(0), best, groups, levels, drifting), [])
+
+    assert chosen(3.8, -0.2) is step
+    assert chosen(2.0, -0.2) is None
+    assert chosen(2.0, 2.0) is wave
+    assert chosen(6.0, 2.0) is step
 
 
 def test_low_passes_of_unlike_channels_stay_apart(stacked):
