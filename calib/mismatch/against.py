@@ -89,7 +89,6 @@ def compare_simulation(
         alignment,
         np.eye(3),
         spoilt=seen.spoilt,
-        rests=find_poses(simulated),
     )
     problem = ComparisonProblem(
         common.real,
@@ -100,8 +99,15 @@ def compare_simulation(
         spoilt=common.spoilt,
         blur=common.blur,
         passed=common.passed,
+        rests=rests(real) if common.limited else None,
     )
     return problem, ((*_SELDOM_ALONE, "bandwidth") if common.limited else _SELDOM_ALONE)
+
+
+def rests(recording: Recording) -> FloatArray:
+    """Return when a recording is at rest, (k, 2) s."""
+    poses = find_poses(recording)
+    return np.stack((recording.time[poses.start], recording.time[poses.stop - 1]), axis=1)
 
 
 def at_rest(*recordings: Recording) -> str:

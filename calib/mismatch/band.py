@@ -1,10 +1,10 @@
 """The band that a recording and a noisy truth share.
 
 The noise of a truth is in every regressor that is made of it: an effect that acts on high
-frequencies (a low-pass, a delay) would be found in noise alone. So where the truth is noisy, rests
-are made still, and both sides go through the same low-pass, up to where they agree. Where they
-agree as far as the samples reach there is motion that samples do not resolve: its derivative, and
-so the angular acceleration that a lever arm feels, is not known. There the differences are blurred.
+frequencies (a low-pass, a delay) would be found in noise alone. So where the truth is noisy, both
+sides go through the same low-pass, up to where they agree. Where they agree as far as the samples
+reach there is motion that samples do not resolve: its derivative, and so the angular acceleration
+that a lever arm feels, is not known. There the differences are blurred.
 """
 
 from __future__ import annotations
@@ -17,7 +17,6 @@ from scipy import fft
 
 from calib.mismatch.alignment import Alignment
 from calib.mismatch.truths import RecordingTruth
-from calib.poses import Poses
 from calib.recording import Recording
 from calib.types import BoolArray, FloatArray, IntArray
 
@@ -68,20 +67,17 @@ def matched(
     mat: FloatArray,
     *,
     spoilt: BoolArray,
-    rests: Poses | None = None,
     forces: bool = False,
 ) -> Matched:
     """Return a recording and its truth in the band that both share.
 
-    Both come back as they are if the truth has little noise beside the recording. Otherwise its
-    ``rests`` are made still. With ``forces`` the specific forces have a say in the band too.
+    Both come back as they are if the truth has little noise beside the recording. With ``forces``
+    the specific forces have a say in the band too.
     """
     other = truth.recording
     if (noise_of(other) <= QUIET * noise_of(real)).all():
         return Matched(real, truth, spoilt)
     bandwidth = common_band(real, truth, alignment, mat, forces=forces)
-    if rests is not None:
-        truth = replace(truth, recording=stilled(other, rests))
     if bandwidth is None:
         blur = BLUR * max(real.interval, other.interval)
         return Matched(real, truth, spoilt, limited=True, blur=blur)
@@ -98,15 +94,6 @@ def noise_of(recording: Recording) -> FloatArray:
         low = np.quantile(second, 0.2, axis=0) / 0.2533 / np.sqrt(6.0)
         out.append(float(low.mean()))
     return np.array(out)
-
-
-def stilled(recording: Recording, poses: Poses) -> Recording:
-    """Return the recording with every rest at its mean."""
-    accel, gyro = recording.accel.copy(), recording.gyro.copy()
-    for k in range(len(poses)):
-        part = slice(int(poses.start[k]), int(poses.stop[k]))
-        accel[part], gyro[part] = poses.accel[k], poses.gyro[k]
-    return replace(recording, accel=accel, gyro=gyro)
 
 
 def limited(real: Recording, truth: RecordingTruth, bandwidth: float, spoilt: BoolArray) -> Matched:

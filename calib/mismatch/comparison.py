@@ -93,6 +93,10 @@ class ComparisonProblem:
         Standard deviation of the Gaussian through which the differences are seen; 0 is none.
     passed : float
         Share of white noise that a low-pass on both has left.
+    rests : (k, 2) array, s, optional
+        When the recording is at rest, for a truth with noise: what effects are functions of is
+        still then. Noise that is in the differences and in a column as well would be a scale
+        factor error of that rest. The differences keep it: it is white there.
     """
 
     reference = True
@@ -110,6 +114,7 @@ class ComparisonProblem:
         spoilt: BoolArray | None = None,
         blur: float = 0.0,
         passed: float = 1.0,
+        rests: FloatArray | None = None,
     ) -> None:
         self.truth, self.gravity = truth, gravity
         self.turned = mat_sr is not None
@@ -133,6 +138,8 @@ class ComparisonProblem:
         start = SensorModel() if model is None else model
         if model is None and self.temperature is not None:
             start = replace(start, reference_temperature=float(np.median(self.temperature)))
+        edges = np.zeros((0, 2)) if rests is None else rests
+        self.rests = np.searchsorted(self.time, edges)
         self.given = start.terms
         self.power_on = float(real.time[0])
         mat = np.eye(3) if mat_sr is None else mat_sr
@@ -192,6 +199,7 @@ class ComparisonProblem:
         """Return recording minus model of the truth."""
         state = self.state()
         left = self.residual(state)
+        state = self._stilled(state)
         # The sensor's errors act on what it feels where it is.
         felt = self.setup.model.felt(state)
         if self.shapes is None:
@@ -216,6 +224,15 @@ class ComparisonProblem:
             return rows
         plain = [rows.column(baseline_column(n, state)) for n in self.names]
         return replace(rows, plain=np.stack(plain, axis=1))
+
+    def _stilled(self, state: State) -> State:
+        force, rate = state.force.copy(), state.rate.copy()
+        turning = state.rate_dot.copy()
+        for a, b in self.rests:
+            if b > a:
+                force[a:b], rate[a:b] = force[a:b].mean(axis=0), rate[a:b].mean(axis=0)
+                turning[a:b] = 0.0
+        return replace(state, force=force, rate=rate, angular_acceleration=turning)
 
     @property
     def loose(self) -> FloatArray:

@@ -16,6 +16,7 @@ from calib.errors import NoCommonMotionError
 from calib.mismatch.against import (
     at_rest,
     conclude,
+    rests,
     summarise,
     undetermined,
     unfit,
@@ -159,17 +160,16 @@ def compare_reference(
 ) -> tuple[ComparisonProblem, tuple[str, ...]]:
     """Align a reference with a recording; return what to compare, and what cannot show."""
     if isinstance(reference, Recording):
-        poses = find_poses(reference)
         alignment = align(real.time, real.gyro, reference.time, reference.gyro)
         mat = mounting(real, RecordingTruth(reference, gravity), alignment)[0]
-        known = look_at_samples(reference, poses)
+        known = look_at_samples(reference, find_poses(reference))
         if known.fatal:
             raise NoCommonMotionError(
                 "the reference cannot be trusted: "
                 + "; ".join(f.sentence for f in known.findings or ())
             )
         truth = RecordingTruth(reference, gravity, known.spoilt)
-        common = matched(real, truth, alignment, mat, spoilt=seen.spoilt, rests=poses)
+        common = matched(real, truth, alignment, mat, spoilt=seen.spoilt)
     else:
         common, alignment, mat = _captured(real, reference, gravity, seen.spoilt)
     problem = ComparisonProblem(
@@ -182,6 +182,7 @@ def compare_reference(
         spoilt=common.spoilt,
         blur=common.blur,
         passed=common.passed,
+        rests=rests(real) if common.limited else None,
     )
     # What both were limited to hides the sensor's own low-pass.
     # Where samples do not resolve the motion, one that is lost cannot be told from motion either.
