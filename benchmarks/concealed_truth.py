@@ -114,7 +114,9 @@ def effects_of(mode: str) -> list[str]:
         return list(ON_A_TABLE)
     if mode == "capture":
         more += WITH_ORIENTATION
-    hidden = [n for n in hidden_effects() if mode == "simulation" or n != "bandwidth"]
+    hidden = [n for n in hidden_effects() if n not in WITH_ORIENTATION]
+    if mode != "simulation":
+        hidden.remove("bandwidth")
     return list(dict.fromkeys((*hidden, *more)))
 
 

@@ -184,9 +184,10 @@ def compare_reference(
         passed=common.passed,
         rests=rests(real) if common.limited else None,
     )
-    # What both were limited to hides the sensor's own low-pass.
-    # Where samples do not resolve the motion, one that is lost cannot be told from motion either.
-    return problem, (("bandwidth", "dropped_samples") if common.limited else ())
+    # What both were limited to hides the sensor's own low-pass. Where samples do not resolve the
+    # motion, one that is lost cannot be told from motion either.
+    hidden = ("bandwidth",) if common.limited else ()
+    return problem, ((*hidden, "dropped_samples") if common.blur else hidden)
 
 
 def _captured(
