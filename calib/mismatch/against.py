@@ -98,7 +98,7 @@ def compare_simulation(
         model=model,
         spoilt=common.spoilt,
         blur=common.blur,
-        passed=common.passed,
+        band=common.band,
         rests=rests(real) if common.limited else None,
     )
     return problem, ((*_SELDOM_ALONE, "bandwidth") if common.limited else _SELDOM_ALONE)

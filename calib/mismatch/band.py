@@ -49,15 +49,19 @@ class Matched(NamedTuple):
     """A recording and its truth, limited to what both know.
 
     ``blur`` is the standard deviation (s) of the Gaussian through which differences are seen,
-    ``passed`` the share of white noise that a low-pass has left.
+    ``band`` the frequency (Hz) up to which both passed `zero_phase`; 0 is none.
     """
 
     real: Recording
     truth: RecordingTruth
     spoilt: BoolArray
-    limited: bool = False
     blur: float = 0.0
-    passed: float = 1.0
+    band: float = 0.0
+
+    @property
+    def limited(self) -> bool:
+        """Whether the truth has noise, that something was done about."""
+        return self.blur > 0 or self.band > 0
 
 
 def matched(
@@ -80,7 +84,7 @@ def matched(
     bandwidth = common_band(real, truth, alignment, mat, forces=forces)
     if bandwidth is None:
         blur = BLUR * max(real.interval, other.interval)
-        return Matched(real, truth, spoilt, limited=True, blur=blur)
+        return Matched(real, truth, spoilt, blur=blur)
     bandwidth = min(bandwidth, RESOLVED / max(real.interval, other.interval))
     return limited(real, truth, bandwidth, spoilt)
 
@@ -101,12 +105,8 @@ def limited(real: Recording, truth: RecordingTruth, bandwidth: float, spoilt: Bo
 
     It is the signals in the sensors' own frames that pass: orientations and positions that had
     passed it would give other ones, as a turn makes products of them.
-
-    What the low-pass leaves of white noise is alike from sample to sample: of a Butterworth of
-    fourth order, there and back, the noise bandwidth is 0.898 of the cut-off.
     """
     thin = max(1, int(1.0 / (KEPT * bandwidth * real.interval)))
-    passed = min(1.0, 2.0 * 0.898 * bandwidth * thin * real.interval)
     kept, wide = low_passed(real, bandwidth), widened(real, bandwidth, spoilt)
     other = truth.recording
     narrow = replace(
@@ -114,7 +114,7 @@ def limited(real: Recording, truth: RecordingTruth, bandwidth: float, spoilt: Bo
         recording=low_passed(other, bandwidth),
         spoilt=widened(other, bandwidth, truth.spoilt),
     )
-    return Matched(thinned(kept, thin), narrow, wide[::thin], limited=True, passed=passed)
+    return Matched(thinned(kept, thin), narrow, wide[::thin], band=bandwidth)
 
 
 def widened(recording: Recording, bandwidth: float, spoilt: BoolArray | None) -> BoolArray:

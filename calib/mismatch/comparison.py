@@ -20,11 +20,12 @@ from calib.effects.base import State, Term, TransformEffect
 from calib.effects.observed import observed
 from calib.errors import NoCommonMotionError
 from calib.mismatch.alignment import LEAST_OVERLAP, Alignment
+from calib.mismatch.colour import WHITE, find_colour, gaussian, whitening
 from calib.mismatch.grid import smooth_temperature
 from calib.mismatch.rows import Rows
 from calib.mismatch.truths import RecordingTruth
 from calib.mismatch.twin import ACCEL_MISALIGNMENT, baseline_column
-from calib.mismatch.windowed import Shapes, find_shapes, gaussian, make_rows, robust_step
+from calib.mismatch.windowed import Shapes, find_shapes, make_rows, robust_step
 from calib.model import SensorModel
 from calib.recording import AXES, Recording
 from calib.rotation import mat_from_rotvec
@@ -91,8 +92,9 @@ class ComparisonProblem:
         Samples that no model explains (clipped, repeated).
     blur : float, s
         Standard deviation of the Gaussian through which the differences are seen; 0 is none.
-    passed : float
-        Share of white noise that a low-pass on both has left.
+    band : float, Hz
+        Cut-off of the low-pass that both have passed; 0 is none. What it leaves of the noise of
+        derivatives (a captured motion's) grows with frequency, and is made white again.
     rests : (k, 2) array, s, optional
         When the recording is at rest, for a truth with noise: what effects are functions of is
         still then. Noise that is in the differences and in a column as well would be a scale
@@ -113,7 +115,7 @@ class ComparisonProblem:
         mat_sr: FloatArray | None = None,
         spoilt: BoolArray | None = None,
         blur: float = 0.0,
-        passed: float = 1.0,
+        band: float = 0.0,
         rests: FloatArray | None = None,
     ) -> None:
         self.truth, self.gravity = truth, gravity
@@ -129,8 +131,12 @@ class ComparisonProblem:
             )
         self.index = np.flatnonzero(covered)
         self.time = real.time[self.index]
-        seen = gaussian(self.time, blur, real.interval)
-        self.blur = seen._replace(power=passed * seen.power)
+        self.band, self.interval = band, real.interval
+        self.blur = (
+            whitening(self.time, [WHITE, WHITE], self.interval, band)
+            if band
+            else gaussian(self.time, blur, real.interval)
+        )
         self.measured = np.hstack((real.accel, real.gyro))[self.index]
         self.temperature = (
             None if real.temperature is None else smooth_temperature(real)[self.index]
@@ -250,6 +256,8 @@ class ComparisonProblem:
         self._same_units()
         for k in range(iterations):
             self.shapes = None if k < 3 else self.shapes
+            if k == 2 and self.band:
+                self._whiten()
             rows = self.rows()
             step = robust_step(rows)
             p = len(self.names)
@@ -267,6 +275,15 @@ class ComparisonProblem:
                 f"{100 * left / total:.0f} % of the rotation differs; check that they belong "
                 "together and that the axes are the same"
             )
+
+    def _whiten(self) -> None:
+        """Look from here on through what makes the noise that is left white."""
+        left = self.residual(self.state())
+        colours = [
+            find_colour(self.time, left[:, own], self.interval, self.band)
+            for own in (slice(0, 3), slice(3, 6))
+        ]
+        self.blur = whitening(self.time, colours, self.interval, self.band)
 
     def _same_units(self) -> None:
         """Refuse a truth in other units, which a scale factor would take up.

@@ -181,7 +181,7 @@ def compare_reference(
         mat_sr=mat,
         spoilt=common.spoilt,
         blur=common.blur,
-        passed=common.passed,
+        band=common.band,
         rests=rests(real) if common.limited else None,
     )
     # What both were limited to hides the sensor's own low-pass. Where samples do not resolve the

@@ -7,12 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from scipy import sparse
 
 from calib.effects.base import State
+from calib.mismatch.colour import Blur
 from calib.mismatch.rows import Component, Kind, Rows
 from calib.mismatch.twin import (
     DRIFT,
@@ -37,6 +37,13 @@ SHAPES = 1200
 VISIBLE = 0.1
 """A shape that effects of typical size reach by less than this, in standard errors, is no row."""
 
+LEAST_FREE = 0.3
+"""Share of a window's independent samples that tell of its noise at least: weak shapes that are
+much alike take up fewer of them than there are shapes."""
+
+BEYOND = 3.0
+"""Standard errors by which the noise of one window must be above that of most to be its own."""
+
 RESTLESS = 4.0
 """A window whose samples scatter by this much more (in variance) than in quiet ones holds motion
 that the truth does not follow: shaking beyond its band, play between the two."""
@@ -54,17 +61,6 @@ class Shapes:
     noise: FloatArray
 
 
-class Blur(NamedTuple):
-    """A low-pass: (m, n) ``matrix`` from n points to the m that are ``seen``.
-
-    ``power`` is the share of white noise that passes.
-    """
-
-    matrix: sparse.csr_matrix
-    seen: IntArray
-    power: float
-
-
 def cut(time: FloatArray) -> tuple[IntArray, IntArray]:
     """Return windows ``[first, last)`` of equal length with at least 12 points each."""
     span = time[-1] - time[0]
@@ -73,34 +69,6 @@ def cut(time: FloatArray) -> tuple[IntArray, IntArray]:
     edges[-1] = len(time)
     keep = np.diff(edges) >= 12
     return edges[:-1][keep], edges[1:][keep]
-
-
-def gaussian(time: FloatArray, width: float, interval: float) -> Blur:
-    """Return the blur of points at (n,) times; those near a gap have none, and are not seen.
-
-    Parameters
-    ----------
-    time : (n,) array, s
-    width : float, s
-        Standard deviation; 0 leaves the points as they are.
-    interval : float, s
-        Between neighbours.
-    """
-    n = len(time)
-    reach = int(np.ceil(3.0 * width / interval))
-    if not reach:
-        return Blur(sparse.identity(n, format="csr"), np.arange(n), 1.0)
-    tap = np.exp(-0.5 * np.square(np.arange(-reach, reach + 1) * interval / width))
-    tap /= tap.sum()
-    steps = np.concatenate(([0], np.cumsum(np.diff(time) > 1.5 * interval)))
-    seen = np.arange(reach, n - reach)
-    seen = seen[steps[seen + reach] == steps[seen - reach]]
-    column = seen[:, None] + np.arange(-reach, reach + 1)
-    row = np.repeat(np.arange(len(seen)), len(tap))
-    matrix = sparse.csr_matrix(
-        (np.tile(tap, len(seen)), (row, column.ravel())), shape=(len(seen), n)
-    )
-    return Blur(matrix, seen, float(tap @ tap))
 
 
 def find_shapes(
@@ -118,12 +86,13 @@ def find_shapes(
         Windows and shapes are of the m points that it leaves.
     """
     first, last = cut(time[blur.seen])
-    left = blur.matrix @ left
-    noise = np.empty((len(first), 6))
+    noise, free = np.empty((len(first), 6)), np.empty((len(first), 6))
     found: list[tuple[float, int, int, FloatArray]] = []
     for c, name in enumerate(CHANNELS):
-        own = blur.matrix @ np.stack([v for channel, v in columns if channel == name], axis=1)
-        rough = float(np.median(np.abs(np.diff(left[:, c], n=2)))) / 0.6745 / np.sqrt(6.0)
+        matrix = blur.matrices[c // 3]
+        own = matrix @ np.stack([v for channel, v in columns if channel == name], axis=1)
+        seen = matrix @ left[:, c]
+        rough = float(np.median(np.abs(np.diff(seen, n=2)))) / 0.6745 / np.sqrt(6.0)
         rough = max(rough, 1e-9)
         for s, (a, b) in enumerate(zip(first, last, strict=True)):
             part = own[a:b] - own[a:b].mean(axis=0)
@@ -133,11 +102,14 @@ def find_shapes(
             keep[max((b - a) // 3, 1) :] = False
             shapes = part @ vectors[:, ::-1][:, keep]
             shapes /= np.linalg.norm(shapes, axis=0)
-            y = left[a:b, c] - left[a:b, c].mean()
+            y = seen[a:b] - seen[a:b].mean()
             rest = y - shapes @ (shapes.T @ y)
-            noise[s, c] = float(rest @ rest) / (b - a - 1 - shapes.shape[1])
+            # So many of its samples are independent; the mean and the shapes take up one each.
+            independent = blur.power * (b - a)
+            free[s, c] = max(independent - 1 - shapes.shape[1], LEAST_FREE * independent)
+            noise[s, c] = float(rest @ rest) / free[s, c]
             found += [(float(v), s, c, x) for v, x in zip(size[keep], shapes.T, strict=True)]
-    floor = np.maximum(np.median(noise, axis=0), 1e-18)
+    noise = _levelled(noise, free, blur.power * (last - first).astype(np.float64))
     strongest = sorted(found, key=lambda item: -item[0])[:SHAPES]
     strongest.sort(key=lambda item: (item[2], item[1]))
     return Shapes(
@@ -146,8 +118,24 @@ def find_shapes(
         np.array([item[1] for item in strongest], np.int64),
         np.array([item[2] for item in strongest], np.int64),
         tuple(item[3] for item in strongest),
-        np.maximum(noise, floor),
+        noise,
     )
+
+
+def _levelled(noise: FloatArray, free: FloatArray, independent: FloatArray) -> FloatArray:
+    """Return the noise of windows (k, 6): that of most of them, or more where there is more.
+
+    Where shapes take up most of a window, little of its noise is left to be seen.
+    """
+    out = np.empty_like(noise)
+    for c in range(6):
+        told = free[:, c] > 0.5 * independent
+        if told.sum() < 5:
+            told = free[:, c] >= np.quantile(free[:, c], 0.8)
+        most = max(float(np.median(noise[told, c])), 1e-18)
+        beyond = noise[:, c] > most * (1.0 + BEYOND * np.sqrt(2.0 / free[:, c]))
+        out[:, c] = np.where(beyond, noise[:, c], most)
+    return out
 
 
 def make_rows(
@@ -176,16 +164,16 @@ def make_rows(
     kind[:dense] = Kind.MEAN
     weights = [np.full(count[s], 1.0 / count[s]) for s in segment[:dense]]
     weights += [v / np.sqrt(len(v)) for v in shapes.vectors]
-    functional = []
+    functional, white = [], np.zeros(m)
     for c in range(6):
         own = np.flatnonzero(channel == c)
         row = np.repeat(own, count[segment[own]])
         points = np.concatenate([np.arange(first[s], last[s]) for s in segment[own]])
         values = np.concatenate([weights[i] for i in own])
-        functional.append(sparse.csr_matrix((values, (row, points)), shape=(m, n)) @ blur.matrix)
-    # White noise of the samples, of which the blur leaves a share.
-    noise = shapes.noise[segment, channel] / blur.power
-    variance = noise * sum(np.asarray(f.power(2).sum(axis=1)).ravel() for f in functional)
+        seen = sparse.csr_matrix((values, (row, points)), shape=(m, n))
+        functional.append(seen @ blur.matrices[c // 3])
+        white += np.asarray((seen if blur.whitens else functional[c]).power(2).sum(axis=1)).ravel()
+    variance = shapes.noise[segment, channel] * white
     quiet = np.quantile(shapes.noise, 0.2, axis=0)
     restless = shapes.noise[segment, channel] > RESTLESS * quiet[channel]
     interval = np.stack((time[first], time[last - 1]), axis=1)

@@ -1,16 +1,18 @@
 """Windows of differences: the blur, and rows where the truth errs with the motion."""
 
 import numpy as np
+import pytest
 
 from calib.effects.base import State
 from calib.mismatch.band import limited, low_passed, widened, zero_phase
+from calib.mismatch.colour import Blur, find_colour, gaussian, whitening
 from calib.mismatch.noise import contrast_variance
 from calib.mismatch.ranking import Accepted
 from calib.mismatch.refit import cut
 from calib.mismatch.rows import Kind, Rows
 from calib.mismatch.score import Candidate
 from calib.mismatch.truths import RecordingTruth
-from calib.mismatch.windowed import find_shapes, gaussian, make_rows
+from calib.mismatch.windowed import find_shapes, make_rows
 from calib.recording import CHANNELS, Recording
 
 STEP = 0.02
@@ -22,10 +24,10 @@ def test_a_blur_passes_slow_signals_and_skips_what_is_near_a_gap():
     seen = time[blur.seen]
     slow = np.sin(2 * np.pi * 1.0 * time)
     damped = np.exp(-0.5 * np.square(2 * np.pi * 2.0 * STEP))
-    assert np.allclose(blur.matrix @ slow, damped * np.sin(2 * np.pi * seen), atol=1e-3)
+    assert np.allclose(blur.matrices[0] @ slow, damped * np.sin(2 * np.pi * seen), atol=1e-3)
     assert not ((seen > 193.5 * STEP) & (seen < 215.5 * STEP)).any()
     noise = np.random.default_rng(1).normal(size=(len(time), 400))
-    assert np.isclose((blur.matrix @ noise).var(), blur.power, rtol=0.02)
+    assert np.isclose((blur.matrices[1] @ noise).var(), blur.power, rtol=0.02)
 
 
 def test_no_blur_leaves_every_point():
@@ -35,11 +37,15 @@ def test_no_blur_leaves_every_point():
 
 
 def rows_of(
-    left: np.ndarray, *, width: float = 0.0, aligned: tuple[str, ...] = (), passed: float = 1.0
+    left: np.ndarray,
+    *,
+    width: float = 0.0,
+    aligned: tuple[str, ...] = (),
+    step: float = STEP,
+    blur: Blur | None = None,
 ) -> Rows:
-    time = STEP * np.arange(len(left))
-    blur = gaussian(time, width, STEP)
-    blur = blur._replace(power=passed * blur.power)
+    time = step * np.arange(len(left))
+    blur = gaussian(time, width, STEP) if blur is None else blur
     rate = np.stack([np.sin(2 * np.pi * f * time) for f in (0.5, 0.7, 1.1)], axis=1)
     state = State(time, np.tile([0.0, 0.0, 9.8], (len(time), 1)), rate)
     columns = [(c, rate[:, i % 3]) for i, c in enumerate(CHANNELS)]
@@ -111,19 +117,26 @@ def test_a_truth_is_not_believed_beside_a_spoilt_sample():
     assert known[54:].all()
 
 
-def test_what_a_low_pass_leaves_of_white_noise_has_the_variance_that_rows_say():
+@pytest.mark.parametrize("derivative", [0, 1, 2])
+def test_what_a_low_pass_leaves_of_noise_has_the_variance_that_rows_say(derivative):
+    """Noise of rates is that of angles times frequency, of accelerations of its square."""
     rng = np.random.default_rng(5)
-    raw = Recording(
-        STEP * np.arange(20000), rng.normal(size=(20000, 3)), rng.normal(size=(20000, 3)), "device"
-    )
-    truth = RecordingTruth(raw, 9.8)
-    common = limited(raw, truth, 3.0, np.zeros(20000, bool))
-    left = np.hstack((common.real.accel, common.real.gyro))
-    rows = rows_of(left, passed=common.passed)
-    own = rows.kind == Kind.MEAN
-    ratio = np.mean(rows.residual[own] ** 2 / np.diag(rows.white)[own[: rows.n_dense]])
-    assert common.passed < 0.5
-    assert np.isclose(ratio, 1.0, atol=0.25)
+    n, band = 40000, 5.0
+    spectrum = np.fft.rfft(rng.normal(size=(n, 6)), axis=0)
+    frequency = np.fft.rfftfreq(n, STEP)
+    spectrum *= np.sqrt(1.0 + (frequency[:, None] / 1.5) ** (2 * derivative))
+    noise = np.fft.irfft(spectrum, n, axis=0)
+    raw = Recording(STEP * np.arange(n), noise[:, :3], noise[:, 3:], "device")
+    common = limited(raw, RecordingTruth(raw, 9.8), band, np.zeros(n, bool))
+    left, time = np.hstack((common.real.accel, common.real.gyro)), common.real.time
+    colours = [find_colour(time, left[:, a : a + 3], common.real.interval, band) for a in (0, 3)]
+    blur = whitening(time, colours, common.real.interval, common.band)
+    rows = rows_of(left, step=common.real.interval, blur=blur)
+    variance = np.append(np.diag(rows.white), rows.white_diagonal)
+    for kind in (Kind.MEAN, Kind.CONTRAST):
+        own = rows.kind == kind
+        assert np.isclose(np.mean(rows.residual[own] ** 2 / variance[own]), 1.0, atol=0.25)
+    assert (colours[0].at(np.array([band])) > 5.0) == (derivative > 0)
 
 
 def test_a_low_pass_is_the_same_at_any_rate():
