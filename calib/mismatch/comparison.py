@@ -131,7 +131,7 @@ class ComparisonProblem:
             )
         self.index = np.flatnonzero(covered)
         self.time = real.time[self.index]
-        self.band, self.interval = band, real.interval
+        self.band, self.interval, self.unresolved = band, real.interval, blur > 0
         self.blur = (
             whitening(self.time, [WHITE, WHITE], self.interval, band)
             if band
@@ -206,8 +206,9 @@ class ComparisonProblem:
         state = self.state()
         left = self.residual(state)
         state = self._stilled(state)
-        # The sensor's errors act on what it feels where it is.
-        felt = self.setup.model.felt(state)
+        # The sensor's errors act on what it feels where it is. Of a motion that is not resolved
+        # that is not known: it would be noise, and the same in many columns.
+        felt = state if self.unresolved else self.setup.model.felt(state)
         if self.shapes is None:
             self.shapes = find_shapes(
                 self.time, left, list(self._shape_columns(felt)), blur=self.blur
