@@ -24,7 +24,7 @@ from calib.mismatch.noise import (
     make_whitener,
     range_basis,
 )
-from calib.mismatch.rivals import WINDOWED, add_rivals, nearby_windows, window_columns
+from calib.mismatch.rivals import WINDOWED, add_rivals, moved_window, nearby_windows, window_columns
 from calib.mismatch.rows import Rows
 from calib.mismatch.score import Candidate, Stack, log_bayes_factor
 from calib.recording import CHANNELS
@@ -45,8 +45,8 @@ SLOW_MODES = 8
 PAIRS = 3
 """How many effects of one channel are tried as the first of a pair."""
 
-LEADERS = 5
-"""How many of the best are scored with noise levels of their own."""
+LEADERS = {True: 4, False: 3}
+"""How many of the best, physics and rivals, are scored with noise levels of their own."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,7 +172,8 @@ def rank(rows: Rows, stack: Stack, accepted: list[Accepted], start: FloatArray) 
 
     evidence = score(base.values, contrast, base.log_likelihood, None)
     rivals = _strongest(stack, evidence)
-    strongest = np.hstack([stack.of(c) for c in rivals.values()])[: rows.n_dense]
+    alone = [stack.of(c) for c in rivals.values() if len(c.channels) == 1]
+    strongest = np.hstack(alone)[: rows.n_dense]
     free = estimate_levels(rows, np.hstack((dense, strongest)), every.values)
     hidden: list[tuple[FloatArray, float, list[int], FloatArray]] = []
     for channels in (*((c,) for c in CHANNELS), CHANNELS[:3], CHANNELS[3:]):
@@ -185,16 +186,20 @@ def rank(rows: Rows, stack: Stack, accepted: list[Accepted], start: FloatArray) 
             if physical:
                 scored = score(levels, contrast, null, which)
             else:
-                outside, cost = suited(levels, rivals[channels[0]], stack.of(rivals[channels[0]]))
+                outside, cost = suited(levels, rivals[channels], stack.of(rivals[channels]))
                 scored = score(levels, outside, null + cost, which)
             evidence = np.maximum(evidence, scored)
             if physical:
                 hidden.append((scored + weight, null - base.log_likelihood, which, levels))
     evidence += weight
     best, groups = grouped(stack, evidence)
-    for name in sorted(groups, key=lambda g: -groups[g])[:LEADERS]:
+    order = sorted(groups, key=lambda g: -groups[g])
+    for name in [
+        *[g for g in order if best[g].physical][: LEADERS[True]],
+        *[g for g in order if not best[g].physical][: LEADERS[False]],
+    ]:
         if groups[name] < np.log(CLAIM) - 7:
-            break
+            continue
         leader = best[name]
         here, moved = leader, nearby(rows, leader)
         own = stack.of(leader)
@@ -258,10 +263,9 @@ def nearby(rows: Rows, leader: Candidate) -> Stack:
                 stack.candidates.append(replace(leader, index=stack.add(columns), shape=shape))
     if leader.name in WINDOWED:
         for window in nearby_windows(rows, leader):
-            index = stack.add(window_columns(rows, leader, *window))
-            stack.candidates.append(
-                replace(leader, index=index, interval=window, mixing=None, summed=False)
-            )
+            there = moved_window(leader, *window)
+            index = stack.add(window_columns(rows, there))
+            stack.candidates.append(replace(there, index=index, mixing=None, summed=False))
     return stack
 
 
@@ -320,13 +324,13 @@ def grouped(stack: Stack, evidence: FloatArray) -> tuple[dict[str, Candidate], d
     )
 
 
-def _strongest(stack: Stack, evidence: FloatArray) -> dict[str, Candidate]:
-    """Return the rival with the largest Bayes factor of each channel."""
-    best: dict[str, int] = {}
+def _strongest(stack: Stack, evidence: FloatArray) -> dict[tuple[str, ...], Candidate]:
+    """Return the rival with the largest Bayes factor of each channel, and of each triad."""
+    best: dict[tuple[str, ...], int] = {}
     for i, c in enumerate(stack.candidates):
-        if not c.physical and evidence[i] > evidence[best.setdefault(c.channels[0], i)]:
-            best[c.channels[0]] = i
-    return {channel: stack.candidates[i] for channel, i in best.items()}
+        if not c.physical and evidence[i] > evidence[best.setdefault(c.channels, i)]:
+            best[c.channels] = i
+    return {channels: stack.candidates[i] for channels, i in best.items()}
 
 
 def _physics(stack: Stack) -> FloatArray:

@@ -13,7 +13,7 @@ from calib.effects.base import PRESENCE, Term, TransformEffect
 from calib.mismatch.families import candidate_columns, neighbours
 from calib.mismatch.noise import Whitener, find_levels, make_whitener
 from calib.mismatch.ranking import Accepted, contrast_noise, fitted
-from calib.mismatch.rivals import WINDOWED, window_columns
+from calib.mismatch.rivals import WINDOWED, moved_window, window_columns
 from calib.mismatch.rows import Rows
 from calib.mismatch.score import LARGE, Candidate, log_bayes_factor
 from calib.types import BoolArray, FloatArray
@@ -240,26 +240,28 @@ def _refine_window(rows: Rows, last: Accepted, whitener: Whitener, y: FloatArray
     start, stop = last.candidate.interval
     reach = 0.5 * (stop - start)
     edges = np.unique(np.concatenate((rows.interval.ravel(), rows.interval.mean(axis=1))))
-    columns, ends = last.columns, [start, stop]
+    best, columns, ends = last.candidate, last.columns, [start, stop]
     for which in (0, 1, 0, 1):
         tried = edges[np.abs(edges - (start, stop)[which]) <= reach]
         other = ends[1 - which]
         tried = tried[tried < other] if which == 0 else tried[tried > other]
         if len(tried) < 2:
             continue
-        found = [
-            window_columns(rows, last.candidate, *((t, other) if which == 0 else (other, t)))
-            for t in tried
+        moved = [
+            moved_window(last.candidate, *((t, other) if which == 0 else (other, t)))
+            for t in tried.tolist()
         ]
+        found = [window_columns(rows, m) for m in moved]
         gain = np.array([log_bayes_factor(whitener.project(f), y) for f in found])
         # Where rows say little of an end (a gain at rest), the middle of what they leave open.
         share = np.cumsum(np.exp(gain - gain.max()) * np.gradient(tried))
         k = int(np.searchsorted(share, 0.5 * share[-1]))
         if gain[k] < gain.max() - 2.0:
             k = int(np.argmax(gain))
-        columns, ends[which] = found[k], float(tried[k])
+        best, columns, ends[which] = moved[k], found[k], float(tried[k])
+    number = columns.shape[1]
     return replace(
-        last, candidate=replace(last.candidate, interval=(ends[0], ends[1])), columns=columns
+        last, candidate=best, columns=columns, typical=np.ones(number), values=np.zeros(number)
     )
 
 

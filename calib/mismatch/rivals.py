@@ -28,27 +28,35 @@ FAST = 3.0
 """A brisk turn by hand, rad/s: what rates are scaled by."""
 
 _KINDS = {
-    "bias in a window": 0.23,
-    "gain in a window": 0.12,
+    "bias in a window": 0.19,
+    "gain in a window": 0.11,
     "fluctuation in a window": 0.17,
-    "wave in a window": 0.17,
+    "wave in a window": 0.15,
     "time": 0.02,
     "temperature": 0.02,
-    "direction of gravity": 0.15,
-    "speed of rotation": 0.06,
-    "its own rate": 0.06,
+    "direction of gravity": 0.14,
+    "orientation": 0.03,
+    "speed of rotation": 0.05,
+    "its own rate": 0.05,
 }
 """Share of each. What follows temperature or time smoothly has names in the catalogue, or is drift:
 only odd shapes are left."""
 
+_OF_TRIADS = {"bias in a window": 0.02, "fluctuation in a window": 0.05}
+"""The same for what three channels have at once: their supply, cable or package."""
+
 WINDOWED = ("bias in a window", "gain in a window", "fluctuation in a window", "wave in a window")
 """Rivals that are functions of time (or a gain) in a window, whose ends can be moved."""
 
-FLUCTUATION = (4, 24)
-"""Cosines in a window of fluctuation, fewest and most: one for each of its segments."""
+FLUCTUATION = 4
+"""Segments in a window of fluctuation, fewest."""
 
-CORNERS = (2.0, 16.0)
-"""Half periods in a window above which a fluctuation is weaker: slow swings, and jumps."""
+CORNERS = {2.0: (1, 12), 16.0: (2, 32)}
+"""Half periods in a window above which a fluctuation is weaker (slow swings, and jumps), and how
+many cosines it then has for each segment, and at most."""
+
+MIDDLE = {6.0: (1, 16)}
+"""The same for what a triad has, where three times the columns make every hypothesis dear."""
 
 WAVES = 6
 """Segments in a window with a wave, fewest: a wave has a mean, an amplitude and a phase."""
@@ -82,21 +90,35 @@ def add_rivals(stack: Stack, rows: Rows, *, skip: tuple[str, ...] = ()) -> None:
     ``skip`` names those that are not tried (``time`` where the clock is wrong).
     """
     slots = _make_slots(rows)
-    local, ripples = list(_in_windows(rows, slots)), list(_ripples(rows, slots))
+    local, ripples = list(_in_windows(rows, slots, CORNERS)), list(_ripples(rows, slots))
+    alike = [
+        item
+        for item in _in_windows(rows, slots, MIDDLE)
+        if item.name in _OF_TRIADS and item.window[1] - item.window[0] >= FLUCTUATION
+    ]
     found: list[tuple[str, Candidate]] = []
-    for c in range(len(CHANNELS)):
-        triad = CHANNELS[c].split(".")[0]
+    for triad in (CHANNELS[:3], CHANNELS[3:]):
         # Beside the bias, a window that is open at one end is a step of it, which has a name.
-        step = f"{triad}_bias_step" in effects() and f"{triad}_bias_step" not in skip
-        found += _of_channel(stack, rows, c, slots, local, ripples, step=step)
+        name = f"{triad[0].split('.')[0]}_bias_step"
+        step = name in effects() and name not in skip
+        own, joint = (
+            [w for w in items if not (step and _is_step(rows, w))] for items in (local, alike)
+        )
+        parts = []
+        for channel in map(CHANNELS.index, triad):
+            size = typical_size(triad[0].split(".")[0])
+            parts.append(stack.add(size * (rows.functional[channel] @ slots.member).toarray()))
+            found += _of_channel(stack, rows, channel, slots, parts[-1], own, ripples)
+        found += _of_triad(triad, slots, parts, joint)
     found = [(part, c) for part, c in found if c.name not in skip]
     # Every kind has its share, each of its parts (one length of window, say) the same of that.
-    number = Counter((c.name, part) for part, c in found)
-    parts = Counter(name for name, _ in number)
-    stack.candidates += [
-        replace(c, weight=RIVAL * _KINDS[c.name] / parts[c.name] / number[c.name, part])
-        for part, c in found
-    ]
+    kinds = [(c.name, len(c.channels)) for _, c in found]
+    number = Counter((kind, part) for kind, (part, _) in zip(kinds, found, strict=True))
+    lengths = Counter(kind for kind, _ in number)
+    for kind, (part, c) in zip(kinds, found, strict=True):
+        share = (_KINDS if len(c.channels) == 1 else _OF_TRIADS)[c.name]
+        weight = RIVAL * share / lengths[kind] / number[kind, part]
+        stack.candidates.append(replace(c, weight=weight))
 
 
 def typical_size(triad: str) -> float:
@@ -144,7 +166,15 @@ class _Local:
     mixing: FloatArray | None
 
 
-def _in_windows(rows: Rows, slots: _Slots) -> Iterator[_Local]:
+def _is_step(rows: Rows, item: _Local) -> bool:
+    """Whether a bias in a window is open at one end."""
+    ends = item.window[0] == 0 or item.window[1] == len(rows.interval)
+    return item.name == "bias in a window" and ends
+
+
+def _in_windows(
+    rows: Rows, slots: _Slots, corners: Mapping[float, tuple[int, int]]
+) -> Iterator[_Local]:
     """Yield what each window may hold."""
     for a, b in windows(len(rows.interval)):
         start, stop = float(rows.interval[a, 0]), float(rows.interval[b - 1, 1])
@@ -152,9 +182,10 @@ def _in_windows(rows: Rows, slots: _Slots) -> Iterator[_Local]:
         yield _Local("bias in a window", (a, b), (start, stop), {}, None)
         yield _Local("gain in a window", (a, b), (start, stop), {}, None)
         shapes: list[tuple[str, dict[str, float]]] = []
-        if b - a >= FLUCTUATION[0]:
-            order = float(min(b - a, FLUCTUATION[1]))
-            shapes += [("fluctuation", {"order": order, "corner": k}) for k in CORNERS]
+        if b - a >= FLUCTUATION:
+            for corner, (each, most) in corners.items():
+                order = float(min(each * (b - a), most))
+                shapes.append(("fluctuation", {"order": order, "corner": corner}))
         if b - a >= WAVES:
             cycles = np.arange(0.5, min(CYCLES, (b - a) / 4) + 0.25, 0.5)
             shapes += [("wave", {"period": (stop - start) / k}) for k in cycles]
@@ -185,10 +216,9 @@ def _of_channel(
     rows: Rows,
     c: int,
     slots: _Slots,
+    parts: IntArray,
     local: list[_Local],
     ripples: list[tuple[float, FloatArray]],
-    *,
-    step: bool,
 ) -> Iterator[tuple[str, Candidate]]:
     """Yield candidates of a channel, each with the part of its kind that it belongs to."""
     state, size = rows.state, typical_size(CHANNELS[c].split(".")[0])
@@ -196,13 +226,10 @@ def _of_channel(
     member = sparse.csr_matrix(
         (own, (np.arange(len(own)), rows.point_segment)), shape=(len(own), len(rows.interval))
     )
-    parts = stack.add(size * (rows.functional[c] @ slots.member).toarray())
     gains = stack.add(size * (rows.functional[c] @ member).toarray())
     blank = Candidate("", parts, 0.0, False, (CHANNELS[c],))
     for item in local:
         a, b = item.window
-        if step and item.name == "bias in a window" and (a == 0 or b == len(rows.interval)):
-            continue
         gain = item.name == "gain in a window"
         yield (
             f"{b - a} segments",
@@ -226,15 +253,52 @@ def _of_channel(
         yield f"ripple {ripple}", replace(blank, name="direction of gravity", mixing=mixing)
 
 
-def window_columns(rows: Rows, candidate: Candidate, start: float, stop: float) -> FloatArray:
-    """Return the (m, k) columns of what a candidate says of a window, for another window."""
-    c = CHANNELS.index(candidate.channels[0])
+def _of_triad(
+    triad: tuple[str, ...], slots: _Slots, parts: list[IntArray], local: list[_Local]
+) -> Iterator[tuple[str, Candidate]]:
+    """Yield candidates that three channels have at once, each in a way of its own."""
+    for item in local:
+        a, b = item.window
+        own = slice(slots.first[a], slots.first[b])
+        mixing = np.ones((own.stop - own.start, 1)) if item.mixing is None else item.mixing
+        yield (
+            f"{b - a} segments",
+            Candidate(
+                item.name,
+                np.concatenate([k[own] for k in parts]),
+                0.0,
+                False,
+                triad,
+                interval=item.interval,
+                shape=item.shape,
+                mixing=np.asarray(np.kron(np.eye(3), mixing), np.float64),
+            ),
+        )
+
+
+def moved_window(candidate: Candidate, start: float, stop: float) -> Candidate:
+    """Return what a candidate says of a window for another one, as fast in seconds as it was."""
+    assert candidate.interval is not None
+    shape = dict(candidate.shape)
+    if "order" in shape:
+        ratio = (stop - start) / max(candidate.interval[1] - candidate.interval[0], 1e-9)
+        shape["order"] = float(max(round(shape["order"] * ratio), 2))
+        shape["corner"] *= ratio
+    return replace(candidate, interval=(start, stop), shape=shape)
+
+
+def window_columns(rows: Rows, candidate: Candidate) -> FloatArray:
+    """Return the (m, k) columns of what a candidate says of its window, to the very ends."""
+    assert candidate.interval is not None
+    start, stop = candidate.interval
     state, size = rows.state, typical_size(candidate.channels[0].split(".")[0])
-    values = _function(candidate.shape, state.time, start, stop)
-    if candidate.name == "gain in a window":
-        values = values * _scaled(state, c)[:, None]
     inside = (state.time >= start) & (state.time <= stop)
-    return rows.columns(c, size * values * inside[:, None])
+    shape = size * inside[:, None] * _function(candidate.shape, state.time, start, stop)
+    out = []
+    for c in map(CHANNELS.index, candidate.channels):
+        own = _scaled(state, c)[:, None] if candidate.name == "gain in a window" else 1.0
+        out.append(rows.columns(c, shape * own))
+    return np.hstack(out)
 
 
 def _scaled(state: State, c: int) -> FloatArray:
@@ -296,6 +360,9 @@ def _smooth(state: State, c: int) -> Iterator[tuple[str, FloatArray]]:
         yield "temperature", np.cos(np.pi * scaled[:, None] * order[:5]) / order[:5]
     # Of unit length where it shakes, too: powers of 16 g would take the place of any physics.
     yield "direction of gravity", _harmonics(state.gravity_direction)
+    if state.mat_ns is not None:
+        # A field that is fixed to the room, as the sensor sees it: linear in the attitude.
+        yield "orientation", state.mat_ns.reshape(-1, 9)
     rates = state.rate / max(FAST, float(np.abs(state.rate).max()))
     speed = np.linalg.norm(rates, axis=1)
     yield "speed of rotation", np.stack((speed, speed**2, speed**3, np.sqrt(speed)), axis=1)

@@ -98,8 +98,9 @@ class Candidate:
 
     @property
     def group(self) -> str:
-        """Candidates of one group are one answer: an effect, or a rival of one channel."""
-        return self.name if self.physical else f"{self.name} {self.channels[0]}"
+        """Candidates of one group are one answer: an effect, or a rival of one channel or triad."""
+        where = self.channels[0] if len(self.channels) == 1 else self.channels[0].split(".")[0]
+        return self.name if self.physical else f"{self.name} {where}"
 
 
 class Stack:

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 import pytest
 
 from calib.effects.base import Term
 from calib.mismatch import diagnose_recording
 from calib.mismatch.ranking import make_stack
-from calib.mismatch.rivals import RIVAL, WINDOWED, nearby_windows, window_columns
+from calib.mismatch.rivals import RIVAL, WINDOWED, moved_window, nearby_windows, window_columns
 from calib.mismatch.score import Candidate, Stack
-from calib.recording import Recording
+from calib.recording import CHANNELS, Recording
+from calib.simulation.bench import bench_protocol
+from calib.types import FloatArray
 
 from .bench import GRAVITY, problem, recording
 
@@ -24,19 +28,61 @@ def overlap(one: tuple[float, float], other: tuple[float, float]) -> float:
     return max(common, 0.0) / (max(one[1], other[1]) - min(one[0], other[0]))
 
 
+def with_added(real: Recording, signals: Mapping[str, FloatArray]) -> Recording:
+    both = np.hstack((real.accel, real.gyro))
+    for channel, values in signals.items():
+        both[:, CHANNELS.index(channel)] += values
+    return Recording(real.time, both[:, :3], both[:, 3:], "device", temperature=real.temperature)
+
+
 def test_rivals_share_one_prior_and_a_window_is_the_same_column_wherever_it_comes_from():
     _, made = problem()
     rows = made.rows()
     stack = make_stack(rows, skip=(), reference=False)
     assert sum(c.weight for c in stack.candidates if not c.physical) <= RIVAL + 1e-9
-    for name in WINDOWED:
-        candidate = max(rivals(stack, name), key=lambda c: len(c.index))
-        assert candidate.interval is not None
+    longest = [max(rivals(stack, name), key=lambda c: len(c.index)) for name in WINDOWED]
+    assert {len(c.channels) for c in longest} == {1, 3}
+    for candidate in longest:
         on_grid = stack.of(candidate)
-        exact = window_columns(rows, candidate, *candidate.interval)
+        exact = window_columns(rows, candidate)
         # The grid takes functions of time as constant in a part of a segment; ends do not matter.
         like = np.square((on_grid * exact).sum()) / np.square(on_grid).sum() / (exact**2).sum()
-        assert like > 0.95, name
+        assert like > 0.95, candidate.name
+
+
+def test_a_moved_window_holds_what_is_as_fast_in_seconds():
+    _, made = problem()
+    stack = make_stack(made.rows(), skip=(), reference=False)
+    candidate = max(rivals(stack, "fluctuation in a window"), key=lambda c: c.shape["order"])
+    assert candidate.interval is not None
+    start, stop = candidate.interval
+    moved = moved_window(candidate, start, start + 1.5 * (stop - start))
+    for name in ("order", "corner"):
+        assert moved.shape[name] == pytest.approx(1.5 * candidate.shape[name], rel=0.05)
+    assert moved_window(moved, start, stop).shape == pytest.approx(candidate.shape)
+
+
+def test_what_follows_a_field_in_the_room_is_unexplained_and_so_is_what_a_triad_has_at_once():
+    real = recording(seed=8)
+    # The recording's own motion.
+    motion = bench_protocol(
+        np.random.default_rng(8), poses=18, first_pose=2.0, pose_duration=(3.0, 4.0)
+    )
+    state = motion.state(real.time)
+    assert state.mat_ns is not None
+    heading = np.einsum("nij,i,j->n", state.mat_ns, [0.8, 0.6, 0.0], [0.6, 0.0, 0.8])
+    found = diagnose_recording(with_added(real, {"gyro.z": 0.002 * heading}), gravity=GRAVITY)
+    assert [(u.follows, u.channels) for u in found.unexplained] == [("orientation", ("gyro.z",))]
+    assert not found.findings
+    start, stop = 0.3 * real.time[-1], 0.6 * real.time[-1]
+    inside = (real.time > start) & (real.time < stop)
+    swing = inside * np.sin(4 * np.pi * (real.time - start) / (stop - start))
+    sizes = dict(zip(CHANNELS[:3], (0.02, -0.02, 0.02), strict=True))
+    odd = with_added(real, {c: k * swing for c, k in sizes.items()})
+    found = diagnose_recording(odd, gravity=GRAVITY)
+    assert not found.findings
+    assert found.unexplained[0].channels == CHANNELS[:3]
+    assert overlap(found.unexplained[0].intervals[0], (start, stop)) > 0.5
 
 
 def test_nearby_windows_lie_around_a_window_and_make_no_step_of_a_bias():
@@ -64,12 +110,8 @@ def test_jumps_in_a_window_are_unexplained_in_that_window(channel, size):
     rng = np.random.default_rng(1)
     start, stop = 0.3 * real.time[-1], 0.65 * real.time[-1]
     steps = size * rng.normal(size=200)[np.floor(real.time / 4.0).astype(int)]
-    both = np.hstack((real.accel, real.gyro))
-    both[:, ["accel.x", "gyro.y"].index(channel) * 4] += steps * (
-        (real.time > start) & (real.time < stop)
-    )
-    odd = Recording(real.time, both[:, :3], both[:, 3:], "device", temperature=real.temperature)
-    found = diagnose_recording(odd, gravity=GRAVITY)
+    steps *= (real.time > start) & (real.time < stop)
+    found = diagnose_recording(with_added(real, {channel: steps}), gravity=GRAVITY)
     assert found.verdict == "unexplained"
     assert len(found.unexplained) == 1
     assert found.unexplained[0].channels == (channel,)
