@@ -410,12 +410,55 @@ def _speed_crosstalk(rows: Rows, rng):
     return add, (float(rows.interval[0, 0]), float(rows.interval[-1, 1]))
 
 
+def _supply_dips(rows: Rows, rng):
+    """Pulses at random moments, on two channels of a triad at once."""
+    a, b = _window(rows, rng)
+    first, two = 3 * int(rng.integers(2)), rng.choice(3, 2, replace=False)
+    ratio, decay = rng.uniform(0.4, 1.0) * rng.choice([-1, 1]), rng.uniform(1.0, 3.0)
+    moments = np.sort(rng.uniform(a, b, max(3, int((b - a) / 6))))
+    height = rng.exponential(1.0, len(moments))
+
+    def add(state: State):
+        since = state.time[:, None] - moments
+        pulses = np.where(since >= 0, np.exp(-np.maximum(since, 0) / decay), 0.0) @ height
+        pulses *= state.time < b
+        return {CHANNELS[first + two[0]]: pulses, CHANNELS[first + two[1]]: ratio * pulses}
+
+    return add, (a, b)
+
+
+def _creep(rows: Rows, rng):
+    """A preload that creeps and snaps back, once or a few times."""
+    a, b = _window(rows, rng)
+    channel, times = str(rng.choice(CHANNELS)), int(rng.integers(1, 4))
+
+    def add(state: State):
+        part = (state.time - a) / (b - a)
+        return {channel: ((part >= 0) & (part < 1)) * ((part * times) % 1.0)}
+
+    return add, (a, b)
+
+
+def _room_field(rows: Rows, rng):
+    """A field that is fixed to the room, and saturates what it acts on."""
+    channel = str(rng.choice(CHANNELS[3:]))
+    field, axis = (v / np.linalg.norm(v) for v in rng.normal(size=(2, 3)))
+
+    def add(state: State):
+        return {channel: np.tanh(3 * np.einsum("nij,i,j->n", state.mat_ns, field, axis))}
+
+    return add, (float(rows.interval[0, 0]), float(rows.interval[-1, 1]))
+
+
 OUTSIDE = {
     "interference": _interference,
     "loose_connector": _loose_connector,
     "gain_window": _gain_window,
     "magnet": _magnet,
     "speed_crosstalk": _speed_crosstalk,
+    "supply_dips": _supply_dips,
+    "creep": _creep,
+    "room_field": _room_field,
 }
 
 
