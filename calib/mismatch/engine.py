@@ -39,6 +39,9 @@ UNKNOWN_DRIFT = 4.0
 
 _CLOCKED = ("_warm_up", "_bias_step", "_settling")
 
+SPOILT = 0.1
+"""Share of a rest's samples that no model can explain above which its means are not looked at."""
+
 LEAST_TURNS = 3
 """Turns below which nothing that shows in motion alone is named."""
 
@@ -84,7 +87,7 @@ def diagnose_thinned(
     if seen.fatal:
         return _unfit(thinned, missing)
     noisy = look_at_spectrum(recording, poses)
-    poses = connected(untouched(recording, steady(poses)))
+    poses = _whole(connected(untouched(recording, steady(poses))), seen.spoilt)
     poses = poses.select(
         choose_poses(poses.accel, poses.start, poses.stop, interval=recording.interval)
     )
@@ -172,6 +175,14 @@ def _without_rates(
     """Return names and covariance without rates."""
     keep = [i for i, n in enumerate(names) if not _is_rate(n.split(".")[0])]
     return tuple(names[i] for i in keep), covariance[np.ix_(keep, keep)]
+
+
+def _whole(poses: Poses, spoilt: BoolArray) -> Poses:
+    """Return the poses without those whose means are spoilt: a channel was stuck in them."""
+    count = np.concatenate(([0], np.cumsum(spoilt)))
+    share = (count[poses.stop] - count[poses.start]) / (poses.stop - poses.start)
+    whole = share <= SPOILT
+    return poses.select(whole) if whole.any() else poses
 
 
 def _spoilt_turns(grid: Grid, recording: Recording, spoilt: BoolArray) -> BoolArray:

@@ -75,6 +75,19 @@ def test_a_window_of_interference_gets_no_physical_name():
     assert min(stop, 50) - max(start, 30) > 0.5 * (max(stop, 50) - min(start, 30))
 
 
+def test_a_channel_that_is_stuck_for_some_rests_gets_no_physical_name():
+    real = recording(seed=4)
+    start, stop = np.searchsorted(real.time, [0.4 * real.time[-1], 0.55 * real.time[-1]])
+    accel = real.accel.copy()
+    accel[start:stop, 0] = accel[start, 0]
+    odd = Recording(real.time, accel, real.gyro, "device", temperature=real.temperature)
+    found = diagnose_recording(odd, gravity=GRAVITY)
+    assert not found.findings
+    (left,) = found.unexplained
+    assert left.channels == ("accel.x",)
+    np.testing.assert_allclose(left.intervals[0], real.time[[start, stop - 1]], atol=0.2)
+
+
 def test_clipping_is_seen_in_the_samples():
     real = recording()
     limit = float(np.quantile(np.abs(real.gyro[:, 0]), 0.995))
