@@ -45,8 +45,9 @@ SLOW_MODES = 8
 PAIRS = 3
 """How many effects of one channel are tried as the first of a pair."""
 
-LEADERS = {True: 4, False: 3}
-"""How many of the best, physics and rivals, are scored with noise levels of their own."""
+LEADERS = (4, 3)
+"""How many of the best, of physics and of rivals, are scored at places nearer to their own, with
+noise levels of their own."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -193,11 +194,7 @@ def rank(rows: Rows, stack: Stack, accepted: list[Accepted], start: FloatArray) 
                 hidden.append((scored + weight, null - base.log_likelihood, which, levels))
     evidence += weight
     best, groups = grouped(stack, evidence)
-    order = sorted(groups, key=lambda g: -groups[g])
-    for name in [
-        *[g for g in order if best[g].physical][: LEADERS[True]],
-        *[g for g in order if not best[g].physical][: LEADERS[False]],
-    ]:
+    for name in leading(best, groups):
         if groups[name] < np.log(CLAIM) - 7:
             continue
         leader = best[name]
@@ -322,6 +319,13 @@ def grouped(stack: Stack, evidence: FloatArray) -> tuple[dict[str, Candidate], d
         {g: stack.candidates[i] for g, i in zip(names, best, strict=True)},
         {g: float(v) for g, v in zip(names, total, strict=True)},
     )
+
+
+def leading(best: Mapping[str, Candidate], groups: Mapping[str, float]) -> list[str]:
+    """Return the groups with the most evidence."""
+    order = sorted(groups, key=lambda g: -groups[g])
+    physics, rivals = ([g for g in order if best[g].physical is kind] for kind in (True, False))
+    return physics[: LEADERS[0]] + rivals[: LEADERS[1]]
 
 
 def _strongest(stack: Stack, evidence: FloatArray) -> dict[tuple[str, ...], Candidate]:

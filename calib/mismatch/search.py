@@ -22,12 +22,12 @@ from calib.mismatch.noise import (
 from calib.mismatch.ranking import (
     CLAIM,
     DRIFTING,
-    LEADERS,
     Accepted,
     Ranking,
     contrast_noise,
     fitted,
     grouped,
+    leading,
     make_stack,
     nearby,
     rank,
@@ -305,7 +305,7 @@ def _posterior(
     weight = np.log(np.array([c.weight for c in stack.candidates]))
     evidence = stack.log_bayes_factors(whitener, y) + weight
     best, groups = grouped(stack, evidence)
-    for g in sorted(groups, key=lambda g: -groups[g])[:LEADERS]:
+    for g in leading(best, groups):
         near = nearby(rows, best[g])
         if near.candidates:
             i = stack.candidates.index(best[g])
