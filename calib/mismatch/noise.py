@@ -45,8 +45,10 @@ def covariance(rows: Rows, levels: FloatArray) -> FloatArray:
     out = rows.white.copy()
     at = 0
     for index, matrices in _by_rows(rows):
-        part = sum(levels[at + k] * matrix for k, matrix in enumerate(matrices))
-        out[np.ix_(index, index)] += part
+        part = levels[at] * matrices[0]
+        for k, matrix in enumerate(matrices[1:], start=1):
+            part += levels[at + k] * matrix
+        out[index[:, None], index] += part
         at += len(matrices)
     return out
 

@@ -49,6 +49,10 @@ LEADERS = (4, 3)
 """How many of the best, of physics and of rivals, are scored at places nearer to their own, with
 noise levels of their own."""
 
+PLAIN, AHEAD = 50.0, 20.0
+"""Log evidence from which, and by how much more than any other, the best is plain. Levels that are
+not raised by what was left out would put it further ahead, and are found for it alone."""
+
 
 @dataclass(frozen=True, eq=False)
 class Accepted:
@@ -136,8 +140,6 @@ def rank(rows: Rows, stack: Stack, accepted: list[Accepted], start: FloatArray) 
     basis = range_basis(dense)
     contrast = contrast_noise(rows, accepted)
     base = find_levels(rows, dense, start)
-    wide = np.hstack((dense, _physics(stack)[: rows.n_dense]))
-    every = find_levels(rows, wide, base.values)
     weight = np.log(np.array([c.weight for c in stack.candidates]))
 
     def score(
@@ -172,29 +174,36 @@ def rank(rows: Rows, stack: Stack, accepted: list[Accepted], start: FloatArray) 
         ]
 
     evidence = score(base.values, contrast, base.log_likelihood, None)
-    rivals = _strongest(stack, evidence)
-    alone = [stack.of(c) for c in rivals.values() if len(c.channels) == 1]
-    strongest = np.hstack(alone)[: rows.n_dense]
-    free = estimate_levels(rows, np.hstack((dense, strongest)), every.values)
+    best, groups = grouped(stack, evidence + weight)
+    first, second = sorted([*groups.values(), 0.0, 0.0], reverse=True)[:2]
+    plain = first > PLAIN and first - second > AHEAD
+    every = base
     hidden: list[tuple[FloatArray, float, list[int], FloatArray]] = []
-    for channels in (*((c,) for c in CHANNELS), CHANNELS[:3], CHANNELS[3:]):
-        for physical, other in ((True, every), (False, free)):
-            which = sharing(channels, physical=physical)
-            if not which:
-                continue
-            levels = _swap(rows, base.values, other.values, channels)
-            null = level_likelihood(rows, basis, levels)
-            if physical:
-                scored = score(levels, contrast, null, which)
-            else:
-                outside, cost = suited(levels, rivals[channels], stack.of(rivals[channels]))
-                scored = score(levels, outside, null + cost, which)
-            evidence = np.maximum(evidence, scored)
-            if physical:
-                hidden.append((scored + weight, null - base.log_likelihood, which, levels))
+    if not plain:
+        wide = np.hstack((dense, _physics(stack)[: rows.n_dense]))
+        every = find_levels(rows, wide, base.values)
+        rivals = _strongest(stack, evidence)
+        alone = [stack.of(c) for c in rivals.values() if len(c.channels) == 1]
+        strongest = np.hstack(alone)[: rows.n_dense]
+        free = estimate_levels(rows, np.hstack((dense, strongest)), every.values)
+        for channels in (*((c,) for c in CHANNELS), CHANNELS[:3], CHANNELS[3:]):
+            for physical, other in ((True, every), (False, free)):
+                which = sharing(channels, physical=physical)
+                if not which:
+                    continue
+                levels = _swap(rows, base.values, other.values, channels)
+                null = level_likelihood(rows, basis, levels)
+                if physical:
+                    scored = score(levels, contrast, null, which)
+                    hidden.append((scored + weight, null - base.log_likelihood, which, levels))
+                else:
+                    strong = rivals[channels]
+                    outside, cost = suited(levels, strong, stack.of(strong))
+                    scored = score(levels, outside, null + cost, which)
+                evidence = np.maximum(evidence, scored)
     evidence += weight
     best, groups = grouped(stack, evidence)
-    for name in leading(best, groups):
+    for name in [max(groups, key=lambda g: groups[g])] if plain else leading(best, groups):
         if groups[name] < np.log(CLAIM) - 7:
             continue
         leader = best[name]
