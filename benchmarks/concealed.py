@@ -27,13 +27,13 @@ import numpy as np
 from calib.effects import effects, get_effect
 from calib.effects.base import Effect, State, Term, TransformEffect
 from calib.mismatch import diagnose_recording
-from calib.mismatch.families import shape_grid
+from calib.mismatch.families import effect_columns, shape_grid
 from calib.mismatch.grid import make_grid
 from calib.mismatch.heldout import held_out
 from calib.mismatch.noise import Whitener, make_whitener
 from calib.mismatch.rows import Rows
 from calib.mismatch.selfmode import SelfProblem
-from calib.mismatch.twin import DRIFT_TIME
+from calib.mismatch.twin import DRIFT_TIME, build_rows
 from calib.model import SensorModel, Triad
 from calib.recording import CHANNELS, Recording
 from calib.simulate import simulate
@@ -173,7 +173,7 @@ def run(case: Case) -> Result:
     disturbed = None
     interval = None
     if case.names:
-        rows, whitener = oracle(clean, motion)
+        rows, whitener, problem = oracle(clean, motion)
         for name in case.names:
             if case.kind == "outside":
                 add, interval = OUTSIDE[name](rows, rng)
@@ -182,7 +182,14 @@ def run(case: Case) -> Result:
                 extra = add(motion.state(clean.time))
                 disturbed = {c: size * v for c, v in extra.items()}
             else:
-                truth[name] = sized_term(get_effect(name), rows, whitener, case.power, rng)
+                truth[name] = sized_term(
+                    get_effect(name),
+                    rows,
+                    whitener,
+                    case.power,
+                    rng,
+                    change=lambda term: whole_change(term, model, motion, clean, problem),
+                )
     recording = record(replace(model, terms=tuple(truth.values()))) if truth else clean
     if disturbed:
         accel, gyro = clean.accel.copy(), clean.gyro.copy()
@@ -231,8 +238,8 @@ def random_sensor(rng: np.random.Generator) -> SensorModel:
     )
 
 
-def oracle(clean: Recording, motion: Motion) -> tuple[Rows, Whitener]:
-    """Return rows of the clean recording and the whitener of the noise that it was made with.
+def oracle(clean: Recording, motion: Motion) -> tuple[Rows, Whitener, SelfProblem]:
+    """Return rows of the clean recording, the whitener of its noise, and where the rows come from.
 
     The state of the rows is the true one: what noise adds to a column shows in no recording.
     """
@@ -242,7 +249,27 @@ def oracle(clean: Recording, motion: Motion) -> tuple[Rows, Whitener]:
     mean = np.hstack((rows.baseline, rows.nuisance))
     true = motion.state(rows.state.time)
     rows = replace(rows, state=replace(rows.state, force=true.force, rate=true.rate))
-    return rows, make_whitener(rows, true_levels(rows, CONSUMER), rows.white_diagonal, mean)
+    whitener = make_whitener(rows, true_levels(rows, CONSUMER), rows.white_diagonal, mean)
+    return rows, whitener, problem
+
+
+def whole_change(
+    term: Term, model: SensorModel, motion: Motion, clean: Recording, problem: SelfProblem
+) -> np.ndarray:
+    """Return what a term does to the rows of a recording without noise: of any size, as it is."""
+    poses, rng = find_poses(clean), np.random.default_rng(0)
+    without, made = (
+        build_rows(
+            make_grid(
+                simulate(motion, replace(model, terms=terms), NoiseModel(), rng=rng, rate=RATE),
+                poses,
+            ),
+            problem.twin,
+            problem.noise,
+        ).residual
+        for terms in ((), (term,))
+    )
+    return made - without
 
 
 def oracle_gain(recording: Recording, term: Term) -> float:
@@ -252,9 +279,11 @@ def oracle_gain(recording: Recording, term: Term) -> float:
     ).rows()
     effect = get_effect(term.effect)
     shape = {i.name: term.parameters[i.name] for i in effect.shape if i.name in term.parameters}
-    columns = effect.columns(rows.state, shape)
-    size = {name: term.parameters.get(name, 0.0) for name in columns}
-    column = sum(v * rows.column(columns[n]) for n, v in size.items())
+    columns = effect_columns(effect, rows, shape, reference=False)
+    channels = {p.name: p.channels for p in effect.parameters}
+    typical = {p.name: p.typical for p in effect.parameters}
+    size = {name: term.parameters.get(name, 0.0) / typical[name] for name in columns}
+    column = sum(v * columns[n] for n, v in size.items())
     return held_out(
         rows,
         np.hstack((rows.baseline, rows.nuisance)),
@@ -262,7 +291,7 @@ def oracle_gain(recording: Recording, term: Term) -> float:
         rows.residual,
         levels=true_levels(rows, CONSUMER),
         contrast=rows.white_diagonal,
-        channels=tuple(c for n, v in size.items() if v for c in columns[n]),
+        channels=tuple(c for n, v in size.items() if v for c in channels[n]),
     ).gain
 
 
@@ -289,8 +318,13 @@ def sized_term(
     rng: np.random.Generator,
     *,
     reference: bool = False,
+    change: Callable[[Term], np.ndarray] | None = None,
 ) -> Term:
-    """Return the effect with random signs and axes, sized to the oracle's non-centrality."""
+    """Return the effect with random signs and axes, sized to the oracle's non-centrality.
+
+    What is there or not has no small size that is to scale: ``change`` is what it does to the rows,
+    where these are not linear in the signals.
+    """
     shape: dict[str, float] = {}
     optional = [s for s in effect.shape if s.optional and s.spacing != "integer"]
     chosen = optional[int(rng.integers(len(optional)))] if optional else None
@@ -335,12 +369,17 @@ def sized_term(
         # A presence is 1: its size is the shape itself, and power falls with it.
         used = list(columns)
         low, high = np.log([chosen.low, 10 * chosen.high])
-        for _ in range(30):
+        for _ in range(16):
             shape[chosen.name] = float(np.exp(0.5 * (low + high)))
-            found = effect.columns(rows.state, shape)
-            strong = np.square(whitener.project(sum(map(rows.column, found.values())))).sum()
+            there = Term(effect.slug, {**dict.fromkeys(used, 1.0), **shape})
+            if change is None:
+                found = effect.columns(rows.state, shape)
+                made = sum(map(rows.column, found.values()))
+            else:
+                made = change(there)
+            strong = np.square(whitener.project(made)).sum()
             low, high = (0.5 * (low + high), high) if strong > power else (low, 0.5 * (low + high))
-        return Term(effect.slug, {**dict.fromkeys(used, 1.0), **shape})
+        return there
     return Term(effect.slug, {**{n: scale * w for n, w in weights.items()}, **shape})
 
 

@@ -306,7 +306,7 @@ def test_bandwidth_has_the_gain_of_its_filter_and_is_undone(order: int) -> None:
     s = 1j * frequency / 8.0
     gain = 1 / (1 + s) if order == 1 else 1 / (1 + np.sqrt(2) * s + s * s)
     expected = np.imag(gain * np.exp(2j * np.pi * frequency * TIME))
-    np.testing.assert_allclose(found.gyro[200:, 0], expected[200:], atol=0.01)
+    np.testing.assert_allclose(found.gyro[200:, 0], expected[200:], atol=2e-3)
     back = effect.inverse(TIME, found, parameters)
     np.testing.assert_allclose(back.gyro[200:-50], true[200:-50], atol=0.02)
 
@@ -324,10 +324,11 @@ def test_bandwidth_is_undone_without_blowing_up_noise(order: int, triads: tuple[
     seen = effect.transform(TIME, Signals(true, true), parameters)
     back = effect.before(Signals(seen.accel + noise, seen.gyro + noise), parameters, interval=0.01)
     left = back.gyro - true
-    assert np.sqrt(np.mean(left**2)) < 6 * 0.01
+    # No wave grows to more than 1 / (2 GONE) = 10 times what it was.
+    assert np.sqrt(np.mean(left**2)) < 10 * 0.01
     assert np.abs(left.mean(axis=0)).max() < 1e-3
     smooth_left = effect.before(seen, parameters, interval=0.01).gyro - true
-    assert np.abs(smooth_left).max() < 0.05
+    assert np.abs(smooth_left).max() < 0.015
     if triads == ("gyro",):
         np.testing.assert_array_equal(back.accel, seen.accel + noise)
 
@@ -342,7 +343,9 @@ def test_bandwidth_agrees_with_another_filter(order: int, samples: int) -> None:
         analogue = [1 / w0, 1.0] if order == 1 else [1 / w0**2, np.sqrt(2) / w0, 1.0]
         num, den, _ = signal.cont2discrete(([1.0], analogue), 0.01, method="foh")
         start = signal.lfilter_zi(num.ravel(), den)[:, None] * values[0]
-        expected = signal.lfilter(num.ravel(), den, values, axis=0, zi=start)[0]
+        put_back = values.copy()
+        put_back[1:-1] -= np.diff(values, n=2, axis=0) / 12
+        expected = signal.lfilter(num.ravel(), den, put_back, axis=0, zi=start)[0]
         found = low_pass(0.01 * np.arange(samples), values, cutoff, order=order)
         np.testing.assert_allclose(found, expected, atol=1e-9)
 
