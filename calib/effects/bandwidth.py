@@ -38,9 +38,10 @@ class Bandwidth(TransformEffect):
     """First order ``1 / (1 + s/w0)``, second ``1 / (1 + sqrt(2) s/w0 + s²/w0²)`` (Butterworth).
 
     The filter is discretised for signals that are straight between samples (first-order hold) at
-    the median sample interval, and what is lost of signals that are not is put back. A part may filter both triads alike, and so does the mean over a
-    sample interval. Their common delay is then no part of it (that is `time_offset`'s ``delay``,
-    which needs a reference): what is left is amplitude.
+    the median sample interval, and what that takes from signals that are not is put back. A part
+    may filter both triads alike, and so does the mean over a sample interval. Their common delay is
+    then no part of it (that is `time_offset`'s ``delay``, which needs a reference): what is left is
+    amplitude.
     """
 
     slug = "bandwidth"

@@ -4,7 +4,8 @@ A time constant or a bandwidth enters nonlinearly, and what a recording says of 
 lopsided: an exponential much longer than the recording is a straight line, however long. So a shape
 is not linearised. The likelihood is followed along it with all else refitted (the profile).
 Standard errors are those of the mixture over it, with the profile as weights, and never less than a
-third of the longer side of the interval in which the profile stays within 4.5 of its maximum.
+third of the longer side of the interval in which the profile stays within 4.5 of its maximum. A
+form (the order of a filter) that fits nearly as well is part of the mixture.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import numpy as np
 
 from calib.effects import get_effect
 from calib.effects.base import ShapeParameter
-from calib.mismatch.families import candidate_columns, shape_grid
+from calib.mismatch.families import candidate_columns, forms, shape_grid
 from calib.mismatch.noise import make_whitener
 from calib.mismatch.ranking import Accepted, fitted
 from calib.mismatch.refit import cut, likelihood_gain, prior_rows
@@ -77,8 +78,13 @@ def settle(
     shaped = [(i, item) for i, a in enumerate(out) for item in _shapes(a)]
     for _ in range(SWEEPS if len(shaped) > 1 else 1):
         for i, item in shaped:
-            values, gains = _profile(rows, out, i, item, levels, contrast, reference=reference)
-            best = _moved(rows, out[i], item, _peak(values, gains), reference=reference)
+            profiles = [
+                (form, *_profile(rows, out, i, form, item, levels, contrast, reference=reference))
+                for form in _forms(out[i])
+            ]
+            form, values, gains = max(profiles, key=lambda p: p[2].max())
+            shape = {**form, item.name: _peak(values, gains)}
+            best = _moved(rows, out[i], shape, reference=reference)
             out[i] = out[i] if best is None else best
     return rows, out
 
@@ -97,15 +103,22 @@ def estimate(
     reach = 3.0 * np.sqrt(np.diag(covariance))
     for i, a in enumerate(accepted):
         for item in _shapes(a):
-            values, gains = _profile(
-                rows, list(accepted), i, item, levels, contrast, reference=reference
-            )
+            tried: list[dict[str, float]] = []
+            found: list[FloatArray] = []
+            for form in _forms(a):
+                values, gains = _profile(
+                    rows, list(accepted), i, form, item, levels, contrast, reference=reference
+                )
+                tried += [{**form, item.name: float(v)} for v in values]
+                # Even in the logarithm, but finer where the profile is narrow.
+                found.append(np.stack((gains, np.full(len(gains), np.log(values[1] / values[0])))))
+            gains, spacing = np.hstack(found)
             drop = gains.max() - gains
-            weights = np.exp(-drop) / np.exp(-drop).sum()
-            for value, weight, lost in zip(values, weights, drop, strict=True):
+            weights = np.exp(-drop) * spacing / (np.exp(-drop) @ spacing)
+            for shape, weight, lost in zip(tried, weights, drop, strict=True):
                 if lost > REACH:
                     continue
-                other = _moved(rows, a, item, float(value), reference=reference)
+                other = _moved(rows, a, shape, reference=reference)
                 if other is None:
                     continue
                 there = (*accepted[:i], other, *accepted[i + 1 :])
@@ -115,6 +128,7 @@ def estimate(
                 if lost < WITHIN:
                     width = np.sqrt(2.0 * (WITHIN - lost) * np.diag(own))
                     reach = np.maximum(reach, np.abs(shift) + width)
+            values = np.array([shape[item.name] for shape in tried])
             off = np.abs(values - a.candidate.shape[item.name])
             mixed = np.sqrt(weights @ np.square(off))
             shapes[i, item.name] = float(max(mixed, off[drop < WITHIN].max() / 3.0))
@@ -168,11 +182,15 @@ def _shapes(a: Accepted) -> list[ShapeParameter]:
     return [item for item in shape if item.spacing == "log" and item.name in a.candidate.shape]
 
 
+def _forms(a: Accepted) -> list[dict[str, float]]:
+    """Return the shapes of a finding in all its forms, such as the orders of a filter."""
+    return forms(get_effect(a.candidate.name), a.candidate.shape)
+
+
 def _moved(
-    rows: Rows, a: Accepted, item: ShapeParameter, value: float, *, reference: bool
+    rows: Rows, a: Accepted, shape: Mapping[str, float], *, reference: bool
 ) -> Accepted | None:
-    """Return a finding with another value of a shape; None if it has no columns there."""
-    shape = {**a.candidate.shape, item.name: value}
+    """Return a finding with another shape; None if it has no columns there."""
     columns = candidate_columns(rows, a.candidate, shape, reference=reference)
     if columns is None:
         return None
@@ -183,6 +201,7 @@ def _profile(
     rows: Rows,
     accepted: list[Accepted],
     which: int,
+    form: Mapping[str, float],
     item: ShapeParameter,
     levels: FloatArray,
     contrast: FloatArray,
@@ -197,7 +216,8 @@ def _profile(
     while True:
         gains = np.zeros(len(values))
         for k, value in enumerate(values):
-            moved = _moved(rows, accepted[which], item, float(value), reference=reference)
+            shape = {**form, item.name: float(value)}
+            moved = _moved(rows, accepted[which], shape, reference=reference)
             if moved is not None:
                 gains[k] = likelihood_gain(
                     whitener.project(moved.columns), y, present=moved.candidate.present

@@ -175,6 +175,17 @@ def shape_grid(item: ShapeParameter, rows: Rows, count: int) -> FloatArray:
     )
 
 
+def forms(effect: Effect, shape: Mapping[str, float]) -> list[dict[str, float]]:
+    """Return a shape with every value of its integers, its own first: another form, not a size."""
+    out = [dict(shape)]
+    for item in effect.shape:
+        if item.spacing == "integer" and item.name in shape:
+            values = np.arange(item.low or 0, (item.high or 0) + 1, dtype=np.float64)
+            others = [float(v) for v in values if v != shape[item.name]]
+            out += [{**known, item.name: v} for known in out for v in others]
+    return out
+
+
 def is_moment(item: ShapeParameter) -> bool:
     """Whether it is a moment within the recording: any, so that it has no lowest."""
     return item.unit == "s" and item.spacing == "linear" and item.low is None

@@ -10,7 +10,7 @@ import numpy as np
 
 from calib.effects import get_effect
 from calib.effects.base import PRESENCE, Term, TransformEffect
-from calib.mismatch.families import candidate_columns, neighbours
+from calib.mismatch.families import candidate_columns, forms, neighbours
 from calib.mismatch.noise import Whitener, find_levels, make_whitener
 from calib.mismatch.ranking import Accepted, contrast_noise, fitted
 from calib.mismatch.rivals import WINDOWED, moved_window, window_columns
@@ -215,10 +215,11 @@ def refined(
     for shape in neighbours(effect, rows, candidate.shape):
         try_shape(shape)
     if candidate.present:
-        # How strong it is is in its shape alone.
-        for item in effect.shape:
-            if item.spacing == "log" and item.name in candidate.shape:
-                _climb(try_shape, dict(best[0].shape), item.name)
+        # How strong it is is in its shape alone, whatever its form.
+        sizes = [i for i in effect.shape if i.spacing == "log" and i.name in candidate.shape]
+        for shape in forms(effect, best[0].shape):
+            for item in sizes:
+                _climb(try_shape, shape, item.name)
     return best
 
 
