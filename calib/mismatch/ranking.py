@@ -12,9 +12,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.special import logsumexp
 
-from calib.effects import get_effect
-from calib.mismatch.families import add_catalogue, candidate_columns, neighbours
+from calib.mismatch.answers import grouped, leading, nearby, physics, strongest_rivals
+from calib.mismatch.families import add_catalogue
 from calib.mismatch.noise import (
+    Levels,
     Whitener,
     contrast_likelihood,
     contrast_variance,
@@ -24,7 +25,7 @@ from calib.mismatch.noise import (
     make_whitener,
     range_basis,
 )
-from calib.mismatch.rivals import WINDOWED, add_rivals, moved_window, nearby_windows, window_columns
+from calib.mismatch.rivals import add_rivals
 from calib.mismatch.rows import Rows
 from calib.mismatch.score import Candidate, Stack, log_bayes_factor
 from calib.recording import CHANNELS
@@ -44,10 +45,6 @@ SLOW_MODES = 8
 
 PAIRS = 3
 """How many effects of one channel are tried as the first of a pair."""
-
-LEADERS = (4, 3)
-"""How many of the best, of physics and of rivals, are scored at places nearer to their own, with
-noise levels of their own."""
 
 PLAIN, AHEAD = 50.0, 20.0
 """Log evidence from which, and by how much more than any other, the best is plain. Levels that are
@@ -135,106 +132,164 @@ def rank(rows: Rows, stack: Stack, accepted: list[Accepted], start: FloatArray) 
     likelihood of the null, and that cost is in the evidence: drift and effect compete on equal
     terms. So does what the null needs to take an effect for noise: levels that are just so.
     """
-    mean = fitted(rows, accepted)
-    dense = mean[: rows.n_dense]
-    basis = range_basis(dense)
-    contrast = contrast_noise(rows, accepted)
-    base = find_levels(rows, dense, start)
-    weight = np.log(np.array([c.weight for c in stack.candidates]))
+    scores = _Scores.of(rows, stack, accepted, start)
+    base = scores.base
+    evidence = scores.at(base.values, scores.contrast, base.log_likelihood)
+    best, groups = grouped(stack, evidence)
+    every, leaders = base, [max(groups, key=lambda g: groups[g])]
+    hidden: list[_Hidden] = []
+    if not _plain(groups):
+        evidence, every, hidden = scores.with_drift_of_all(evidence)
+        best, groups = grouped(stack, evidence)
+        leaders = [g for g in leading(best, groups) if groups[g] > np.log(CLAIM) - 7]
+    for name in leaders:
+        evidence = np.maximum(evidence, scores.with_own_drift(best[name], every))
+    best, groups = grouped(stack, evidence)
+    whitener = make_whitener(rows, base.values, scores.contrast, scores.mean)
+    drifting = _drifting(rows, stack, whitener, [best[g] for g, v in groups.items() if v > 0])
+    ranking = Ranking(stack, evidence, best, groups, base.values, drifting)
+    if accepted or ranking.claims:
+        return ranking
+    return replace(ranking, pair=_pair(scores, hidden))
 
-    def score(
-        levels: FloatArray, contrast: FloatArray, null: float, which: list[int] | None
+
+def _plain(groups: Mapping[str, float]) -> bool:
+    """Whether one answer is far ahead of all others."""
+    first, second = sorted([*groups.values(), 0.0, 0.0], reverse=True)[:2]
+    return first > PLAIN and first - second > AHEAD
+
+
+@dataclass(frozen=True, eq=False)
+class _Hidden:
+    """Evidence for the candidates `which` under levels that the null likes less, by ``null``."""
+
+    evidence: FloatArray
+    null: float
+    which: list[int]
+    levels: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class _Scores:
+    """What all scores of one ranking share: what is fitted, and the noise under that alone."""
+
+    rows: Rows
+    stack: Stack
+    accepted: list[Accepted]
+    mean: FloatArray
+    contrast: FloatArray
+    base: Levels
+    basis: FloatArray
+    weight: FloatArray
+
+    @classmethod
+    def of(cls, rows: Rows, stack: Stack, accepted: list[Accepted], start: FloatArray) -> _Scores:
+        mean = fitted(rows, accepted)
+        dense = mean[: rows.n_dense]
+        return cls(
+            rows=rows,
+            stack=stack,
+            accepted=accepted,
+            mean=mean,
+            contrast=contrast_noise(rows, accepted),
+            base=find_levels(rows, dense, start),
+            basis=range_basis(dense),
+            weight=np.log(np.array([c.weight for c in stack.candidates])),
+        )
+
+    def at(
+        self,
+        levels: FloatArray,
+        contrast: FloatArray,
+        null: float,
+        which: list[int] | None = None,
     ) -> FloatArray:
-        whitener = make_whitener(rows, levels, contrast, mean)
-        y = whitener.project(rows.residual)
-        return stack.log_bayes_factors(whitener, y, which=which) + (null - base.log_likelihood)
+        """Return the evidence at some levels, of which the null has the log-likelihood `null`."""
+        whitener = make_whitener(self.rows, levels, contrast, self.mean)
+        y = whitener.project(self.rows.residual)
+        factors = self.stack.log_bayes_factors(whitener, y, which=which)
+        return factors + (null - self.base.log_likelihood) + self.weight
 
-    def suited(levels: FloatArray, rival: Candidate, own: FloatArray) -> tuple[FloatArray, float]:
+    def with_drift_of_all(self, evidence: FloatArray) -> tuple[FloatArray, Levels, list[_Hidden]]:
+        """Return the evidence where physics, or rivals, take up the drift of their channels.
+
+        Beside it the levels with all physics in the mean, and the evidence for physics there.
+        """
+        rows, stack, base = self.rows, self.stack, self.base
+        dense = self.mean[: rows.n_dense]
+        wide = np.hstack((dense, physics(stack)[: rows.n_dense]))
+        every = find_levels(rows, wide, base.values)
+        rivals = strongest_rivals(stack, evidence - self.weight)
+        alone = [stack.of(c) for c in rivals.values() if len(c.channels) == 1]
+        strongest = np.hstack(alone)[: rows.n_dense]
+        free = estimate_levels(rows, np.hstack((dense, strongest)), every.values)
+        hidden: list[_Hidden] = []
+        for channels in (*((c,) for c in CHANNELS), CHANNELS[:3], CHANNELS[3:]):
+            for physical, other in ((True, every), (False, free)):
+                which = [
+                    i
+                    for i, c in enumerate(stack.candidates)
+                    if c.channels == channels and c.physical == physical
+                ]
+                if not which:
+                    continue
+                levels = _swap(rows, base.values, other.values, channels)
+                null = level_likelihood(rows, self.basis, levels)
+                if physical:
+                    scored = self.at(levels, self.contrast, null, which)
+                    hidden.append(_Hidden(scored, null - base.log_likelihood, which, levels))
+                else:
+                    strong = rivals[channels]
+                    outside, cost = self._suited(levels, strong, stack.of(strong))
+                    scored = self.at(levels, outside, null + cost, which)
+                evidence = np.maximum(evidence, scored)
+        return evidence, every, hidden
+
+    def with_own_drift(self, leader: Candidate, every: Levels) -> FloatArray:
+        """Return the evidence for a candidate's group with levels of its own, near its place."""
+        rows, stack, base = self.rows, self.stack, self.base
+        here, moved = leader, nearby(rows, leader)
+        own = stack.of(leader)
+        if moved.candidates:
+            whitener = make_whitener(rows, base.values, self.contrast, self.mean)
+            factors = moved.log_bayes_factors(whitener, whitener.project(rows.residual))
+            here = moved.candidates[int(np.argmax(factors))]
+            own = moved.of(here)
+        with_own = np.hstack((self.mean, own))[: rows.n_dense]
+        found = estimate_levels(rows, with_own, every.values)
+        outside, cost = self._suited(found.values, here, own)
+        null = level_likelihood(rows, self.basis, found.values) + cost
+        null += found.log_share - base.log_share
+        names, code = stack.groups()
+        which = np.flatnonzero(code == names.index(leader.group)).tolist()
+        evidence = self.at(found.values, outside, null, which)
+        if moved.candidates:
+            whitener = make_whitener(rows, found.values, outside, self.mean)
+            average = moved.average(whitener, whitener.project(rows.residual))
+            average += null - base.log_likelihood
+            i = stack.candidates.index(leader)
+            evidence[i] = max(evidence[i], average + self.weight[i])
+        return evidence
+
+    def _suited(
+        self, levels: FloatArray, rival: Candidate, own: FloatArray
+    ) -> tuple[FloatArray, float]:
         """Return the variance of contrasts that suits a rival better, and what it costs the null.
 
         It is that outside of the rival's window, or that of all.
         """
         if rival.physical or rival.interval is None:
-            return contrast, 0.0
-        outside = contrast_noise(rows, accepted, rival)
+            return self.contrast, 0.0
+        rows = self.rows
+        outside = contrast_noise(rows, self.accepted, rival)
         # Where the null prefers it as well, that is no merit of the rival.
-        cost = contrast_likelihood(rows, outside) - contrast_likelihood(rows, contrast)
+        cost = contrast_likelihood(rows, outside) - contrast_likelihood(rows, self.contrast)
         cost = min(cost, 0.0)
         value = []
-        for variance in (contrast, outside):
-            whitener = make_whitener(rows, levels, variance, mean)
+        for variance in (self.contrast, outside):
+            whitener = make_whitener(rows, levels, variance, self.mean)
             value.append(log_bayes_factor(whitener.project(own), whitener.project(rows.residual)))
-        return (outside, cost) if value[1] + cost > value[0] else (contrast, 0.0)
-
-    def sharing(channels: tuple[str, ...], *, physical: bool) -> list[int]:
-        return [
-            i
-            for i, c in enumerate(stack.candidates)
-            if c.channels == channels and c.physical == physical
-        ]
-
-    evidence = score(base.values, contrast, base.log_likelihood, None)
-    best, groups = grouped(stack, evidence + weight)
-    first, second = sorted([*groups.values(), 0.0, 0.0], reverse=True)[:2]
-    plain = first > PLAIN and first - second > AHEAD
-    every = base
-    hidden: list[tuple[FloatArray, float, list[int], FloatArray]] = []
-    if not plain:
-        wide = np.hstack((dense, _physics(stack)[: rows.n_dense]))
-        every = find_levels(rows, wide, base.values)
-        rivals = _strongest(stack, evidence)
-        alone = [stack.of(c) for c in rivals.values() if len(c.channels) == 1]
-        strongest = np.hstack(alone)[: rows.n_dense]
-        free = estimate_levels(rows, np.hstack((dense, strongest)), every.values)
-        for channels in (*((c,) for c in CHANNELS), CHANNELS[:3], CHANNELS[3:]):
-            for physical, other in ((True, every), (False, free)):
-                which = sharing(channels, physical=physical)
-                if not which:
-                    continue
-                levels = _swap(rows, base.values, other.values, channels)
-                null = level_likelihood(rows, basis, levels)
-                if physical:
-                    scored = score(levels, contrast, null, which)
-                    hidden.append((scored + weight, null - base.log_likelihood, which, levels))
-                else:
-                    strong = rivals[channels]
-                    outside, cost = suited(levels, strong, stack.of(strong))
-                    scored = score(levels, outside, null + cost, which)
-                evidence = np.maximum(evidence, scored)
-    evidence += weight
-    best, groups = grouped(stack, evidence)
-    for name in [max(groups, key=lambda g: groups[g])] if plain else leading(best, groups):
-        if groups[name] < np.log(CLAIM) - 7:
-            continue
-        leader = best[name]
-        here, moved = leader, nearby(rows, leader)
-        own = stack.of(leader)
-        if moved.candidates:
-            whitener = make_whitener(rows, base.values, contrast, mean)
-            factors = moved.log_bayes_factors(whitener, whitener.project(rows.residual))
-            here = moved.candidates[int(np.argmax(factors))]
-            own = moved.of(here)
-        dense_own = np.hstack((dense, own[: rows.n_dense]))
-        with_own = estimate_levels(rows, dense_own, every.values)
-        levels = with_own.values
-        outside, cost = suited(levels, here, own)
-        null = level_likelihood(rows, basis, levels) + cost + with_own.log_share - base.log_share
-        names, code = stack.groups()
-        which = np.flatnonzero(code == names.index(name)).tolist()
-        again = score(levels, outside, null, which) + weight
-        if moved.candidates:
-            whitener = make_whitener(rows, levels, outside, mean)
-            average = moved.average(whitener, whitener.project(rows.residual))
-            i = stack.candidates.index(leader)
-            again[i] = max(again[i], average + null - base.log_likelihood + weight[i])
-        evidence = np.maximum(evidence, again)
-    best, groups = grouped(stack, evidence)
-    whitener = make_whitener(rows, base.values, contrast, mean)
-    drifting = _drifting(rows, stack, whitener, [best[g] for g, v in groups.items() if v > 0])
-    ranking = Ranking(stack, evidence, best, groups, base.values, drifting)
-    if accepted or ranking.claims:
-        return ranking
-    return replace(ranking, pair=_pair(rows, stack, hidden, contrast, mean, weight))
+        return (outside, cost) if value[1] + cost > value[0] else (self.contrast, 0.0)
 
 
 def _drifting(
@@ -255,57 +310,31 @@ def _drifting(
     return frozenset(out)
 
 
-def nearby(rows: Rows, leader: Candidate) -> Stack:
-    """Return a candidate at the shapes and places nearest to its own; nothing for what has none.
-
-    An event is moved within its rest or turn, a time constant between its neighbours on the grid,
-    a window at both of its ends.
-    """
-    stack = Stack(len(rows.residual))
-    if leader.physical and not leader.present:
-        for shape in neighbours(get_effect(leader.name), rows, leader.shape):
-            columns = candidate_columns(rows, leader, shape, reference=True)
-            if columns is not None:
-                stack.candidates.append(replace(leader, index=stack.add(columns), shape=shape))
-    if leader.name in WINDOWED:
-        for window in nearby_windows(rows, leader):
-            there = moved_window(leader, *window)
-            index = stack.add(window_columns(rows, there))
-            stack.candidates.append(replace(there, index=index, mixing=None, summed=False))
-    return stack
-
-
-def _pair(
-    rows: Rows,
-    stack: Stack,
-    hidden: list[tuple[FloatArray, float, list[int], FloatArray]],
-    contrast: FloatArray,
-    mean: FloatArray,
-    weight: FloatArray,
-) -> tuple[float, Candidate] | None:
+def _pair(scores: _Scores, hidden: list[_Hidden]) -> tuple[float, Candidate] | None:
     """Return two effects on the same channels that hide each other: evidence, and the first.
 
     Either alone leaves the other, which then counts as drift, and neither reaches the claim.
     """
+    rows, stack = scores.rows, scores.stack
     best: tuple[float, Candidate | None] = (float(np.log(CLAIM / DRIFTING)), None)
-    for evidence, null, which, levels in hidden:
-        order = sorted(which, key=lambda i: -evidence[i])
+    for item in hidden:
         tried: list[str] = []
-        for i in order:
+        for i in sorted(item.which, key=lambda i: -item.evidence[i]):
             first = stack.candidates[i]
             if first.name in tried:
                 continue
             tried.append(first.name)
             # Only where the first gains something by itself is there a pair to find.
-            if len(tried) > PAIRS or evidence[i] - null + weight[i] < 0:
+            if len(tried) > PAIRS or item.evidence[i] - item.null + scores.weight[i] < 0:
                 break
-            whitener = make_whitener(rows, levels, contrast, np.hstack((mean, stack.of(first))))
+            mean = np.hstack((scores.mean, stack.of(first)))
+            whitener = make_whitener(rows, item.levels, scores.contrast, mean)
             y = whitener.project(rows.residual)
-            rest = [k for k in which if stack.candidates[k].name != first.name]
+            rest = [k for k in item.which if stack.candidates[k].name != first.name]
             if not rest:
                 continue
-            second = stack.log_bayes_factors(whitener, y, which=rest) + weight
-            value = float(evidence[i] + second[rest].max())
+            second = stack.log_bayes_factors(whitener, y, which=rest) + scores.weight
+            value = float(item.evidence[i] + second[rest].max())
             if value > best[0]:
                 best = (value, first)
     return None if best[1] is None else (best[0], best[1])
@@ -315,47 +344,3 @@ def _swap(rows: Rows, base: FloatArray, every: FloatArray, channels: tuple[str, 
     """Return the levels of `every` for the drift of some channels, and of `base` for the rest."""
     own = np.array([c.name.split(" ")[0] in channels for c in rows.components])
     return np.where(own, np.minimum(base, every), base)
-
-
-def grouped(stack: Stack, evidence: FloatArray) -> tuple[dict[str, Candidate], dict[str, float]]:
-    """Return the best candidate of each group, and the group's evidence."""
-    names, code = stack.groups()
-    order = np.lexsort((-np.arange(len(code)), evidence, code))
-    best = order[np.append(np.diff(code[order]) > 0, True)]
-    top = evidence[best]
-    total = top + np.log(np.bincount(code, np.exp(evidence - top[code])))
-    return (
-        {g: stack.candidates[i] for g, i in zip(names, best, strict=True)},
-        {g: float(v) for g, v in zip(names, total, strict=True)},
-    )
-
-
-def leading(best: Mapping[str, Candidate], groups: Mapping[str, float]) -> list[str]:
-    """Return the groups with the most evidence."""
-    order = sorted(groups, key=lambda g: -groups[g])
-    physics, rivals = ([g for g in order if best[g].physical is kind] for kind in (True, False))
-    return physics[: LEADERS[0]] + rivals[: LEADERS[1]]
-
-
-def _strongest(stack: Stack, evidence: FloatArray) -> dict[tuple[str, ...], Candidate]:
-    """Return the rival with the largest Bayes factor of each channel, and of each triad."""
-    best: dict[tuple[str, ...], int] = {}
-    for i, c in enumerate(stack.candidates):
-        if not c.physical and evidence[i] > evidence[best.setdefault(c.channels, i)]:
-            best[c.channels] = i
-    return {channels: stack.candidates[i] for channels, i in best.items()}
-
-
-def _physics(stack: Stack) -> FloatArray:
-    """Return the physical columns, thinned where an effect has many shapes."""
-    index: list[int] = []
-    shapes: dict[str, list[Candidate]] = {}
-    for c in stack.candidates:
-        # Every parameter is tried alone, but for refinements of others.
-        if c.physical and c.is_single:
-            shapes.setdefault(c.name, []).append(c)
-    for items in shapes.values():
-        each = list(dict.fromkeys(int(k) for c in items for k in c.index))
-        limit = 6
-        index += each if len(each) <= limit else each[:: -(-len(each) // limit)]
-    return stack.columns[:, index]

@@ -12,6 +12,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from calib.effects import get_effect
+from calib.mismatch.answers import grouped, leading, nearby
 from calib.mismatch.estimate import Estimate, estimate, settle
 from calib.mismatch.families import candidate_columns
 from calib.mismatch.noise import (
@@ -26,10 +27,7 @@ from calib.mismatch.ranking import (
     Ranking,
     contrast_noise,
     fitted,
-    grouped,
-    leading,
     make_stack,
-    nearby,
     rank,
 )
 from calib.mismatch.refit import Problem, refined, refit
