@@ -10,6 +10,7 @@ import numpy as np
 
 from calib.effects import get_effect
 from calib.effects.base import PRESENCE, Term, TransformEffect
+from calib.mismatch.ends import place_window
 from calib.mismatch.families import candidate_columns, forms, neighbours
 from calib.mismatch.noise import Whitener, find_levels, make_whitener
 from calib.mismatch.ranking import Accepted, contrast_noise, fitted
@@ -174,7 +175,11 @@ def _refine(
     last = accepted[-1]
     if last.candidate.name in WINDOWED:
         whitener = make_whitener(rows, levels, contrast, fitted(rows, accepted[:-1]))
-        return _refine_window(rows, last, whitener, whitener.project(rows.residual))
+        y = whitener.project(rows.residual)
+        if last.candidate.name == "fluctuation in a window":
+            return _refine_window(rows, last, whitener, y)
+        candidate = place_window(rows, last.candidate, whitener, y)
+        return replace(last, candidate=candidate, columns=window_columns(rows, candidate))
     if not last.candidate.physical or not last.candidate.shape:
         return last
     whitener = make_whitener(rows, levels, contrast, fitted(rows, accepted[:-1]))

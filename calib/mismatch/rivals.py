@@ -301,6 +301,23 @@ def window_columns(rows: Rows, candidate: Candidate) -> FloatArray:
     return np.hstack(out)
 
 
+def segment_columns(rows: Rows, candidate: Candidate) -> FloatArray:
+    """Return the (m, s, k) columns of what a candidate says of a window, in each segment alone."""
+    assert candidate.interval is not None
+    state, size = rows.state, typical_size(candidate.channels[0].split(".")[0])
+    shape = size * _function(candidate.shape, state.time, *candidate.interval)
+    points = np.arange(len(state.time))
+    out = []
+    for c in map(CHANNELS.index, candidate.channels):
+        own = _scaled(state, c)[:, None] if candidate.name == "gain in a window" else 1.0
+        for values in (shape * own).T:
+            member = sparse.csr_matrix(
+                (values, (points, rows.point_segment)), shape=(len(points), len(rows.interval))
+            )
+            out.append((rows.functional[c] @ member).toarray())
+    return np.stack(out, axis=2)
+
+
 def _scaled(state: State, c: int) -> FloatArray:
     """Return a channel's own signal (n,), in g or brisk turns."""
     return state.force[:, c] / state.gravity if c < 3 else state.rate[:, c - 3] / FAST

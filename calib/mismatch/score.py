@@ -199,7 +199,7 @@ class Stack:
         for items in several.values():
             index = [place[self.candidates[i].index] for i in items]
             grams = np.stack([projected[:, own].T @ projected[:, own] for own in index])
-            out[items] = _joint(grams, match[np.stack(index)])
+            out[items] = log_bayes_factors(grams, match[np.stack(index)])
         for items in mixed.values():
             # Those of one channel mix the same columns, and share their Gram matrix.
             out[items] = _mixed([self.candidates[i] for i in items], place, projected, match)
@@ -231,7 +231,7 @@ def _mixed(
             inner = gram[np.ix_(own[0], own[0])] @ mixing
         else:
             inner = gram[own[:, :, None], own[:, None, :]] @ mixing
-        out[items] = _joint(
+        out[items] = log_bayes_factors(
             np.swapaxes(mixing, 1, 2) @ inner, np.einsum("nk,nkr->nr", match[own], mixing)
         )
     return out
@@ -257,7 +257,7 @@ def _singles(
 
 def log_bayes_factor(columns: FloatArray, y: FloatArray) -> float:
     """Return log B of one hypothesis, its whitened projected columns given."""
-    return float(_joint((columns.T @ columns)[None], (y @ columns)[None])[0])
+    return float(log_bayes_factors((columns.T @ columns)[None], (y @ columns)[None])[0])
 
 
 def _present(power: FloatArray, along: FloatArray) -> FloatArray:
@@ -270,7 +270,7 @@ def _present(power: FloatArray, along: FloatArray) -> FloatArray:
     return np.where(power > 0, gain - 0.5 * np.log1p(strength) + positive, 0.0)
 
 
-def _joint(gram: FloatArray, match: FloatArray) -> FloatArray:
+def log_bayes_factors(gram: FloatArray, match: FloatArray) -> FloatArray:
     """Return log B of n hypotheses with Gram matrices (n, k, k) and matches (n, k)."""
     values, vectors = np.linalg.eigh(gram)
     values = np.maximum(values, 0.0)

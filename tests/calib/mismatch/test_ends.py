@@ -1,0 +1,61 @@
+"""Where a disturbance begins and ends: overlap, on average over what is as probable."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calib.mismatch.ends import place_window
+from calib.mismatch.noise import expected_levels, make_whitener
+from calib.mismatch.ranking import fitted, make_stack
+from calib.mismatch.rivals import moved_window, segment_columns, window_columns
+
+from .bench import problem
+
+
+def overlap(one: tuple[float, float], other: tuple[float, float]) -> float:
+    common = min(one[1], other[1]) - max(one[0], other[0])
+    return max(common, 0.0) / (max(one[1], other[1]) - min(one[0], other[0]))
+
+
+@pytest.mark.parametrize("name", ["bias in a window", "gain in a window", "wave in a window"])
+def test_a_window_is_found_from_one_that_only_touches_it(name):
+    _, made = problem()
+    rows = made.rows()
+    stack = make_stack(rows, skip=(), reference=False)
+    start, stop = float(rows.interval[9, 0]), float(rows.interval[20, 1])
+    rng = np.random.default_rng(7)
+    whitener = make_whitener(rows, expected_levels(rows), rows.white_diagonal, fitted(rows, []))
+    found = [c for c in stack.candidates if c.name == name and c.channels == ("accel.y",)]
+    near = [c for c in found if c.interval is not None and overlap(c.interval, (start, stop)) > 0]
+    candidate = min(near, key=lambda c: overlap(c.interval or (0, 0), (start, stop)))
+    assert overlap(candidate.interval or (0.0, 0.0), (start, stop)) < 0.2
+    true = window_columns(rows, replace(candidate, interval=(start, stop))).sum(axis=1)
+    if name == "wave in a window":
+        # A wave keeps its phase and period wherever its window ends.
+        inside = slice(9, 21)
+        true = segment_columns(rows, candidate)[:, inside].sum(axis=(1, 2))
+    size = 15.0 / np.linalg.norm(whitener.project(true))
+    noise = rng.normal(size=len(true))
+    y = whitener.project(size * true) + noise - whitener.basis @ (whitener.basis.T @ noise)
+    placed = place_window(rows, candidate, whitener, y)
+    assert placed.interval is not None
+    assert overlap(placed.interval, (start, stop)) > 0.6
+
+
+def test_columns_of_a_window_are_sums_over_its_segments():
+    _, made = problem()
+    rows = made.rows()
+    stack = make_stack(rows, skip=(), reference=False)
+    a, b = 5, 14
+    window = float(rows.interval[a, 0]), float(rows.interval[b - 1, 1])
+    for name in ("bias in a window", "gain in a window"):
+        for one in (1, 3):
+            alike = [c for c in stack.candidates if c.name == name and len(c.channels) == one]
+            if not alike:
+                continue
+            parts = segment_columns(rows, alike[0])
+            whole = window_columns(rows, moved_window(alike[0], *window))
+            np.testing.assert_allclose(parts[:, a:b].sum(axis=1), whole, atol=1e-12)
