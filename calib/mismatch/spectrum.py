@@ -12,7 +12,7 @@ from scipy.special import chdtrc, fdtrc, stdtr
 from calib.mismatch.diagnosis import Unexplained
 from calib.poses import Poses
 from calib.recording import CHANNELS, Recording
-from calib.types import FloatArray, IntArray
+from calib.types import BoolArray, FloatArray, IntArray
 
 LENGTH = 128
 """Samples of one periodogram."""
@@ -37,6 +37,14 @@ _SHARE = 0.25
 and benches have many small ones, which matter to nobody."""
 
 
+HAND = (3.0, 14.0)
+"""Hz that a hand trembles at (physiological tremor, 4 to 12 Hz), and what a window spreads."""
+
+SWING = 1 / 3
+"""Share of the swing of gravity, as the gyroscopes' angle would have it, that accelerometers must
+show for both to be one motion: about the vertical it makes none. A hand also moves it further."""
+
+
 def look_at_spectrum(recording: Recording, poses: Poses) -> tuple[Unexplained, ...]:
     """Return lines and bursts of the six channels at rest."""
     starts = [
@@ -50,7 +58,7 @@ def look_at_spectrum(recording: Recording, poses: Poses) -> tuple[Unexplained, .
     if len(start) > 2000:
         keep = np.linspace(0, len(start) - 1, 2000).astype(np.int64)
         start, pose = start[keep], pose[keep]
-    out = []
+    out: list[Unexplained] = []
     window = np.hanning(LENGTH)[:, None, None]
     index = start + np.arange(LENGTH)[:, None]
     values = np.concatenate((recording.accel[index], recording.gyro[index]), axis=2)
@@ -59,6 +67,7 @@ def look_at_spectrum(recording: Recording, poses: Poses) -> tuple[Unexplained, .
     slope = np.einsum("n,nkc->kc", at, values) / float(at @ at)
     values -= at[:, None, None] * slope
     power = np.square(np.abs(np.fft.rfft(window * values, axis=0)))[2:-1]
+    held = _trembling(power, recording.interval, float(np.linalg.norm(poses.accel, axis=1).mean()))
     for c, channel in enumerate(CHANNELS):
         own = power[:, :, c]
         if not np.median(own) > 0:
@@ -66,8 +75,9 @@ def look_at_spectrum(recording: Recording, poses: Poses) -> tuple[Unexplained, .
         # Where rounding leaves a channel constant there is no floor to compare with.
         noisy = own.all(axis=0)
         own, rest = own[:, noisy], pose[noisy]
-        line = _lines(recording, poses, own, rest, channel)
-        bursts = _bursts(recording, poses, own, rest, channel, narrow=not line)
+        line = _lines(recording, poses, own, rest, channel, held)
+        narrow = not line and not held.any()
+        bursts = _bursts(recording, poses, own, rest, channel, narrow=narrow)
         out += line + (bursts or _changes(recording, poses, own, rest, channel))
     return tuple(_merged(out))
 
@@ -88,16 +98,13 @@ def _merged(found: list[Unexplained]) -> list[Unexplained]:
     return out
 
 
-def _lines(
-    recording: Recording, poses: Poses, power: FloatArray, pose: IntArray, channel: str
-) -> list[Unexplained]:
-    """A line: mean power over all rests, compared with that of its neighbours in frequency.
+def _above(power: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the mean over rests at each frequency, its floor, and the p-value of all at once.
 
-    It reaches from the first to the last rest that has it by itself.
+    A line stands above both sides: motion of a hand, whose power falls with frequency, does not.
     """
     bins, number = power.shape
     mean = power.mean(axis=1)
-    # A line stands above both sides: motion of a hand, whose power falls with frequency, does not.
     padded = np.pad(np.log(mean), NEIGHBOURS, mode="reflect", reflect_type="odd")
     around = np.lib.stride_tricks.sliding_window_view(padded, 2 * NEIGHBOURS + 1)
     sides = around[:, :NEIGHBOURS], around[:, NEIGHBOURS + 1 :]
@@ -105,7 +112,47 @@ def _lines(
     # What the floor itself scatters by, beyond what chance does, widens every test.
     scatter = np.median(np.abs(np.log(mean / floor))) / 0.6745
     freedom = min(2.0 * number, 2.0 / max(scatter**2, 1e-9) + 2.0)
-    p = chdtrc(freedom, freedom * mean / floor) * bins * len(CHANNELS)
+    return mean, floor, chdtrc(freedom, freedom * mean / floor) * bins * len(CHANNELS)
+
+
+def _trembling(power: FloatArray, interval: float, gravity: float) -> BoolArray:
+    """Return the frequencies at which the sensor itself moves, held in a hand, (bins,).
+
+    The gyroscopes stand above their floor there, and so do the accelerometers, by what the angle
+    makes of gravity or more. That is motion, which both follow, and no disturbance of either.
+    """
+    bins = len(power)
+    frequency = (np.arange(bins) + 2) / (LENGTH * interval)
+    hand = (frequency >= HAND[0]) & (frequency <= HAND[1])
+    excess, seen = np.zeros((bins, 2)), np.zeros((bins, 2), bool)
+    for c in range(len(CHANNELS)):
+        own = power[:, power[:, :, c].all(axis=0), c]
+        if own.shape[1] > power.shape[1] / 2:
+            mean, floor, p = _above(own)
+            excess[:, c // 3] += np.maximum(mean - floor, 0.0)
+            seen[:, c // 3] |= p < CLAIM
+    swing = gravity**2 * excess[:, 1] / np.square(2 * np.pi * frequency)
+    moves = hand & seen.all(axis=1) & (excess[:, 0] > SWING * swing)
+    # A window spreads each over its neighbours, and a hand has several.
+    near = np.convolve(moves, np.ones(5), mode="same") > 0
+    return np.asarray(hand & near)
+
+
+def _lines(
+    recording: Recording,
+    poses: Poses,
+    power: FloatArray,
+    pose: IntArray,
+    channel: str,
+    held: BoolArray,
+) -> list[Unexplained]:
+    """A line: mean power over all rests, compared with that of its neighbours in frequency.
+
+    It reaches from the first to the last rest that has it by itself. What is ``held`` trembles.
+    """
+    bins = len(power)
+    mean, floor, p = _above(power)
+    p[held] = np.inf
     k = int(np.argmin(p))
     # A Hann window spreads a line over three frequencies.
     near = slice(max(k - 1, 0), k + 2)

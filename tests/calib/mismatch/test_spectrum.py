@@ -88,3 +88,17 @@ def test_a_hand_that_trembles_less_the_faster_is_no_line() -> None:
     accel[:, 0] += 0.02 * shake / shake.std()
     held = Recording(recording.time, accel, recording.gyro, "device")
     assert not any("line" in item.follows for item in look_at_spectrum(held, poses))
+
+
+def test_a_tremor_that_both_triads_follow_is_motion_and_what_one_has_alone_is_not() -> None:
+    recording, poses = rests(5, np.ones(POSES))
+    angle = 1e-3 * np.sin(2 * np.pi * 7.8 * recording.time)
+    gyro, accel = np.array(recording.gyro), np.array(recording.accel)
+    gyro[:, 0] += np.gradient(angle, recording.time)
+    alone = Recording(recording.time, accel, gyro, "device")
+    assert any("line" in item.follows for item in look_at_spectrum(alone, poses))
+    # Turned by that angle about x, gravity swings in y and z.
+    accel[:, 1] += accel[:, 2] * angle
+    accel[:, 2] -= recording.accel[:, 1] * angle
+    held = Recording(recording.time, accel, gyro, "device")
+    assert not look_at_spectrum(held, poses)
