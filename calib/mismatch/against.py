@@ -99,15 +99,9 @@ def compare_simulation(
         spoilt=common.spoilt,
         blur=common.blur,
         band=common.band,
-        rests=rests(real) if common.limited else None,
+        raw=real if common.limited else None,
     )
     return problem, ((*_SELDOM_ALONE, "bandwidth") if common.limited else _SELDOM_ALONE)
-
-
-def rests(recording: Recording) -> FloatArray:
-    """Return when a recording is at rest, (k, 2) s."""
-    poses = find_poses(recording)
-    return np.stack((recording.time[poses.start], recording.time[poses.stop - 1]), axis=1)
 
 
 def at_rest(*recordings: Recording) -> str:

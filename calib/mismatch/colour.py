@@ -32,13 +32,15 @@ class Blur(NamedTuple):
 
     ``matrices`` (m, n) are those of accelerometer and gyroscope, ``power`` how many of the m points
     are independent, as a share. Where the noise of the n points is white, it is not afterwards; if
-    the blur ``whitens``, it is the other way round.
+    the blur ``whitens``, it is the other way round: of white noise that comes on top (shaking) the
+    shares ``white`` are seen on accelerometer and gyroscope, and slow noise whole.
     """
 
     matrices: tuple[sparse.csr_matrix, sparse.csr_matrix]
     seen: IntArray
     power: float
     whitens: bool = False
+    white: tuple[float, float] = (1.0, 1.0)
 
 
 class Colour(NamedTuple):
@@ -102,7 +104,9 @@ def whitening(time: FloatArray, colours: list[Colour], interval: float, band: fl
         tap = np.concatenate((half[reach:0:-1], half[: reach + 1]))
         matrices.append(_running(tap / tap.sum(), seen, len(time)))
     power = min(1.0, 2.0 * PASSED * band * interval)
-    return Blur((matrices[0], matrices[1]), seen, power, whitens=True)
+    inside = np.linspace(0.0, PASSED * band, 50)
+    accel, gyro = (float(np.mean(1.0 / colour.at(inside))) for colour in colours)
+    return Blur((matrices[0], matrices[1]), seen, power, whitens=True, white=(accel, gyro))
 
 
 def find_colour(time: FloatArray, left: FloatArray, interval: float, band: float) -> Colour:

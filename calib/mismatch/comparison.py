@@ -17,7 +17,7 @@ import numpy as np
 
 from calib.effects import effects, get_effect
 from calib.effects.base import State, Term, TransformEffect
-from calib.effects.observed import observed
+from calib.effects.observed import observed, short_time_variance
 from calib.errors import NoCommonMotionError
 from calib.mismatch.alignment import LEAST_OVERLAP, Alignment
 from calib.mismatch.colour import WHITE, find_colour, gaussian, whitening
@@ -29,6 +29,7 @@ from calib.mismatch.windowed import Shapes, find_shapes, make_rows, robust_step
 from calib.model import SensorModel
 from calib.recording import AXES, Recording
 from calib.rotation import mat_from_rotvec
+from calib.statics import find_poses
 from calib.types import BoolArray, FloatArray
 
 UNLIKE = 0.3
@@ -95,10 +96,11 @@ class ComparisonProblem:
     band : float, Hz
         Cut-off of the low-pass that both have passed; 0 is none. What it leaves of the noise of
         derivatives (a captured motion's) grows with frequency, and is made white again.
-    rests : (k, 2) array, s, optional
-        When the recording is at rest, for a truth with noise: what effects are functions of is
-        still then. Noise that is in the differences and in a column as well would be a scale
-        factor error of that rest. The differences keep it: it is white there.
+    raw : Recording, optional
+        The recording before it was limited to what a truth with noise knows. It shows how the
+        sensor vibrates, and when it is at rest: what effects are functions of is still then. Noise
+        that is in the differences and in a column as well would be a scale factor error of that
+        rest. The differences keep it: it is white there.
     """
 
     reference = True
@@ -116,7 +118,7 @@ class ComparisonProblem:
         spoilt: BoolArray | None = None,
         blur: float = 0.0,
         band: float = 0.0,
-        rests: FloatArray | None = None,
+        raw: Recording | None = None,
     ) -> None:
         self.truth, self.gravity = truth, gravity
         self.turned = mat_sr is not None
@@ -144,8 +146,16 @@ class ComparisonProblem:
         start = SensorModel() if model is None else model
         if model is None and self.temperature is not None:
             start = replace(start, reference_temperature=float(np.median(self.temperature)))
-        edges = np.zeros((0, 2)) if rests is None else rests
-        self.rests = np.searchsorted(self.time, edges)
+        self.rests = np.zeros((0, 2), np.int64)
+        if raw is not None:
+            poses = find_poses(raw)
+            edges = np.stack((raw.time[poses.start], raw.time[poses.stop - 1]), axis=1)
+            self.rests = np.searchsorted(self.time, edges)
+        shaken = real if raw is None else raw
+        variance = short_time_variance(shaken.time, shaken.accel)
+        self.vibration = np.stack(
+            [np.interp(self.time, shaken.time, v) for v in variance.T], axis=1
+        )
         self.given = start.terms
         self.power_on = float(real.time[0])
         mat = np.eye(3) if mat_sr is None else mat_sr
@@ -179,9 +189,9 @@ class ComparisonProblem:
             power_on=self.power_on,
             gravity=self.gravity,
             since_turn=None,
-            vibration=None,
+            vibration=self.vibration,
         )
-        return observed(state, ("vibration", "since_turn"))
+        return observed(state, ("since_turn",))
 
     def move(
         self, baseline: Mapping[str, float], nuisance: FloatArray, terms: tuple[Term, ...]

@@ -16,7 +16,6 @@ from calib.errors import NoCommonMotionError
 from calib.mismatch.against import (
     at_rest,
     conclude,
-    rests,
     summarise,
     undetermined,
     unfit,
@@ -182,7 +181,7 @@ def compare_reference(
         spoilt=common.spoilt,
         blur=common.blur,
         band=common.band,
-        rests=rests(real) if common.limited else None,
+        raw=real if common.limited else None,
     )
     # What both were limited to hides the sensor's own low-pass. Where samples do not resolve the
     # motion, one that is lost cannot be told from motion either.

@@ -109,7 +109,7 @@ def find_shapes(
             free[s, c] = max(independent - 1 - shapes.shape[1], LEAST_FREE * independent)
             noise[s, c] = float(rest @ rest) / free[s, c]
             found += [(float(v), s, c, x) for v, x in zip(size[keep], shapes.T, strict=True)]
-    noise = _levelled(noise, free, blur.power * (last - first).astype(np.float64))
+    noise = _levelled(noise, free, blur.power * (last - first).astype(np.float64), blur.white)
     strongest = sorted(found, key=lambda item: -item[0])[:SHAPES]
     strongest.sort(key=lambda item: (item[2], item[1]))
     return Shapes(
@@ -122,10 +122,16 @@ def find_shapes(
     )
 
 
-def _levelled(noise: FloatArray, free: FloatArray, independent: FloatArray) -> FloatArray:
+def _levelled(
+    noise: FloatArray,
+    free: FloatArray,
+    independent: FloatArray,
+    white: tuple[float, float],
+) -> FloatArray:
     """Return the noise of windows (k, 6): that of most of them, or more where there is more.
 
-    Where shapes take up most of a window, little of its noise is left to be seen.
+    Where shapes take up most of a window, little of its noise is left to be seen. What is more is
+    not of the colour of the rest: it is taken as white, of which the share ``white`` is seen.
     """
     out = np.empty_like(noise)
     for c in range(6):
@@ -134,7 +140,8 @@ def _levelled(noise: FloatArray, free: FloatArray, independent: FloatArray) -> F
             told = free[:, c] >= np.quantile(free[:, c], 0.8)
         most = max(float(np.median(noise[told, c])), 1e-18)
         beyond = noise[:, c] > most * (1.0 + BEYOND * np.sqrt(2.0 / free[:, c]))
-        out[:, c] = np.where(beyond, noise[:, c], most)
+        more = (noise[:, c] - most) / white[c // 3]
+        out[:, c] = most + np.where(beyond, more, 0.0)
     return out
 
 
