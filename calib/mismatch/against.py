@@ -129,7 +129,7 @@ def conclude(
     """Search, explain, and report alignments among ``setups`` as findings."""
     skip += ("clock_scale", *(("reference_misalignment",) if problem.turned else ()))
     outcome = search(problem, skip=skip)
-    model = problem.setup.model
+    outcome, model = _in_samples(outcome, problem.setup.model, problem.thin)
     fit = outcome.fit(reference=True)
     findings, unexplained, (known, covariance) = explain(outcome, fit, names=problem.names)
     found = _setups(outcome, fit, problem, setups)
@@ -170,6 +170,31 @@ def conclude(
             },
         },
     )
+
+
+def _in_samples(outcome: Outcome, model: SensorModel, thin: int) -> tuple[Outcome, SensorModel]:
+    """Return findings and model with numbers of samples as the recording counts them.
+
+    They were counted in the samples that are compared, every `thin`-th.
+    """
+    counted = {
+        slug: [p.name for p in effect.parameters if p.unit == "samples"]
+        for slug, effect in effects().items()
+    }
+    accepted = tuple(
+        replace(a, columns=a.columns / thin) if counted.get(a.candidate.name) else a
+        for a in outcome.accepted
+    )
+    terms = tuple(
+        replace(
+            t,
+            parameters={
+                k: v * (thin if k in counted[t.effect] else 1) for k, v in t.parameters.items()
+            },
+        )
+        for t in model.terms
+    )
+    return replace(outcome, accepted=accepted), replace(model, terms=terms)
 
 
 def _open(names: tuple[str, ...], fit: Estimate) -> list[str]:

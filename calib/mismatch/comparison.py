@@ -146,12 +146,13 @@ class ComparisonProblem:
         start = SensorModel() if model is None else model
         if model is None and self.temperature is not None:
             start = replace(start, reference_temperature=float(np.median(self.temperature)))
+        shaken = real if raw is None else raw
+        self.thin = max(1, round(real.interval / shaken.interval))
         self.rests = np.zeros((0, 2), np.int64)
         if raw is not None:
             poses = find_poses(raw)
             edges = np.stack((raw.time[poses.start], raw.time[poses.stop - 1]), axis=1)
             self.rests = np.searchsorted(self.time, edges)
-        shaken = real if raw is None else raw
         variance = short_time_variance(shaken.time, shaken.accel)
         self.vibration = np.stack(
             [np.interp(self.time, shaken.time, v) for v in variance.T], axis=1
