@@ -123,11 +123,28 @@ def _table(path: Path, columns: dict[str, FloatArray]) -> ReferenceMotion:
     if given[0].endswith(("_deg", "_dps")):
         values = np.radians(values)
     if given[0].startswith("rate"):
-        steps = 0.5 * (values[1:] + values[:-1]) * np.diff(time)
-        values = np.concatenate(([0.0], np.cumsum(steps)))
+        values = _angles(path, time, values)
     quat = np.zeros((len(time), 4))
     quat[:, 0], quat[:, 3] = np.cos(0.5 * values), np.sin(0.5 * values)
     return ReferenceMotion(time, quat)
+
+
+def _angles(path: Path, time: FloatArray, rate: FloatArray) -> FloatArray:
+    """Return the integral of a commanded rate, by the spline that gives the rate back."""
+    from scipy.interpolate import make_interp_spline  # a third of a second to import
+
+    from calib.mismatch.truths import DEGREE
+
+    known = np.isfinite(rate)
+    if not known.all():
+        raise RecordingFormatError(
+            f"{path}: the rate is missing at {time[~known][0]:.6g} s; after a gap the angle is not "
+            "known: give the angle instead"
+        )
+    # Straight lines would lose 0.2 % of the rate where a table speeds up, at 20 Hz.
+    spline = make_interp_spline(time - time[0], rate, k=min(DEGREE, (len(time) - 2) | 1))
+    out: FloatArray = spline.antiderivative()(time - time[0])
+    return out
 
 
 def _unit(path: Path, quat: FloatArray) -> FloatArray:
