@@ -109,10 +109,18 @@ def whitening(time: FloatArray, colours: list[Colour], interval: float, band: fl
     return Blur((matrices[0], matrices[1]), seen, power, whitens=True, white=(accel, gyro))
 
 
-def find_colour(time: FloatArray, left: FloatArray, interval: float, band: float) -> Colour:
+def find_colour(
+    time: FloatArray,
+    left: FloatArray,
+    interval: float,
+    band: float,
+    *,
+    steepest: float = np.inf,
+) -> Colour:
     """Return the colour of (n, k) differences that passed `zero_phase`.
 
-    The median over parts counts little of what a few turns have of their own.
+    The median over parts counts little of what a few turns have of their own. ``steepest`` bounds
+    the rise with the square of the frequency, 1/Hz².
     """
     length = max(int(PART / interval), 16)
     starts = np.arange(0, len(time) - length + 1, max(length // 2, 1))
@@ -133,7 +141,7 @@ def find_colour(time: FloatArray, left: FloatArray, interval: float, band: float
     for _ in range(3):
         found = optimize.nnls(design / expected[:, None], density / expected)[0]
         expected = design @ found
-    slow = max(float(found[0]), float(expected[-1]) / STEEPEST)
+    slow = max(float(found[0]), float(found[1]) / steepest, float(expected[-1]) / STEEPEST)
     return Colour(float(found[1]) / slow, float(found[2]) / slow)
 
 

@@ -36,6 +36,9 @@ UNLIKE = 0.3
 """Share of the power of rotation that differs, after the fit of the baseline, from which on the
 two are two motions."""
 
+FAST = 0.98
+"""Share of the samples that turn slower than the motion at its fastest."""
+
 UNIT = 10.0
 """Factor beyond which rates or forces are of other units, not of another scale. What a sensor feels
 far from the axis of a fast table, and the reference does not, may be more: the square of it."""
@@ -290,9 +293,13 @@ class ComparisonProblem:
 
     def _whiten(self) -> None:
         """Look from here on through what makes the noise that is left white."""
-        left = self.residual(self.state())
+        state = self.state()
+        left = self.residual(state)
+        # A turn makes slow noise of rates of the noise of angles: w x angle beside d(angle)/dt.
+        turning = float(np.quantile(np.linalg.norm(state.rate, axis=1), FAST))
+        steepest = (2 * np.pi / max(turning, 1e-3)) ** 2
         colours = [
-            find_colour(self.time, left[:, own], self.interval, self.band)
+            find_colour(self.time, left[:, own], self.interval, self.band, steepest=steepest)
             for own in (slice(0, 3), slice(3, 6))
         ]
         self.blur = whitening(self.time, colours, self.interval, self.band)
