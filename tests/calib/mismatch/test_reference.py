@@ -11,7 +11,7 @@ from calib.mismatch import ReferenceMotion, diagnose_reference
 from calib.mismatch.band import limited
 from calib.model import SensorModel, Triad
 from calib.recording import Recording
-from calib.rotation import mat_from_rotvec
+from calib.rotation import mat_from_rotvec, quat_from_rotvec, quat_multiply
 from calib.simulate import Sampling, simulate
 from calib.simulation.bench import bench_protocol
 from calib.simulation.kinematics import Motion
@@ -132,6 +132,24 @@ def test_a_sensor_with_errors_off_the_centre_of_a_table_has_an_arm_and_nothing_e
         assert abs(q.value - value) < 3.5 * q.sigma, name
     assert named(found)["accel_lever_arm"]["rx"].sigma < 0.005
     assert named(found)["accel_lever_arm"]["rz"].sigma > 0.1
+
+
+def test_a_lost_sample_is_counted_in_samples_of_the_recording():
+    """Beside noisy captured motion every third sample of it is compared."""
+    rng = np.random.default_rng(6)
+    turn = motion().turns[3]
+    real = recorded(
+        Term("dropped_samples", {"count": -2.0, "moment": float(turn.mean())}), rate=100.0
+    )
+    seen = captured(start=5.0)
+    assert seen.position is not None
+    noise = quat_from_rotvec(rng.normal(0, np.radians(0.05), (len(seen.time), 3)))
+    position = seen.position + rng.normal(0, 1e-4, seen.position.shape)
+    reference = ReferenceMotion(seen.time, quat_multiply(seen.quat, noise), position)
+    found = diagnose_reference(real, reference, gravity=GRAVITY)
+    assert found.summary["compared_samples"] < 0.5 * len(real)
+    count = named(found)["dropped_samples"]["count"]
+    assert count.value == pytest.approx(-2.0, abs=0.1)
 
 
 def test_a_reference_of_another_motion_is_an_error():

@@ -139,6 +139,18 @@ def test_what_a_low_pass_leaves_of_noise_has_the_variance_that_rows_say(derivati
     assert (colours[0].at(np.array([band])) > 5.0) == (derivative > 0)
 
 
+def test_noise_rises_no_more_steeply_than_turns_allow():
+    rng = np.random.default_rng(6)
+    time = STEP * np.arange(20000)
+    angle = zero_phase(rng.normal(size=(20000, 3)), 5.0 * STEP)
+    rate = np.gradient(angle, STEP, axis=0)
+    free = find_colour(time, rate, STEP, 5.0)
+    bound = find_colour(time, rate, STEP, 5.0, steepest=0.5)
+    assert free.square > 1.0
+    assert bound.square == pytest.approx(0.5)
+    assert bound.fourth < 0.1
+
+
 def test_a_low_pass_is_the_same_at_any_rate():
     for rate in (50.0, 64.0, 286.0):
         time = np.arange(0.0, 20.0, 1 / rate)
