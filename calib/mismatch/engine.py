@@ -102,8 +102,10 @@ def diagnose_thinned(
         grid, model, gravity=gravity, full_gyro=full, spread=UNKNOWN_DRIFT if timeless else None
     )
     problem.drop = _spoilt_turns(grid, recording, seen.spoilt)
-    rounded = [f.channels for f in seen.findings if f.effect == "quantization"]
-    problem.coarse = tuple(c for c in range(3, 6) if any(CHANNELS[c] in names for names in rounded))
+    for f in seen.findings:
+        if f.effect == "quantization":
+            (lsb,) = (q.value for name, q in f.parameters.items() if name.endswith("_lsb"))
+            problem.coarse = {**problem.coarse, **{CHANNELS.index(c): lsb for c in f.channels}}
     losses = [] if timeless else find_losses(problem)
     problem.leave_out([loss.segment for loss in losses])
     skip: tuple[str, ...] = ("gyro_misalignment",) if full else ()

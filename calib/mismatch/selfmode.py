@@ -46,9 +46,9 @@ class SelfProblem:
         self.twin: Twin = fit_twin(grid, self.start, self.noise)
         self.given = () if model is None else model.terms
         self.drop: BoolArray | None = None
-        self.coarse: tuple[int, ...] = ()
-        """Channels whose counts are coarse: at rest they stick to one, so that the bias that is
-        seen there is not that of turns."""
+        self.coarse: Mapping[int, float] = {}
+        """Channels whose counts are coarse, and a count: at rest they stick to one, so that the
+        bias of a gyro that is seen there is not that of turns, and means are off in each pose."""
 
     def with_full_gyro(self) -> SelfProblem:
         """Return the same problem with the gyroscope's whole matrix in its baseline."""
@@ -74,13 +74,32 @@ class SelfProblem:
             for term in self.given
             for signals in get_effect(term.effect).columns(rows.state, _shape(term)).values()
         ]
-        known += [rows.functional[c] @ (self.grid.pose < 0) for c in self.coarse]
+        known += [rows.functional[c] @ (self.grid.pose < 0) for c in self.coarse if c >= 3]
         if known:
             rows = replace(rows, nuisance=np.column_stack((rows.nuisance, *known)))
+        if self.coarse:
+            rows = replace(rows, white=rows.white + self._rounding(rows))
         out = self._drifting(rows)
         if self.drop is not None:
             out |= self.drop[rows.segment]
         return rows.without(out) if out.any() else rows
+
+    def _rounding(self, rows: Rows) -> FloatArray:
+        """Return the covariance of dense rows that rounding to coarse counts makes, (n, n)."""
+        dense = slice(0, rows.n_dense)
+        means = rows.kind[dense] == Kind.MEAN
+        out = np.zeros((rows.n_dense, rows.n_dense))
+        sample = self.noise * self.grid.count[:, None]
+        for c, lsb in self.coarse.items():
+            for p in np.unique(rows.block[dense][means]):
+                own = np.flatnonzero(means & (rows.channel[dense] == c) & (rows.block[dense] == p))
+                # What is seen of the noise has the rounding in it.
+                noise = max(float(np.median(sample[self.grid.pose == p, c])) - lsb**2 / 12, 0.0)
+                # A signal that moves over counts within a pose is anywhere between them.
+                still = np.ptp(rows.residual[own]) < lsb / 4
+                alike = np.ones((len(own), len(own))) if still else np.eye(len(own))
+                out[np.ix_(own, own)] += rounded_mean_variance(lsb, np.sqrt(noise)) * alike
+        return out
 
     def _drifting(self, rows: Rows) -> BoolArray:
         """Return the contrasts within cells that are much longer than most, (m,) bool."""
@@ -94,6 +113,21 @@ class SelfProblem:
         """Move the twin."""
         twin = self.twin.moved(baseline, nuisance[: 2 * self.grid.n_poses].reshape(-1, 2))
         self.twin = replace(twin, model=replace(twin.model, terms=(*self.given, *terms)))
+
+
+def rounded_mean_variance(lsb: float, sigma: float) -> float:
+    """Return by how much means of many rounded samples err, as a variance; at most, by a half.
+
+    The mean of noise of sigma that is rounded to counts of LSB is off by
+    ``LSB/pi exp(-2 pi² (sigma/LSB)²)`` times the sine of where it is between two counts [1]_;
+    without noise the error is uniform over a count.
+
+    References
+    ----------
+    .. [1] Widrow, Kollar, "Quantization Noise", Cambridge 2008, ch. 4 (the first harmonic of the
+       characteristic function of rounded noise).
+    """
+    return float(lsb**2 / 12 * np.exp(-np.square(2 * np.pi * sigma / lsb)))
 
 
 def _shape(term: Term) -> dict[str, float]:

@@ -3,9 +3,12 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
+from scipy.stats import norm
 
 from calib.mismatch import diagnose_recording
 from calib.mismatch.samples import look_at_samples
+from calib.mismatch.selfmode import rounded_mean_variance
 from calib.recording import Recording
 from calib.statics import find_poses
 
@@ -66,5 +69,29 @@ def test_a_bias_that_sticks_to_a_coarse_count_at_rest_is_no_second_finding() -> 
         lsb = 1.6e-3
         gyro = np.round(recording.gyro / lsb) * lsb
         found = diagnose_recording(replace(recording, gyro=gyro), gravity=GRAVITY)
+        assert [f.effect for f in found.findings] == ["quantization"]
+        assert not found.unexplained
+
+
+@pytest.mark.parametrize("sigma", [0.0, 0.1, 0.2, 0.3, 0.4, 0.5])
+def test_rounded_means_err_as_much_as_is_said(sigma: float) -> None:
+    """Against an average over where between two counts the signal is."""
+    true = np.linspace(-0.5, 0.5, 400, endpoint=False)
+    counts = np.arange(-6, 7)
+    mean = np.rint(true)
+    if sigma:
+        edges = counts[:, None] + np.array([-0.5, 0.5]) - true[:, None, None]
+        mean = np.diff(norm.cdf(edges / sigma), axis=2)[:, :, 0] @ counts
+    found = np.mean(np.square(mean - true))
+    assert 0.6 * rounded_mean_variance(1.0, sigma) <= found
+    assert found <= 1.01 * rounded_mean_variance(1.0, sigma)
+
+
+def test_means_off_by_coarse_counts_are_no_second_finding() -> None:
+    for seed in (3, 5, 8):
+        recording = simulated(seed=seed)
+        lsb = 0.1
+        accel = np.round(recording.accel / lsb) * lsb
+        found = diagnose_recording(replace(recording, accel=accel), gravity=GRAVITY)
         assert [f.effect for f in found.findings] == ["quantization"]
         assert not found.unexplained
