@@ -8,6 +8,7 @@ equations.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -36,7 +37,7 @@ PLACES = 48
 """Places in a turn that are tried first."""
 
 SUSPECT = 6.0
-"""Size from which a turn is looked at again, with the gyroscope's misalignment fitted."""
+"""Size from which a turn is looked at again, in a fit that leaves it out."""
 
 TRIED = 3
 """Turns that are looked at so, at most."""
@@ -67,16 +68,20 @@ class Loss(NamedTuple):
 def find_losses(problem: SelfProblem) -> list[Loss]:
     """Return the losses that turn a turn which misses its closure by far into one that closes.
 
-    A gyroscope that is misaligned misses every closure a little, so that where one stands out it is
-    compared again with a twin that has the whole matrix.
+    A gyroscope that is misaligned misses every closure, and a loss would not stand out of that: so
+    the twin that they are compared with has the whole matrix.
     """
     grid = problem.grid
     drop = np.zeros(len(grid.first), bool) if problem.drop is None else problem.drop.copy()
     turns = np.flatnonzero(~grid.is_rest & ~drop)
     if len(turns) < FEWEST:
         return []
-    scores = _Closures(grid, problem.twin, turns).scores
-    full = problem.with_full_gyro() if scores.max() >= SUSPECT else problem
+    whole = problem.twin
+    if not problem.full_gyro:
+        whole = fit_twin(
+            grid, replace(whole, full_gyro=True), problem.noise, drop=drop, iterations=2
+        )
+    scores = _Closures(grid, whole, turns).scores
     out = []
     for _ in range(TRIED):
         if scores.max() < SUSPECT:
@@ -84,7 +89,7 @@ def find_losses(problem: SelfProblem) -> list[Loss]:
         # What one turn misses by, the fit spreads over its neighbours: fit without it.
         s = int(turns[np.argmax(scores)])
         drop[s] = True
-        twin = fit_twin(grid, full.twin, full.noise, drop=drop)
+        twin = fit_twin(grid, whole, problem.noise, drop=drop)
         closures = _Closures(grid, twin, turns)
         loss = closures.mended(s)
         if loss.before > FAR and loss.after < max(NEAR, SHARE * loss.before):

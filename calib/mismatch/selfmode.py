@@ -50,14 +50,6 @@ class SelfProblem:
         """Channels whose counts are coarse, and a count: at rest they stick to one, so that the
         bias of a gyro that is seen there is not that of turns, and means are off in each pose."""
 
-    def with_full_gyro(self) -> SelfProblem:
-        """Return the same problem with the gyroscope's whole matrix in its baseline."""
-        if self.full_gyro:
-            return self
-        return SelfProblem(
-            self.grid, self._model, gravity=self.start.gravity, full_gyro=True, spread=self.spread
-        )
-
     def leave_out(self, segments: list[int]) -> None:
         """Leave segments out of the rows and of the twin's fit."""
         if segments:

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from calib.effects.base import Term
 from calib.mismatch import diagnose_recording
 from calib.mismatch.grid import make_grid
 from calib.mismatch.losses import find_losses
@@ -40,6 +41,21 @@ def test_where_and_how_many_are_found_to_the_sample() -> None:
         assert loss.number == count
         assert abs(loss.moment - whole.time[at]) < 0.5 * whole.interval
         assert loss.after < 0.05 * loss.before
+
+
+def test_a_loss_stands_out_of_a_misaligned_gyroscope() -> None:
+    """Of a few samples in a turn that is no brisker than others."""
+    term = Term("gyro_misalignment", {"mxy": 8e-3, "myz": -7e-3, "mzx": 6e-3, "mzy": 7e-3})
+    whole = recording(term, rate=100.0)
+    poses = find_poses(whole)
+    speed = np.linalg.norm(whole.gyro, axis=1)
+    turns = [(int(a), int(b)) for a, b in zip(poses.stop[:-1], poses.start[1:], strict=True)]
+    turn = int(np.argsort([speed[a:b].max() for a, b in turns])[len(turns) // 2])
+    a, b = turns[turn]
+    at = a + int(np.argmax(speed[a:b]))
+    (loss,) = find_losses(problem_of(without(whole, at, 1)))
+    assert loss.number == 1
+    assert abs(loss.moment - whole.time[at]) < 1.5 * whole.interval
 
 
 def test_a_recording_without_losses_has_none() -> None:
