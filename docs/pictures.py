@@ -86,10 +86,11 @@ def draw_concealed(picture: Path) -> None:
         [float(x) if (x := cell.strip(" %")) else np.nan for cell in line.split("|")[1:-1]]
         for line in part.splitlines()[2:]
     ]
-    power, found, first, among, false, goal = np.array(rows).T
+    power, found, first, among, false, known, goal = np.array(rows).T
     figure, axes = plt.subplots(figsize=(7, 3.6), layout="constrained")
     for values, label, style in (
         (found, "something found", "o--"),
+        (known, "right name, if the noise were known", "s:"),
         (among, "right name, alone or a stated rival", "o-"),
         (first, "right name first", "o:"),
         (false, "a false name", "x-"),

@@ -467,11 +467,31 @@ def sample_noise(grid: Grid) -> FloatArray:
     ratio = np.where(usable[:, None], own / floor, 1.0)
     # A ratio beyond four standard errors of its estimate is a rest with a level of its own.
     limit = 1.0 + 4.0 * np.sqrt(2.0 / np.maximum(number, 1))[:, None]
-    level = floor * np.where(ratio > limit, ratio, 1.0)
+    loud = ratio > limit
+    for triad in (slice(0, 3), slice(3, 6)):
+        own_error = np.repeat(3.0 / np.maximum(number, 1)[:, None], 3, axis=1)[loud[:, triad]]
+        ratio[:, triad][loud[:, triad]] = shrunk(ratio[:, triad][loud[:, triad]], own_error)
+    level = floor * np.where(loud, ratio, 1.0)
     # While it moves, nobody knows: the common level.
     near = grid.near
     each = np.where((near >= 0)[:, None], level[np.maximum(near, 0)], floor)
     return np.asarray(each / grid.count[:, None])
+
+
+def shrunk(level: FloatArray, error: FloatArray) -> FloatArray:
+    """Return variances from few differences each, drawn to what they have in common.
+
+    Where each is weighted by its own, those that are too small by chance would count most. The
+    logarithm of a variance from n successive differences has a variance of about 3/n, `error`; what
+    levels differ by beyond that is how much each is its own.
+    """
+    if not len(level):
+        return level
+    logs = np.log(level) + 0.5 * error
+    between = max(float(np.var(logs) - error.mean()), 0.0) if len(level) > 1 else np.inf
+    own = 1.0 if np.isinf(between) else between / (between + error)
+    # The mean of a variance whose logarithm is uncertain.
+    return np.asarray(np.exp(logs.mean() + own * (logs - logs.mean()) + 0.5 * own * error))
 
 
 def fit_twin(

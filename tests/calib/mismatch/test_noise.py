@@ -18,6 +18,7 @@ from calib.mismatch.noise import (
     range_basis,
 )
 from calib.mismatch.score import SCALES, SHARES, Candidate, Stack
+from calib.mismatch.twin import shrunk
 
 from .bench import problem
 
@@ -144,3 +145,23 @@ def test_likelihood_is_averaged_over_the_prior_of_a_level(size, error):
     assert fit.log_share == pytest.approx(averaged, abs=error)
     # A level that is determined takes a smaller share of its prior than one that is not.
     assert fit.log_share < (-0.8 if size else 0.05)
+
+
+def test_levels_of_loud_rests_are_drawn_to_what_they_share_and_no_further():
+    rng = np.random.default_rng(9)
+    count = 14
+    error = np.full(40, 3.0 / count)
+
+    def seen(true):
+        values = rng.normal(size=(len(true), count + 1)) * np.sqrt(true)[:, None]
+        return np.square(np.diff(values, axis=1)).mean(axis=1) / 2
+
+    alike = np.full(40, 100.0)
+    found = np.array([shrunk(seen(alike), error) for _ in range(50)])
+    assert found.mean() == pytest.approx(100.0, rel=0.05)
+    assert np.log(found).std() < 0.6 * np.log(seen(np.full(2000, 100.0))).std()
+    # What counts is how much a rest weighs: as much as it should, on average.
+    assert np.mean(100.0 / found) == pytest.approx(1.0, abs=0.1)
+    unlike = np.geomspace(10.0, 1e4, 40)
+    ratio = np.array([shrunk(seen(unlike), error) / unlike for _ in range(50)])
+    assert np.exp(np.log(ratio).mean(axis=0)) == pytest.approx(1.0, abs=0.5)
