@@ -38,12 +38,11 @@ class SelfProblem:
         spread: float | None = None,
     ) -> None:
         self.grid = grid
-        self._model = model
         self.full_gyro = full_gyro
         self.noise = sample_noise(grid)
         self.spread = spread
-        self.start = start_twin(grid, model, gravity=gravity, full_gyro=full_gyro)
-        self.twin: Twin = fit_twin(grid, self.start, self.noise)
+        start = start_twin(grid, model, gravity=gravity, full_gyro=full_gyro)
+        self.twin: Twin = fit_twin(grid, start, self.noise)
         self.given = () if model is None else model.terms
         self.drop: BoolArray | None = None
         self.coarse: Mapping[int, float] = {}

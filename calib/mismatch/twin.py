@@ -468,9 +468,10 @@ def sample_noise(grid: Grid) -> FloatArray:
     # A ratio beyond four standard errors of its estimate is a rest with a level of its own.
     limit = 1.0 + 4.0 * np.sqrt(2.0 / np.maximum(number, 1))[:, None]
     loud = ratio > limit
-    for triad in (slice(0, 3), slice(3, 6)):
-        own_error = np.repeat(3.0 / np.maximum(number, 1)[:, None], 3, axis=1)[loud[:, triad]]
-        ratio[:, triad][loud[:, triad]] = shrunk(ratio[:, triad][loud[:, triad]], own_error)
+    error = np.broadcast_to(3.0 / np.maximum(number, 1)[:, None], ratio.shape)
+    for triad in (np.arange(6) < 3, np.arange(6) >= 3):
+        mine = loud & triad
+        ratio[mine] = shrunk(ratio[mine], error[mine])
     level = floor * np.where(loud, ratio, 1.0)
     # While it moves, nobody knows: the common level.
     near = grid.near

@@ -146,13 +146,13 @@ def motion_from_reference(
         raise ValueError("`time` must increase")
     quat = _continuous(quat[good])
     if bandwidth is not None:
-        quat = low_pass(at, quat, bandwidth)
+        quat = _low_pass(at, quat, bandwidth)
     quat /= np.linalg.norm(quat, axis=1, keepdims=True)
     acceleration = np.zeros((len(at), 3))
     if position is not None:
         position = position[good]
         if bandwidth is not None:
-            position = low_pass(at, position, bandwidth)
+            position = _low_pass(at, position, bandwidth)
         acceleration = CubicSpline(at, position)(at, 2)
     return Motion(name, float(at[-1]), _splines(at, quat, acceleration), gravity=gravity)
 
@@ -327,7 +327,7 @@ def _pairs(poses: Poses) -> list[tuple[int, int]]:
     return [(int(a), int(b)) for a, b in zip(poses.start, poses.stop, strict=True)]
 
 
-def low_pass(time: FloatArray, values: FloatArray, bandwidth: float) -> FloatArray:
+def _low_pass(time: FloatArray, values: FloatArray, bandwidth: float) -> FloatArray:
     """Return (n, k) values through a low-pass without delay; as they are if it is too wide."""
     step = float(np.median(np.diff(time))) if len(time) > 1 else 1.0
     if bandwidth >= 0.45 / step or len(time) < 32:
