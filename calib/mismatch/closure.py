@@ -24,25 +24,31 @@ from typing import NamedTuple
 import numpy as np
 
 from calib.rotation import (
-    cumulative_quat,
     cumulative_quat_segments,
     mat_from_quat,
     quat_from_rotvec,
     rate_increments,
+    skew,
 )
 from calib.types import FloatArray, IntArray
 
 
-class Closure(NamedTuple):
-    """One turn: five residuals and their response to df, dw (5, n, 3) and to the attitudes."""
+class Closures(NamedTuple):
+    """Residuals of k turns (k, 5): two angles (rad), and three velocities (m/s) at the start.
+
+    Their response to df and dw at the n points of all turns, (5, n, 3) each, and to the two
+    attitude angles of the rests on either side, (k, 5, 2): ``before`` and ``after`` are derivatives
+    of the *model*, so that ``residual ~ before @ db + after @ da``. ``angle`` is the path of
+    rotation (rad), ``effort`` that of velocity (m/s), (k,); they scale the closure's own errors.
+    """
 
     residual: FloatArray
     accel_weights: FloatArray
     gyro_weights: FloatArray
     before: FloatArray
     after: FloatArray
-    angle: float
-    effort: float
+    angle: FloatArray
+    effort: FloatArray
 
 
 class Ended(NamedTuple):
@@ -63,111 +69,110 @@ def across(up: FloatArray) -> FloatArray:
     return np.stack((first, np.cross(up, first)), axis=-1)
 
 
-def turned_frame(time: FloatArray, rate: FloatArray) -> FloatArray:
-    """Return quaternions (n, 4) of the frame at each time seen from that at the first.
+def turned_frames(time: FloatArray, rate: FloatArray, first: IntArray) -> FloatArray:
+    """Return the frame at each time seen from that at the start of its turn, (n, 3, 3).
 
     A trapezoid is off by ``dt²/12 dw/dt`` in between, and right again where the sensor rests: at
     50 Hz a velocity of 2 mm/s after a brisk turn. So its next term is taken along
-    (Euler-Maclaurin).
+    (Euler-Maclaurin). Points ``[first[i], first[i + 1])`` are turn i's, two or more.
     """
-    increments = rate_increments(time, rate)
-    if len(time) > 2:
-        slope = np.gradient(rate, time, axis=0)
-        slope[[0, -1]] = 0.0  # at rest; their noise would count twice
-        increments -= np.square(np.diff(time))[:, None] / 12 * np.diff(slope, axis=0)
-    quat = np.zeros((len(time), 4))
-    quat[0, 0] = 1.0
-    quat[1:] = cumulative_quat(quat_from_rotvec(increments))
-    return quat
+    if len(first) < 2:
+        return np.zeros((0, 3, 3))
+    start, last = first[:-1], first[1:] - 1
+    slope = np.gradient(rate, time, axis=0)
+    slope[start] = slope[last] = 0.0  # at rest; their noise would count twice
+    increments = np.zeros_like(rate)
+    increments[1:] = rate_increments(time, rate)
+    increments[1:] -= np.square(np.diff(time))[:, None] / 12 * np.diff(slope, axis=0)
+    increments[start] = 0.0
+    return mat_from_quat(cumulative_quat_segments(quat_from_rotvec(increments), first))
 
 
 def integrate_turns(
     time: FloatArray, force: FloatArray, rate: FloatArray, first: IntArray
 ) -> Ended:
-    """Return where turns end, all at once: what `close_turn` compares, without derivatives.
+    """Return where turns end, all at once: what `close_turns` compares, without derivatives.
 
     Points ``[first[i], first[i + 1])`` are turn i's. The velocity is the integral of the specific
     force: gravity's is in it.
     """
-    if len(first) < 2:
-        return Ended(np.zeros((0, 3, 3)), np.zeros((0, 3)))
-    start, last = first[:-1], first[1:] - 1
-    slope = np.gradient(rate, time, axis=0)
-    slope[start] = slope[last] = 0.0
-    increments = np.zeros_like(rate)
-    increments[1:] = rate_increments(time, rate)
-    increments[1:] -= np.square(np.diff(time))[:, None] / 12 * np.diff(slope, axis=0)
-    increments[start] = 0.0
-    mat = mat_from_quat(cumulative_quat_segments(quat_from_rotvec(increments), first))
-    turned = np.einsum("nij,nj->ni", mat, force)
-    step = np.diff(time, prepend=time[0])
-    step[start] = 0.0
-    weight = 0.5 * (step + np.append(step[1:], 0.0))
-    return Ended(mat[last], np.add.reduceat(weight[:, None] * turned, start, axis=0))
+    mat = turned_frames(time, rate, first)
+    weighted = _weights(_steps(time, first))[:, None] * np.einsum("nij,nj->ni", mat, force)
+    return Ended(mat[first[1:] - 1], np.add.reduceat(weighted, first[:-1], axis=0))
 
 
-def close_turn(
+def _steps(time: FloatArray, first: IntArray) -> FloatArray:
+    """Return the time since the point before in the same turn, (n,) s."""
+    step = np.diff(time, prepend=0.0)
+    step[first[:-1]] = 0.0
+    return step
+
+
+def _weights(step: FloatArray) -> FloatArray:
+    """Return what each point counts in the integral over its turn, by trapezoids (n,)."""
+    return np.asarray(0.5 * (step + np.append(step[1:], 0.0)))
+
+
+def close_turns(
     time: FloatArray,
     force: FloatArray,
     rate: FloatArray,
+    first: IntArray,
     up_before: FloatArray,
     up_after: FloatArray,
     *,
     gravity: float,
-) -> Closure:
-    """Return the closures of one turn.
+) -> Closures:
+    """Return the closures of turns.
 
     Parameters
     ----------
     time : (n,) array, s
     force, rate : (n, 3) arrays
         Corrected signals.
-    up_before, up_after : (3,) arrays
+    first : (k + 1,) array of int
+        Points ``[first[i], first[i + 1])`` are turn i's.
+    up_before, up_after : (k, 3) arrays
         Unit vectors up, in frame s, at the rests on either side.
     gravity : float, m/s²
-
-    Returns
-    -------
-    Closure
-        Residuals: two angles (rad), three velocities (m/s) in the frame at the start. ``before``
-        and ``after`` (5, 2) are the derivatives of the *model* by the two attitude angles of each
-        rest, so that ``residual ~ before @ db + after @ da``. ``angle`` is the path of rotation
-        (rad), ``effort`` that of velocity (m/s); they scale the closure's own errors.
     """
-    step = np.diff(time)
-    weight = np.zeros(len(time))
-    weight[:-1] += 0.5 * step
-    weight[1:] += 0.5 * step
-    mat = mat_from_quat(turned_frame(time, rate))
+    start, last, number = first[:-1], first[1:] - 1, np.diff(first)
+    turn = np.repeat(np.arange(len(start)), number)
+    step = _steps(time, first)
+    weight = _weights(step)
+    mat = turned_frames(time, rate, first)
     turned = np.einsum("nij,nj->ni", mat, force)
-    increments = 0.5 * step[:, None] * (turned[:-1] + turned[1:])
-    total = increments.sum(axis=0)
-    remaining = np.zeros_like(turned)
-    remaining[:-1] = np.cumsum(increments[::-1], axis=0)[::-1]
-    duration = time[-1] - time[0]
+    increments = 0.5 * step[:, None] * (turned + np.roll(turned, 1, axis=0))
+    passed = np.cumsum(increments, axis=0)
+    remaining = passed[last][turn] - passed
+    total = passed[last] - passed[start]
+    duration = time[last] - time[start]
     plane, plane_after = across(up_before), across(up_after)
-    end = mat[-1] @ up_after
-    residual = np.concatenate((plane.T @ (end - up_before), total - gravity * duration * up_before))
+    end = np.einsum("kij,kj->ki", mat[last], up_after)
+    residual = np.hstack(
+        (
+            np.einsum("kij,ki->kj", plane, end - up_before),
+            total - gravity * duration[:, None] * up_before,
+        )
+    )
     weighted = mat * weight[:, None, None]
-    gyro = np.empty((5, len(time), 3))
-    accel = np.zeros_like(gyro)
-    for row in range(2):
-        gyro[row] = np.cross(end, plane[:, row]) @ weighted
-    for row in range(3):
-        unit = np.eye(3)[row]
-        accel[2 + row] = weighted[:, row, :]
-        gyro[2 + row] = np.einsum("ni,nij->nj", np.cross(remaining, unit), weighted)
-    before, after = np.zeros((5, 2)), np.zeros((5, 2))
-    before[:2] = np.eye(2)
-    after[:2] = -plane.T @ mat[-1] @ plane_after
-    before[2:] = gravity * duration * plane
-    moved = np.linalg.norm(turned - gravity * up_before, axis=1)
-    return Closure(
+    gyro, accel = np.empty((5, len(time), 3)), np.zeros((5, len(time), 3))
+    lever = np.cross(end[:, None], np.swapaxes(plane, 1, 2))
+    gyro[:2] = np.swapaxes(lever[turn] @ weighted, 0, 1)
+    # R x e of each unit vector e are the columns of skew(R).
+    gyro[2:] = np.swapaxes(np.swapaxes(skew(remaining), 1, 2) @ weighted, 0, 1)
+    accel[2:] = np.swapaxes(weighted, 0, 1)
+    before, after = np.zeros((len(start), 5, 2)), np.zeros((len(start), 5, 2))
+    before[:, :2] = np.eye(2)
+    after[:, :2] = -np.swapaxes(plane, 1, 2) @ mat[last] @ plane_after
+    before[:, 2:] = gravity * duration[:, None, None] * plane
+    moved = np.linalg.norm(turned - gravity * up_before[turn], axis=1)
+    return Closures(
         residual,
         accel,
         gyro,
         before,
         after,
-        float(weight @ np.linalg.norm(rate, axis=1)),
-        float(weight @ moved),
+        np.add.reduceat(weight * np.linalg.norm(rate, axis=1), start),
+        np.add.reduceat(weight * moved, start),
     )

@@ -11,7 +11,12 @@ import numpy as np
 
 from calib.mismatch.closure import across
 from calib.mismatch.grid import Grid
-from calib.rotation import integrate_rate, mat_from_quat
+from calib.rotation import (
+    cumulative_quat_segments,
+    mat_from_quat,
+    quat_from_rotvec,
+    rate_increments,
+)
 from calib.types import FloatArray
 
 
@@ -33,16 +38,19 @@ def orient(grid: Grid, up: FloatArray, rate: FloatArray) -> FloatArray | None:
     turns = np.flatnonzero(~grid.is_rest)
     if not np.array_equal(grid.before[turns], np.arange(grid.n_poses - 1)):
         return None
-    out = np.empty((len(grid.time), 3, 3))
-    pose = grid.pose
-    mat = _upright(across(up[0])[:, 0], up[0])
-    out[pose == 0] = mat
-    for s in turns:
-        points = slice(int(grid.first[s]), int(grid.last[s]))
-        after = int(grid.after[s])
-        out[points] = mat @ mat_from_quat(integrate_rate(grid.time[points], rate[points]))
-        mat = _upright(out[points.stop - 1, 0], up[after])
-        out[pose == after] = mat
+    first = np.append(0, np.cumsum(grid.last[turns] - grid.first[turns]))
+    points = np.flatnonzero(grid.pose < 0)
+    increments = np.zeros((len(points), 3))
+    increments[1:] = rate_increments(grid.time[points], rate[points])
+    increments[first[:-1]] = 0.0
+    turned = mat_from_quat(cumulative_quat_segments(quat_from_rotvec(increments), first))
+    stands = [_upright(across(up[0])[:, 0], up[0])]
+    for end, above in zip(turned[first[1:] - 1], up[grid.after[turns]], strict=True):
+        stands.append(_upright((stands[-1] @ end)[0], above))
+    stood = np.stack(stands)
+    # The turns join each rest to the next.
+    out = stood[grid.pose]
+    out[points] = np.repeat(stood[:-1], np.diff(first), axis=0) @ turned
     return out
 
 

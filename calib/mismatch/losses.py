@@ -8,17 +8,17 @@ equations.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from calib.faults import ROBUST
-from calib.mismatch.closure import across, turned_frame
+from calib.mismatch.closure import across, integrate_turns
 from calib.mismatch.grid import Grid
 from calib.mismatch.selfmode import SelfProblem
 from calib.mismatch.twin import Twin, fit_twin, true_state
-from calib.rotation import mat_from_quat
 from calib.types import FloatArray, IntArray
 
 FAR = 20.0
@@ -47,6 +47,9 @@ FEWEST = 6
 
 CONTEXT = 6
 """Samples on either side that those put back are interpolated from."""
+
+TOGETHER = 64
+"""Turns that are integrated at a time: more need memory, fewer more calls."""
 
 Signals = tuple[FloatArray, FloatArray, FloatArray]
 """Time, force and rate of one turn."""
@@ -102,56 +105,61 @@ class _Closures:
     """Closures of turns, and their sizes in scatters of them all."""
 
     def __init__(self, grid: Grid, twin: Twin, turns: IntArray) -> None:
-        self._grid, self._twin = grid, twin
+        self._grid, self._twin, self._turns = grid, twin, turns
         self._state = true_state(grid, twin)
-        left = np.array([self._residual(s, self._signals(s)) for s in turns])
+        own = [np.arange(grid.first[s], grid.last[s]) for s in turns]
+        first = np.append(0, np.cumsum([len(k) for k in own]))
+        state, points = self._state, np.concatenate(own)
+        signals = grid.time[points], state.force[points], state.rate[points]
+        left = self._residuals(turns, signals, first)
         size = ROBUST * np.median(np.abs(left), axis=0)
         self._scatter = np.repeat([size[:2].mean(), size[2:].mean()], (2, 3))
-        self.scores = np.array([self._score(closure) for closure in left])
+        self.scores = self._sizes(left)
 
     def mended(self, s: int) -> Loss:
         """Return the loss in one turn that leaves least of its closure."""
-        signals = self._signals(s)
+        own = slice(int(self._grid.first[s]), int(self._grid.last[s]))
+        signals = self._grid.time[own], self._state.force[own], self._state.rate[own]
         last = len(signals[0]) - 2
         stride = max(1, last // PLACES)
-
         jump = _jump(np.hstack(signals[1:]))
 
-        def score(at: int, number: int) -> float:
-            return self._score(self._residual(s, _put_back(signals, at, number)))
-
-        def best(places: range, counts: range) -> tuple[int, int]:
-            tried = ((k, n) for k in places for n in counts)
-            return min(tried, key=lambda kn: 5 * score(*kn) ** 2 + jump[kn[1], kn[0]])
+        def best(places: Iterable[int]) -> tuple[float, int, int, float]:
+            """Return what is left at the best place, the place, the number, and its size."""
+            grid = np.meshgrid(np.fromiter(places, np.int64), np.arange(1, MOST + 1), indexing="ij")
+            at, number = (values.ravel() for values in grid)
+            parts = [slice(k, k + TOGETHER) for k in range(0, len(at), TOGETHER)]
+            size = np.hstack([self._mended(s, signals, at[k], number[k]) for k in parts])
+            left = 5 * size**2 + jump[number, at]
+            k = int(np.argmin(left))
+            return float(left[k]), int(at[k]), int(number[k]), float(size[k])
 
         # A long shot first; then where the signals themselves jump, and about the better of them.
-        counts = range(1, MOST + 1)
-        coarse = range(2, last, stride)
         sharp = int(np.argmin(jump[1:].min(axis=0)))
-        places = [best(coarse, counts)[0], min(max(sharp, 2), last - 1)]
+        places = [best(range(2, last, stride))[1], min(max(sharp, 2), last - 1)]
         around = [range(max(2, k - stride), min(last, k + stride + 1)) for k in places]
-        found = [best(near, counts) for near in around]
-        at, number = min(found, key=lambda kn: 5 * score(*kn) ** 2 + jump[kn[1], kn[0]])
-        before = self._score(self._residual(s, signals))
-        return Loss(int(s), float(signals[0][at]), number, before, score(at, number))
+        _, at, number, after = min((best(near) for near in around), key=lambda found: found[0])
+        before = float(self.scores[self._turns.tolist().index(s)])
+        return Loss(int(s), float(signals[0][at]), number, before, after)
 
-    def _signals(self, s: int) -> Signals:
-        own = slice(int(self._grid.first[s]), int(self._grid.last[s]))
-        return self._grid.time[own], self._state.force[own], self._state.rate[own]
+    def _mended(self, s: int, signals: Signals, at: IntArray, number: IntArray) -> FloatArray:
+        """Return the size of a turn's closure with samples put back, (k,)."""
+        whole, first = _put_back(signals, at, number)
+        return self._sizes(self._residuals(np.full(len(at), s), whole, first))
 
-    def _residual(self, s: int, signals: Signals) -> FloatArray:
-        """Return the five residuals of `closure.close_turn`."""
+    def _residuals(self, turns: IntArray, signals: Signals, first: IntArray) -> FloatArray:
+        """Return the five residuals of `closure.close_turns` of each, (k, 5)."""
         time, force, rate = signals
         up, gravity = self._twin.up, self._twin.gravity
-        before, after = up[self._grid.before[s]], up[self._grid.after[s]]
-        mat = mat_from_quat(turned_frame(time, rate))
-        turned = np.einsum("nij,nj->ni", mat, force)
-        total = 0.5 * np.diff(time) @ (turned[:-1] + turned[1:])
-        attitude = across(before).T @ (mat[-1] @ after - before)
-        return np.concatenate((attitude, total - gravity * (time[-1] - time[0]) * before))
+        before, after = up[self._grid.before[turns]], up[self._grid.after[turns]]
+        ended = integrate_turns(time, force, rate, first)
+        tilt = np.einsum("kij,kj->ki", ended.frame, after) - before
+        attitude = np.einsum("kij,ki->kj", across(before), tilt)
+        duration = (time[first[1:] - 1] - time[first[:-1]])[:, None]
+        return np.hstack((attitude, ended.velocity - gravity * duration * before))
 
-    def _score(self, closure: FloatArray) -> float:
-        return float(np.sqrt(np.mean(np.square(closure / self._scatter))))
+    def _sizes(self, closures: FloatArray) -> FloatArray:
+        return np.asarray(np.sqrt(np.mean(np.square(closures / self._scatter), axis=1)))
 
 
 def _jump(values: FloatArray) -> FloatArray:
@@ -177,16 +185,68 @@ def _jump(values: FloatArray) -> FloatArray:
     return out
 
 
-def _put_back(signals: Signals, at: int, count: int) -> Signals:
-    """Return time, force and rate with `count` samples put in before sample `at`."""
-    from scipy.interpolate import CubicSpline  # a third of a second to import
+def _put_back(signals: Signals, at: IntArray, count: IntArray) -> tuple[Signals, IntArray]:
+    """Return signals with ``count[i]`` samples put in before sample ``at[i]``, for each of k.
 
+    One after another, each as long after the last as none of them lasts; and where each begins.
+    """
     time, force, rate = signals
-    step = float(np.median(np.diff(time)))
-    near = slice(max(at - CONTEXT, 0), at + CONTEXT)
-    true = time + count * step * (np.arange(len(time)) >= at)
-    fresh = true[at - 1] + step * np.arange(1, count + 1)
+    n, step = len(time), float(np.median(np.diff(time)))
     both = np.hstack((force, rate))
-    put = CubicSpline(true[near], both[near])(fresh)
-    whole = np.insert(both, [at] * count, put, axis=0)
-    return np.insert(true, [at] * count, fresh), whole[:, :3], whole[:, 3:]
+    put = np.empty((len(at), MOST, both.shape[1]))
+    low, high = np.maximum(at - CONTEXT, 0), np.minimum(at + CONTEXT, n)
+    shift = count * step
+    fresh = time[at - 1, None] + step * np.arange(1, MOST + 1)
+    # Near the ends of a turn there is less to interpolate from.
+    for gap, width in np.unique(np.stack((at - 1 - low, high - low)), axis=1).T:
+        own = np.flatnonzero((at - 1 - low == gap) & (high - low == width))
+        near = low[own, None] + np.arange(width)
+        true = time[near] + shift[own, None] * (np.arange(width) > gap)
+        put[own] = _spline(true, both[near], int(gap), fresh[own])
+    first = np.append(0, np.cumsum(n + count))
+    case = np.repeat(np.arange(len(at)), n + count)
+    index = np.arange(first[-1]) - first[case]
+    late = np.maximum(index - at[case] + 1, 0)
+    new = (late > 0) & (late <= count[case])
+    source = np.minimum(index - np.minimum(late, count[case]), n - 1)
+    whole = both[source]
+    whole[new] = put[case[new], late[new] - 1]
+    clock = time[source] + shift[case] * (late > count[case])
+    clock[new] = fresh[case[new], late[new] - 1]
+    clock += case * (time[-1] - time[0] + (MOST + 1) * step)
+    return (clock, whole[:, :3], whole[:, 3:]), first
+
+
+def _spline(time: FloatArray, values: FloatArray, gap: int, at: FloatArray) -> FloatArray:
+    """Return (k, m, c) values at (k, m) times, by a cubic spline through each of k rows of points.
+
+    Not-a-knot at the ends [1]_. All times ``at`` are between points `gap` and ``gap + 1``.
+
+    Parameters
+    ----------
+    time, values : (k, w), (k, w, c) arrays, w > 3
+
+    References
+    ----------
+    .. [1] de Boor, "A Practical Guide to Splines", Springer 1978, ch. IV, eqs. (7), (10).
+    """
+    step = np.diff(time, axis=1)
+    slope = np.diff(values, axis=1) / step[..., None]
+    system, right = np.zeros((len(time), *2 * time.shape[1:])), np.zeros_like(values)
+    inner = np.arange(1, time.shape[1] - 1)
+    system[:, inner, inner - 1] = step[:, 1:]
+    system[:, inner, inner] = 2 * (step[:, :-1] + step[:, 1:])
+    system[:, inner, inner + 1] = step[:, :-1]
+    right[:, inner] = 3 * (step[:, 1:, None] * slope[:, :-1] + step[:, :-1, None] * slope[:, 1:])
+    for end, beside in ((0, 1), (-1, -2)):
+        h, k = step[:, end, None], step[:, beside, None]
+        system[:, end, [end]], system[:, end, [beside]] = k, h + k
+        outer, other = slope[:, end], slope[:, beside]
+        right[:, end] = ((3 * h + 2 * k) * k * outer + h**2 * other) / (h + k)
+    knots = np.linalg.solve(system, right)
+    width = step[:, gap, None]
+    part = ((at - time[:, gap, None]) / width)[..., None]
+    y = values[:, [gap]] + slope[:, [gap]] * (at - time[:, gap, None])[..., None]
+    d = (knots[:, [gap + j]] - slope[:, [gap]] for j in (0, 1))
+    bend = next(d) * (1 - part) - next(d) * part
+    return np.asarray(y + width[..., None] * part * (1 - part) * bend)

@@ -13,7 +13,7 @@ from scipy import sparse
 
 from calib.effects import get_effect
 from calib.effects.base import State
-from calib.mismatch.closure import across, close_turn
+from calib.mismatch.closure import across, close_turns
 from calib.mismatch.grid import Grid
 from calib.mismatch.heading import orient
 from calib.mismatch.rows import Component, Kind, Rows
@@ -194,70 +194,60 @@ def build_rows(grid: Grid, twin: Twin, noise: FloatArray, *, spread: float | Non
     n, n_cell, n_turn = len(grid.time), len(rest), len(turns)
     n_mean, n_close = 6 * n_cell, 5 * n_turn
     m = n_mean + n_close + 12 * n_cell
-    entries: list[list[tuple[IntArray, IntArray, FloatArray]]] = [[] for _ in CHANNELS]
     residual = np.zeros(m)
     kind = np.empty(m, np.int64)
     channel = np.full(m, -1, np.int64)
     segment = np.empty(m, np.int64)
     nuisance = np.zeros((m, 2 * grid.n_poses))
     left = measured - explained - predicted
+    # At rest: rows (3, cells, 6) of the means, and of two contrasts.
+    still = np.flatnonzero(grid.pose >= 0)
+    cell = (np.cumsum(grid.is_rest) - 1)[grid.segment[still]]
+    weights = _cell_weights(grid.count[still], cell)
+    at = np.arange(6 * n_cell).reshape(n_cell, 6)
+    later = n_mean + n_close + 12 * np.arange(n_cell)[:, None] + np.arange(6)
+    rows = np.stack((at, later, later + 6))
+    for row, weight in zip(rows, weights, strict=True):
+        for c in range(6):
+            residual[row[:, c]] = np.bincount(cell, weight * left[still, c], n_cell)
+    channel[rows] = np.arange(6)
+    segment[rows] = rest[:, None]
+    kind[rows[0]], kind[rows[1:]] = Kind.MEAN, Kind.CONTRAST
     tilt = twin.gravity * np.einsum("ij,kjl->kil", model.accel.matrix, across(twin.up))
-    for i, s in enumerate(rest):
-        a, b = int(grid.first[s]), int(grid.last[s])
-        weights = _cell_weights(grid.count[a:b])
-        points = np.arange(a, b)
-        rows = (
-            np.arange(6) + 6 * i,
-            *(n_mean + n_close + 12 * i + 6 * j + np.arange(6) for j in (0, 1)),
-        )
-        for w, row in zip(weights, rows, strict=True):
-            residual[row] = w @ left[a:b]
-            channel[row] = np.arange(6)
-            segment[row] = s
-            kind[row] = Kind.MEAN if row[0] < n_mean else Kind.CONTRAST
-            for c in range(6):
-                entries[c].append((np.full(b - a, row[c]), points, w))
-        p = int(grid.before[s])
-        nuisance[rows[0][:3], 2 * p : 2 * p + 2] = tilt[p]
-    angle, effort = np.zeros(n_turn), np.zeros(n_turn)
-    for i, s in enumerate(turns):
-        a, b = int(grid.first[s]), int(grid.last[s])
-        p, q = int(grid.before[s]), int(grid.after[s])
-        closure = close_turn(
-            grid.time[a:b],
-            state.force[a:b],
-            state.rate[a:b],
-            twin.up[p],
-            twin.up[q],
-            gravity=twin.gravity,
-        )
-        row = n_mean + 5 * i + np.arange(5)
-        residual[row] = closure.residual
-        kind[row] = [Kind.ATTITUDE] * 2 + [Kind.VELOCITY] * 3
-        segment[row] = s
-        nuisance[row, 2 * p : 2 * p + 2] += closure.before
-        nuisance[row, 2 * q : 2 * q + 2] += closure.after
-        angle[i], effort[i] = closure.angle, closure.effort
-        points = np.tile(np.arange(a, b), 5)
-        index = np.repeat(row, b - a)
-        for turn_weights, first, back in (
-            (closure.accel_weights, 0, inverse[0]),
-            (closure.gyro_weights, 3, inverse[1]),
-        ):
-            onto = turn_weights @ back
-            part = slice(2 * (b - a), None) if first == 0 else slice(None)
-            for c in range(3):
-                entries[first + c].append((index[part], points[part], onto[:, :, c].ravel()[part]))
-    functional = tuple(
-        sparse.csr_matrix(
-            (
-                np.concatenate([e[2] for e in part]),
-                (np.concatenate([e[0] for e in part]), np.concatenate([e[1] for e in part])),
-            ),
-            shape=(m, n),
-        )
-        for part in entries
+    pose = grid.before[rest]
+    for j in (0, 1):
+        nuisance[rows[0, :, :3], 2 * pose[:, None] + j] = tilt[pose, :, j]
+    # Turns: rows (turns, 5).
+    points = np.flatnonzero(grid.pose < 0)
+    first = np.append(0, np.cumsum(grid.last[turns] - grid.first[turns]))
+    before, after = grid.before[turns], grid.after[turns]
+    closed = close_turns(
+        grid.time[points],
+        state.force[points],
+        state.rate[points],
+        first,
+        twin.up[before],
+        twin.up[after],
+        gravity=twin.gravity,
     )
+    ends = n_mean + np.arange(n_close).reshape(n_turn, 5)
+    residual[ends] = closed.residual
+    kind[ends] = [Kind.ATTITUDE] * 2 + [Kind.VELOCITY] * 3
+    segment[ends] = turns[:, None]
+    for j in (0, 1):
+        nuisance[ends, 2 * before[:, None] + j] += closed.before[:, :, j]
+        nuisance[ends, 2 * after[:, None] + j] += closed.after[:, :, j]
+    row_of = np.repeat(ends, np.diff(first), axis=0).T
+    moved = (closed.accel_weights @ inverse[0], closed.gyro_weights @ inverse[1])
+    functional = []
+    for c in range(6):
+        # Of the attitude, accelerometers know nothing.
+        known = slice(2, 5) if c < 3 else slice(0, 5)
+        onto = moved[c // 3][known, :, c % 3]
+        index = (*rows[:, :, c][:, cell], *row_of[known])
+        place = np.concatenate((*[still] * 3, *[points] * len(onto)))
+        values = np.concatenate((*weights, *onto))
+        functional.append(sparse.csr_matrix((values, (np.concatenate(index), place)), shape=(m, n)))
     baseline = np.zeros((m, len(twin.names)))
     for j, name in enumerate(twin.names):
         for key, values in baseline_column(name, state).items():
@@ -280,8 +270,8 @@ def build_rows(grid: Grid, twin: Twin, noise: FloatArray, *, spread: float | Non
         segment[:dense],
         white,
         noise,
-        angle,
-        effort,
+        closed.angle,
+        closed.effort,
         SPREAD if spread is None else spread,
     )
     blur = mean_over_interval(grid, state)
@@ -292,7 +282,7 @@ def build_rows(grid: Grid, twin: Twin, noise: FloatArray, *, spread: float | Non
         baseline=baseline,
         names=twin.names,
         nuisance=nuisance,
-        functional=functional,
+        functional=tuple(functional),
         state=state,
         point_segment=grid.segment,
         white=white,
@@ -332,15 +322,19 @@ def _explained(grid: Grid, twin: Twin, state: State) -> FloatArray:
     return np.hstack((full.accel - bare.accel, full.gyro - bare.gyro))
 
 
-def _cell_weights(count: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the weights of a mean and of two contrasts over three bins, all of one variance."""
-    total = count.sum()
-    bins = np.minimum(np.arange(len(count)) * 3 // len(count), 2)
-    size = np.bincount(bins, count, 3)
-    mean = count / total
-    parts = [np.where(bins == k, count / size[k], 0.0) for k in range(3)]
-    linear = (parts[2] - parts[0]) / np.sqrt(6.0)
-    quadratic = (parts[0] - 2 * parts[1] + parts[2]) / np.sqrt(18.0)
+def _cell_weights(count: IntArray, cell: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the weights of a mean and of two contrasts over three bins, all of one variance.
+
+    Each point has its `count` of samples, and its `cell`.
+    """
+    first = np.flatnonzero(np.diff(cell, prepend=-1))
+    points = np.diff(first, append=len(cell))[cell]
+    bins = np.minimum((np.arange(len(cell)) - first[cell]) * 3 // points, 2)
+    size = np.bincount(3 * cell + bins, count)
+    mean = count / np.bincount(cell, count)[cell]
+    own = count / size[3 * cell + bins]
+    linear = np.array([-1.0, 0.0, 1.0])[bins] * own / np.sqrt(6.0)
+    quadratic = np.array([1.0, -2.0, 1.0])[bins] * own / np.sqrt(18.0)
     return mean, linear, quadratic
 
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from calib.mismatch.closure import close_turn, integrate_turns
+from calib.mismatch.closure import Closures, close_turns, integrate_turns
 from calib.rotation import mat_from_rotvec
 from calib.types import FloatArray
 
@@ -20,13 +20,19 @@ def turn(step: float, angle: float) -> tuple[FloatArray, FloatArray, FloatArray,
     return time, G * up, rate, up
 
 
+def close(time: FloatArray, force: FloatArray, rate: FloatArray, up: FloatArray) -> Closures:
+    """Return the closure of one turn."""
+    first = np.array([0, len(time)])
+    return close_turns(time, force, rate, first, up[:1], up[-1:], gravity=G)
+
+
 def test_a_brisk_turn_closes_at_50_hz() -> None:
     for angle in (1.0, 2.0, 3.0):
         time, force, rate, up = turn(0.02, angle)
-        closed = close_turn(time, force, rate, up[0], up[-1], gravity=G)
-        assert np.abs(closed.residual[:2]).max() < 1e-6
+        closed = close(time, force, rate, up)
+        assert np.abs(closed.residual[0, :2]).max() < 1e-6
         # A trapezoid leaves 1 to 3 mm/s.
-        assert np.abs(closed.residual[2:]).max() < 2e-4
+        assert np.abs(closed.residual[0, 2:]).max() < 2e-4
 
 
 def test_means_over_the_sample_interval_leave_what_the_rows_allow() -> None:
@@ -37,7 +43,7 @@ def test_means_over_the_sample_interval_leave_what_the_rows_allow() -> None:
     def mean(values: FloatArray) -> FloatArray:
         return values[:few].reshape(-1, width, *values.shape[1:]).mean(axis=1)
 
-    closed = close_turn(mean(time), mean(force), mean(rate), up[0], up[-1], gravity=G)
+    closed = close(mean(time), mean(force), mean(rate), up)
     step = 0.02
     curve = np.gradient(np.gradient(np.hstack((force, rate)), time, axis=0), time, axis=0)
     blur = mean(curve) * step**2 / 24
@@ -46,22 +52,45 @@ def test_means_over_the_sample_interval_leave_what_the_rows_allow() -> None:
         for weights, part in ((closed.accel_weights, slice(3)), (closed.gyro_weights, slice(3, 6)))
     )
     # Samples that are points would have left nothing: the difference is that of the means.
-    assert np.abs(closed.residual[2:]).max() > 5e-4
-    assert np.abs(closed.residual[2:] - expected[2:]).max() < 0.5 * np.abs(expected[2:]).max()
+    assert np.abs(closed.residual[0, 2:]).max() > 5e-4
+    assert np.abs(closed.residual[0, 2:] - expected[2:]).max() < 0.5 * np.abs(expected[2:]).max()
 
 
 def test_turns_end_together_where_each_does_alone() -> None:
     turns = [turn(step, angle) for step, angle in ((0.02, 2.0), (0.01, -1.0), (0.02, 0.5))]
     first = np.append(0, np.cumsum([len(time) for time, *_ in turns]))
     # Each on its own clock: what lies between them counts for nothing.
-    ended = integrate_turns(
+    signals = (
         np.concatenate([10.0 * i + time for i, (time, *_) in enumerate(turns)]),
         np.concatenate([force for _, force, _, _ in turns]),
         np.concatenate([rate for _, _, rate, _ in turns]),
-        first,
     )
-    for (time, force, rate, up), frame, velocity in zip(turns, *ended, strict=True):
-        closed = close_turn(time, force, rate, up[0], up[-1], gravity=G)
-        left = velocity - G * (time[-1] - time[0]) * up[0]
-        np.testing.assert_allclose(left, closed.residual[2:], atol=1e-12)
-        np.testing.assert_allclose(frame @ up[-1], up[0], atol=1e-6)
+    ended = integrate_turns(*signals, first)
+    ups = np.stack([up[0] for *_, up in turns]), np.stack([up[-1] for *_, up in turns])
+    both = close_turns(*signals, first, *ups, gravity=G)
+    for i, (time, force, rate, up) in enumerate(turns):
+        closed = close(time, force, rate, up)
+        left = ended.velocity[i] - G * (time[-1] - time[0]) * up[0]
+        np.testing.assert_allclose(left, closed.residual[0, 2:], atol=1e-12)
+        np.testing.assert_allclose(ended.frame[i] @ up[-1], up[0], atol=1e-6)
+        own = slice(first[i], first[i + 1])
+        for name in ("accel_weights", "gyro_weights"):
+            np.testing.assert_allclose(
+                getattr(both, name)[:, own], getattr(closed, name), atol=1e-12
+            )
+        for name in ("residual", "before", "after", "angle", "effort"):
+            np.testing.assert_allclose(getattr(both, name)[i], getattr(closed, name)[0], atol=1e-12)
+
+
+def test_what_errors_of_the_signals_do_is_what_the_weights_say() -> None:
+    time, force, rate, up = turn(0.01, 2.0)
+    rng = np.random.default_rng(3)
+    u = np.clip(time, 0, 1)[:, None]
+    wrong = 1e-6 * np.sin(np.pi * u) ** 2 * rng.normal(size=6)
+    still = close(time, force, rate, up)
+    moved = close(time, force + wrong[:, :3], rate + wrong[:, 3:], up)
+    expected = np.einsum("rnc,nc->r", still.accel_weights, wrong[:, :3])
+    expected += np.einsum("rnc,nc->r", still.gyro_weights, wrong[:, 3:])
+    np.testing.assert_allclose(
+        moved.residual[0] - still.residual[0], expected, rtol=1e-3, atol=1e-10
+    )

@@ -3,11 +3,12 @@
 from dataclasses import replace
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from calib.effects.base import Term
 from calib.mismatch import diagnose_recording
 from calib.mismatch.grid import make_grid
-from calib.mismatch.losses import find_losses
+from calib.mismatch.losses import _put_back, find_losses
 from calib.mismatch.selfmode import SelfProblem
 from calib.recording import Recording
 from calib.statics import find_poses
@@ -84,3 +85,22 @@ def test_a_loss_is_one_finding_and_its_turn_is_left_out_of_the_rest() -> None:
     assert start <= whole.time[at] <= stop
     assert found.held_out is not None
     assert found.held_out.after < 0.05 * found.held_out.before
+
+
+def test_samples_are_put_back_where_a_spline_through_their_neighbours_has_them() -> None:
+    rng = np.random.default_rng(5)
+    time = 0.01 * (np.arange(40) + rng.uniform(-0.2, 0.2, 40))
+    values = np.cumsum(rng.normal(size=(40, 6)), axis=0)
+    at, count = np.array([2, 20, 37]), np.array([1, 5, 2])
+    (clock, force, rate), first = _put_back((time, values[:, :3], values[:, 3:]), at, count)
+    assert np.all(np.diff(clock) > 0)
+    step = np.median(np.diff(time))
+    for i, (a, n) in enumerate(zip(at, count, strict=True)):
+        own = slice(first[i], first[i + 1])
+        since, whole = clock[own] - clock[own][0], np.hstack((force, rate))[own]
+        true = time - time[0] + n * step * (np.arange(40) >= a)
+        near = slice(max(a - 6, 0), a + 6)
+        fresh = true[a - 1] + step * np.arange(1, n + 1)
+        np.testing.assert_allclose(since, np.insert(true, [a] * n, fresh), atol=1e-12)
+        expected = np.insert(values, [a] * n, CubicSpline(true[near], values[near])(fresh), axis=0)
+        np.testing.assert_allclose(whole, expected, atol=1e-9)
