@@ -23,6 +23,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from calib.recording import AXES
+from calib.spline import spline_slopes
 from calib.types import FloatArray
 
 EffectKind = Literal["sensor", "event", "setup"]
@@ -140,10 +141,7 @@ class State:
         """
         if len(self.time) < 4:
             return np.gradient(values, self.time, axis=0) if len(self.time) > 2 else 0.0 * values
-        from scipy.interpolate import CubicSpline  # a third of a second to import
-
-        slope: FloatArray = CubicSpline(self.time, values)(self.time, 1)
-        return slope
+        return spline_slopes(self.time, values)
 
     @cached_property
     def force_dot(self) -> FloatArray:

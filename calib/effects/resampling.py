@@ -8,6 +8,7 @@ import numpy as np
 
 from calib.effects.base import Column, Signals, State
 from calib.recording import AXES
+from calib.spline import spline_at
 from calib.types import FloatArray
 
 
@@ -17,10 +18,8 @@ def resample(time: FloatArray, values: FloatArray, at: FloatArray) -> FloatArray
         index = np.clip(np.searchsorted(time, at), 0, len(time) - 1)
         held: FloatArray = values[index]
         return held
-    from scipy.interpolate import CubicSpline  # a third of a second to import
-
-    out: FloatArray = CubicSpline(time, values)(np.clip(at, time[0], time[-1]))
-    return out
+    flat = spline_at(time, values.reshape(len(time), -1), np.clip(at, time[0], time[-1]))
+    return flat.reshape(-1, *values.shape[1:])
 
 
 def triad_column(triad: str, values: FloatArray) -> Column:

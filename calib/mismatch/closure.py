@@ -52,7 +52,7 @@ class Closures(NamedTuple):
 
 
 class Ended(NamedTuple):
-    """Where k turns end, in the frame at the start of each: frame (k, 3, 3), velocity (k, 3)."""
+    """Where turns end, or are, seen from the start of each: frame (k, 3, 3), velocity (k, 3)."""
 
     frame: FloatArray
     velocity: FloatArray
@@ -101,6 +101,14 @@ def integrate_turns(
     return Ended(mat[first[1:] - 1], np.add.reduceat(weighted, first[:-1], axis=0))
 
 
+def follow_turns(time: FloatArray, force: FloatArray, rate: FloatArray, first: IntArray) -> Ended:
+    """Return where turns are at each of their points, (n, ...): at the last, where they end."""
+    mat = turned_frames(time, rate, first)
+    turned = np.einsum("nij,nj->ni", mat, force)
+    passed = np.cumsum(0.5 * _steps(time, first)[:, None] * (turned + np.roll(turned, 1, 0)), 0)
+    return Ended(mat, passed - np.repeat(passed[first[:-1]], np.diff(first), axis=0))
+
+
 def _steps(time: FloatArray, first: IntArray) -> FloatArray:
     """Return the time since the point before in the same turn, (n,) s."""
     step = np.diff(time, prepend=0.0)
@@ -138,14 +146,11 @@ def close_turns(
     """
     start, last, number = first[:-1], first[1:] - 1, np.diff(first)
     turn = np.repeat(np.arange(len(start)), number)
-    step = _steps(time, first)
-    weight = _weights(step)
-    mat = turned_frames(time, rate, first)
+    weight = _weights(_steps(time, first))
+    mat, velocity = follow_turns(time, force, rate, first)
     turned = np.einsum("nij,nj->ni", mat, force)
-    increments = 0.5 * step[:, None] * (turned + np.roll(turned, 1, axis=0))
-    passed = np.cumsum(increments, axis=0)
-    remaining = passed[last][turn] - passed
-    total = passed[last] - passed[start]
+    remaining = velocity[last][turn] - velocity
+    total = velocity[last]
     duration = time[last] - time[start]
     plane, plane_after = across(up_before), across(up_after)
     end = np.einsum("kij,kj->ki", mat[last], up_after)

@@ -10,7 +10,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy import fft, optimize, sparse
+from scipy import fft, sparse
 
 from calib.types import BoolArray, FloatArray, IntArray
 
@@ -122,6 +122,8 @@ def find_colour(
     The median over parts counts little of what a few turns have of their own. ``steepest`` bounds
     the rise with the square of the frequency, 1/Hz².
     """
+    from scipy.optimize import nnls  # a fifth of a second to import
+
     length = max(int(PART / interval), 16)
     starts = np.arange(0, len(time) - length + 1, max(length // 2, 1))
     even = time[starts + length - 1] - time[starts] < (length + 0.5) * interval
@@ -139,7 +141,7 @@ def find_colour(
     design = np.stack((np.ones(len(f)), f**2, f**4), axis=1)
     expected = density
     for _ in range(3):
-        found = optimize.nnls(design / expected[:, None], density / expected)[0]
+        found = nnls(design / expected[:, None], density / expected)[0]
         expected = design @ found
     slow = max(float(found[0]), float(found[1]) / steepest, float(expected[-1]) / STEEPEST)
     return Colour(float(found[1]) / slow, float(found[2]) / slow)

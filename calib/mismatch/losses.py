@@ -15,10 +15,11 @@ from typing import NamedTuple
 import numpy as np
 
 from calib.faults import ROBUST
-from calib.mismatch.closure import across, integrate_turns
+from calib.mismatch.closure import Ended, across, follow_turns, integrate_turns
 from calib.mismatch.grid import Grid
 from calib.mismatch.selfmode import SelfProblem
 from calib.mismatch.twin import Twin, fit_twin, true_state
+from calib.spline import spline_between, spline_slopes
 from calib.types import FloatArray, IntArray
 
 FAR = 20.0
@@ -47,9 +48,6 @@ FEWEST = 6
 
 CONTEXT = 6
 """Samples on either side that those put back are interpolated from."""
-
-TOGETHER = 64
-"""Turns that are integrated at a time: more need memory, fewer more calls."""
 
 Signals = tuple[FloatArray, FloatArray, FloatArray]
 """Time, force and rate of one turn."""
@@ -111,7 +109,8 @@ class _Closures:
         first = np.append(0, np.cumsum([len(k) for k in own]))
         state, points = self._state, np.concatenate(own)
         signals = grid.time[points], state.force[points], state.rate[points]
-        left = self._residuals(turns, signals, first)
+        duration = signals[0][first[1:] - 1] - signals[0][first[:-1]]
+        left = self._residuals(turns, integrate_turns(*signals, first), duration)
         size = ROBUST * np.median(np.abs(left), axis=0)
         self._scatter = np.repeat([size[:2].mean(), size[2:].mean()], (2, 3))
         self.scores = self._sizes(left)
@@ -123,13 +122,15 @@ class _Closures:
         last = len(signals[0]) - 2
         stride = max(1, last // PLACES)
         jump = _jump(np.hstack(signals[1:]))
+        path = follow_turns(*signals, np.array([0, len(signals[0])]))
 
         def best(places: Iterable[int]) -> tuple[float, int, int, float]:
             """Return what is left at the best place, the place, the number, and its size."""
             grid = np.meshgrid(np.fromiter(places, np.int64), np.arange(1, MOST + 1), indexing="ij")
             at, number = (values.ravel() for values in grid)
-            parts = [slice(k, k + TOGETHER) for k in range(0, len(at), TOGETHER)]
-            size = np.hstack([self._mended(s, signals, at[k], number[k]) for k in parts])
+            mended, longer = _mended(signals, path, at, number)
+            duration = signals[0][-1] - signals[0][0] + longer
+            size = self._sizes(self._residuals(np.full(len(at), s), mended, duration))
             left = 5 * size**2 + jump[number, at]
             k = int(np.argmin(left))
             return float(left[k]), int(at[k]), int(number[k]), float(size[k])
@@ -142,21 +143,13 @@ class _Closures:
         before = float(self.scores[self._turns.tolist().index(s)])
         return Loss(int(s), float(signals[0][at]), number, before, after)
 
-    def _mended(self, s: int, signals: Signals, at: IntArray, number: IntArray) -> FloatArray:
-        """Return the size of a turn's closure with samples put back, (k,)."""
-        whole, first = _put_back(signals, at, number)
-        return self._sizes(self._residuals(np.full(len(at), s), whole, first))
-
-    def _residuals(self, turns: IntArray, signals: Signals, first: IntArray) -> FloatArray:
+    def _residuals(self, turns: IntArray, ended: Ended, duration: FloatArray) -> FloatArray:
         """Return the five residuals of `closure.close_turns` of each, (k, 5)."""
-        time, force, rate = signals
         up, gravity = self._twin.up, self._twin.gravity
         before, after = up[self._grid.before[turns]], up[self._grid.after[turns]]
-        ended = integrate_turns(time, force, rate, first)
         tilt = np.einsum("kij,kj->ki", ended.frame, after) - before
         attitude = np.einsum("kij,ki->kj", across(before), tilt)
-        duration = (time[first[1:] - 1] - time[first[:-1]])[:, None]
-        return np.hstack((attitude, ended.velocity - gravity * duration * before))
+        return np.hstack((attitude, ended.velocity - gravity * duration[:, None] * before))
 
     def _sizes(self, closures: FloatArray) -> FloatArray:
         return np.asarray(np.sqrt(np.mean(np.square(closures / self._scatter), axis=1)))
@@ -185,68 +178,60 @@ def _jump(values: FloatArray) -> FloatArray:
     return out
 
 
-def _put_back(signals: Signals, at: IntArray, count: IntArray) -> tuple[Signals, IntArray]:
-    """Return signals with ``count[i]`` samples put in before sample ``at[i]``, for each of k.
+def _mended(
+    signals: Signals, path: Ended, at: IntArray, count: IntArray
+) -> tuple[Ended, FloatArray]:
+    """Return where a turn ends with ``count[i]`` samples put in before sample ``at[i]``, k times.
 
-    One after another, each as long after the last as none of them lasts; and where each begins.
+    Far from there it turns as it did: what is integrated anew is a few samples on either side.
+    Beside it, how much longer it takes.
+    """
+    n = len(signals[0])
+    low, high = np.maximum(at - CONTEXT, 0), np.minimum(at + CONTEXT, n)
+    near, first, longer = _put_back(signals, low, high, at, count)
+    frame, velocity = follow_turns(*near, first)
+    # The rate's slope at the ends of a part is not that of the whole; it rests at those of a turn.
+    a, b = low + (low > 0), high - 1 - (high < n)
+    start, stop = first[:-1] + (low > 0), first[1:] - 1 - (high < n)
+    leading = path.frame[a] @ np.swapaxes(frame[start], 1, 2)
+    through = leading @ frame[stop] @ np.swapaxes(path.frame[b], 1, 2)
+    gained = np.einsum("kij,kj->ki", leading, velocity[stop] - velocity[start])
+    rest = np.einsum("kij,kj->ki", through, path.velocity[-1] - path.velocity[b])
+    return Ended(through @ path.frame[-1], path.velocity[a] + gained + rest), longer
+
+
+def _put_back(
+    signals: Signals, low: IntArray, high: IntArray, at: IntArray, count: IntArray
+) -> tuple[Signals, IntArray, FloatArray]:
+    """Return the parts ``[low[i], high[i])`` of signals with ``count[i]`` samples put in, k times.
+
+    One after another, each later than the last, and where each begins; and how much longer it is.
     """
     time, force, rate = signals
-    n, step = len(time), float(np.median(np.diff(time)))
+    step = float(np.median(np.diff(time)))
     both = np.hstack((force, rate))
+    longer = np.asarray(count * step, np.float64)
     put = np.empty((len(at), MOST, both.shape[1]))
-    low, high = np.maximum(at - CONTEXT, 0), np.minimum(at + CONTEXT, n)
-    shift = count * step
     fresh = time[at - 1, None] + step * np.arange(1, MOST + 1)
     # Near the ends of a turn there is less to interpolate from.
-    for gap, width in np.unique(np.stack((at - 1 - low, high - low)), axis=1).T:
-        own = np.flatnonzero((at - 1 - low == gap) & (high - low == width))
-        near = low[own, None] + np.arange(width)
-        true = time[near] + shift[own, None] * (np.arange(width) > gap)
-        put[own] = _spline(true, both[near], int(gap), fresh[own])
-    first = np.append(0, np.cumsum(n + count))
-    case = np.repeat(np.arange(len(at)), n + count)
-    index = np.arange(first[-1]) - first[case]
+    width = high - low
+    for points in np.unique(width):
+        own = np.flatnonzero(width == points)
+        near = low[own, None] + np.arange(points)
+        true = time[near] + longer[own, None] * (near >= at[own, None])
+        slopes = spline_slopes(true, both[near])
+        gap = np.repeat(points * np.arange(len(own)) + at[own] - 1 - low[own], MOST)
+        flat = (true.ravel(), both[near.ravel()], slopes.reshape(near.size, -1))
+        put[own] = spline_between(*flat, gap, fresh[own].ravel()).reshape(len(own), MOST, -1)
+    first = np.append(0, np.cumsum(width + count))
+    case = np.repeat(np.arange(len(at)), width + count)
+    index = low[case] + np.arange(first[-1]) - first[case]
     late = np.maximum(index - at[case] + 1, 0)
     new = (late > 0) & (late <= count[case])
-    source = np.minimum(index - np.minimum(late, count[case]), n - 1)
+    source = np.minimum(index - np.minimum(late, count[case]), high[case] - 1)
     whole = both[source]
     whole[new] = put[case[new], late[new] - 1]
-    clock = time[source] + shift[case] * (late > count[case])
+    clock = time[source] + longer[case] * (late > count[case])
     clock[new] = fresh[case[new], late[new] - 1]
     clock += case * (time[-1] - time[0] + (MOST + 1) * step)
-    return (clock, whole[:, :3], whole[:, 3:]), first
-
-
-def _spline(time: FloatArray, values: FloatArray, gap: int, at: FloatArray) -> FloatArray:
-    """Return (k, m, c) values at (k, m) times, by a cubic spline through each of k rows of points.
-
-    Not-a-knot at the ends [1]_. All times ``at`` are between points `gap` and ``gap + 1``.
-
-    Parameters
-    ----------
-    time, values : (k, w), (k, w, c) arrays, w > 3
-
-    References
-    ----------
-    .. [1] de Boor, "A Practical Guide to Splines", Springer 1978, ch. IV, eqs. (7), (10).
-    """
-    step = np.diff(time, axis=1)
-    slope = np.diff(values, axis=1) / step[..., None]
-    system, right = np.zeros((len(time), *2 * time.shape[1:])), np.zeros_like(values)
-    inner = np.arange(1, time.shape[1] - 1)
-    system[:, inner, inner - 1] = step[:, 1:]
-    system[:, inner, inner] = 2 * (step[:, :-1] + step[:, 1:])
-    system[:, inner, inner + 1] = step[:, :-1]
-    right[:, inner] = 3 * (step[:, 1:, None] * slope[:, :-1] + step[:, :-1, None] * slope[:, 1:])
-    for end, beside in ((0, 1), (-1, -2)):
-        h, k = step[:, end, None], step[:, beside, None]
-        system[:, end, [end]], system[:, end, [beside]] = k, h + k
-        outer, other = slope[:, end], slope[:, beside]
-        right[:, end] = ((3 * h + 2 * k) * k * outer + h**2 * other) / (h + k)
-    knots = np.linalg.solve(system, right)
-    width = step[:, gap, None]
-    part = ((at - time[:, gap, None]) / width)[..., None]
-    y = values[:, [gap]] + slope[:, [gap]] * (at - time[:, gap, None])[..., None]
-    d = (knots[:, [gap + j]] - slope[:, [gap]] for j in (0, 1))
-    bend = next(d) * (1 - part) - next(d) * part
-    return np.asarray(y + width[..., None] * part * (1 - part) * bend)
+    return (clock, whole[:, :3], whole[:, 3:]), first, longer

@@ -84,6 +84,10 @@ CAP = 6.0
 """How steeply what acts near one direction only falls off: to a half at 28 degrees."""
 
 
+_Draft = tuple[str, str, tuple[str, ...], IntArray, dict[str, Any]]
+"""The part of its kind that a candidate belongs to, its name, channels, index, and the rest."""
+
+
 def add_rivals(stack: Stack, rows: Rows, *, skip: tuple[str, ...] = ()) -> None:
     """Add every rival that these rows can show, with weights that sum to at most `RIVAL`.
 
@@ -96,7 +100,7 @@ def add_rivals(stack: Stack, rows: Rows, *, skip: tuple[str, ...] = ()) -> None:
         for item in _in_windows(rows, slots, MIDDLE)
         if item.name in _OF_TRIADS and item.window[1] - item.window[0] >= FLUCTUATION
     ]
-    found: list[tuple[str, Candidate]] = []
+    found: list[_Draft] = []
     for triad in (CHANNELS[:3], CHANNELS[3:]):
         # Beside the bias, a window that is open at one end is a step of it, which has a name.
         name = f"{triad[0].split('.')[0]}_bias_step"
@@ -110,15 +114,15 @@ def add_rivals(stack: Stack, rows: Rows, *, skip: tuple[str, ...] = ()) -> None:
             parts.append(stack.add(size * (rows.functional[channel] @ slots.member).toarray()))
             found += _of_channel(stack, rows, channel, slots, parts[-1], own, ripples)
         found += _of_triad(triad, slots, parts, joint)
-    found = [(part, c) for part, c in found if c.name not in skip]
+    found = [draft for draft in found if draft[1] not in skip]
     # Every kind has its share, each of its parts (one length of window, say) the same of that.
-    kinds = [(c.name, len(c.channels)) for _, c in found]
-    number = Counter((kind, part) for kind, (part, _) in zip(kinds, found, strict=True))
-    lengths = Counter(kind for kind, _ in number)
-    for kind, (part, c) in zip(kinds, found, strict=True):
-        share = (_KINDS if len(c.channels) == 1 else _OF_TRIADS)[c.name]
-        weight = RIVAL * share / lengths[kind] / number[kind, part]
-        stack.candidates.append(replace(c, weight=weight))
+    number = Counter((name, len(channels), part) for part, name, channels, *_ in found)
+    lengths = Counter((name, many) for name, many, _ in number)
+    for part, name, channels, index, about in found:
+        many = len(channels)
+        share = (_KINDS if many == 1 else _OF_TRIADS)[name]
+        weight = RIVAL * share / lengths[name, many] / number[name, many, part]
+        stack.candidates.append(Candidate(name, index, weight, False, channels, **about))
 
 
 def typical_size(triad: str) -> float:
@@ -219,61 +223,50 @@ def _of_channel(
     parts: IntArray,
     local: list[_Local],
     ripples: list[tuple[float, FloatArray]],
-) -> Iterator[tuple[str, Candidate]]:
-    """Yield candidates of a channel, each with the part of its kind that it belongs to."""
+) -> Iterator[_Draft]:
+    """Yield candidates of a channel."""
     state, size = rows.state, typical_size(CHANNELS[c].split(".")[0])
     own = _scaled(state, c)
     member = sparse.csr_matrix(
         (own, (np.arange(len(own)), rows.point_segment)), shape=(len(own), len(rows.interval))
     )
     gains = stack.add(size * (rows.functional[c] @ member).toarray())
-    blank = Candidate("", parts, 0.0, False, (CHANNELS[c],))
+    channels = (CHANNELS[c],)
     for item in local:
         a, b = item.window
         gain = item.name == "gain in a window"
-        yield (
-            f"{b - a} segments",
-            replace(
-                blank,
-                name=item.name,
-                index=gains[a:b] if gain else parts[slots.first[a] : slots.first[b]],
-                summed=item.mixing is None,
-                interval=item.interval,
-                shape=item.shape,
-                mixing=item.mixing,
-            ),
-        )
+        index = gains[a:b] if gain else parts[slots.first[a] : slots.first[b]]
+        about = {
+            "summed": item.mixing is None,
+            "interval": item.interval,
+            "shape": item.shape,
+            "mixing": item.mixing,
+        }
+        yield f"{b - a} segments", item.name, channels, index, about
     for name, values in _smooth(state, c):
         index = stack.add(size * rows.columns(c, values))
-        yield "smooth", replace(blank, name=name, index=index)
+        yield "smooth", name, channels, index, {}
         if name == "direction of gravity":
             # Harmonics come in the order of their degree: 3 + 6 of degrees 1 and 2.
-            yield "quadratic", replace(blank, name=name, index=index[:9])
+            yield "quadratic", name, channels, index[:9], {}
     for ripple, mixing in ripples:
-        yield f"ripple {ripple}", replace(blank, name="direction of gravity", mixing=mixing)
+        yield f"ripple {ripple}", "direction of gravity", channels, parts, {"mixing": mixing}
 
 
 def _of_triad(
     triad: tuple[str, ...], slots: _Slots, parts: list[IntArray], local: list[_Local]
-) -> Iterator[tuple[str, Candidate]]:
+) -> Iterator[_Draft]:
     """Yield candidates that three channels have at once, each in a way of its own."""
     for item in local:
         a, b = item.window
         own = slice(slots.first[a], slots.first[b])
         mixing = np.ones((own.stop - own.start, 1)) if item.mixing is None else item.mixing
-        yield (
-            f"{b - a} segments",
-            Candidate(
-                item.name,
-                np.concatenate([k[own] for k in parts]),
-                0.0,
-                False,
-                triad,
-                interval=item.interval,
-                shape=item.shape,
-                mixing=np.asarray(np.kron(np.eye(3), mixing), np.float64),
-            ),
-        )
+        n, k = mixing.shape
+        each = np.zeros((3, n, 3, k))
+        each[range(3), :, range(3)] = mixing
+        about = {"interval": item.interval, "shape": item.shape, "mixing": each.reshape(3 * n, -1)}
+        index = np.concatenate([part[own] for part in parts])
+        yield f"{b - a} segments", item.name, triad, index, about
 
 
 def moved_window(candidate: Candidate, start: float, stop: float) -> Candidate:

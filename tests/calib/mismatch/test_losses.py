@@ -7,8 +7,9 @@ from scipy.interpolate import CubicSpline
 
 from calib.effects.base import Term
 from calib.mismatch import diagnose_recording
+from calib.mismatch.closure import follow_turns, integrate_turns
 from calib.mismatch.grid import make_grid
-from calib.mismatch.losses import _put_back, find_losses
+from calib.mismatch.losses import _mended, _put_back, find_losses
 from calib.mismatch.selfmode import SelfProblem
 from calib.recording import Recording
 from calib.statics import find_poses
@@ -92,15 +93,41 @@ def test_samples_are_put_back_where_a_spline_through_their_neighbours_has_them()
     time = 0.01 * (np.arange(40) + rng.uniform(-0.2, 0.2, 40))
     values = np.cumsum(rng.normal(size=(40, 6)), axis=0)
     at, count = np.array([2, 20, 37]), np.array([1, 5, 2])
-    (clock, force, rate), first = _put_back((time, values[:, :3], values[:, 3:]), at, count)
+    low, high = np.maximum(at - 6, 0), np.minimum(at + 6, 40)
+    signals = (time, values[:, :3], values[:, 3:])
+    (clock, force, rate), first, longer = _put_back(signals, low, high, at, count)
     assert np.all(np.diff(clock) > 0)
     step = np.median(np.diff(time))
-    for i, (a, n) in enumerate(zip(at, count, strict=True)):
+    np.testing.assert_allclose(longer, count * step)
+    for i, (a, b, k, n) in enumerate(zip(low, high, at, count, strict=True)):
         own = slice(first[i], first[i + 1])
-        since, whole = clock[own] - clock[own][0], np.hstack((force, rate))[own]
-        true = time - time[0] + n * step * (np.arange(40) >= a)
-        near = slice(max(a - 6, 0), a + 6)
-        fresh = true[a - 1] + step * np.arange(1, n + 1)
-        np.testing.assert_allclose(since, np.insert(true, [a] * n, fresh), atol=1e-12)
-        expected = np.insert(values, [a] * n, CubicSpline(true[near], values[near])(fresh), axis=0)
-        np.testing.assert_allclose(whole, expected, atol=1e-9)
+        true = time + n * step * (np.arange(40) >= k)
+        fresh = true[k - 1] + step * np.arange(1, n + 1)
+        expected = np.insert(true[a:b], [k - a] * n, fresh)
+        np.testing.assert_allclose(np.diff(clock[own]), np.diff(expected), atol=1e-12)
+        put = CubicSpline(true[a:b], values[a:b])(fresh)
+        expected = np.insert(values[a:b], [k - a] * n, put, axis=0)
+        np.testing.assert_allclose(np.hstack((force, rate))[own], expected, atol=1e-9)
+
+
+def test_a_mended_turn_ends_where_it_does_when_all_of_it_is_integrated() -> None:
+    rng = np.random.default_rng(6)
+    time = 0.01 * (np.arange(60) + rng.uniform(-0.2, 0.2, 60))
+    force, rate = np.cumsum(rng.normal(size=(2, 60, 3)), axis=1)
+    signals = (time, force, rate)
+    path = follow_turns(*signals, np.array([0, 60]))
+    at, count = np.array([2, 5, 8, 30, 52, 57]), np.array([1, 4, 5, 3, 2, 1])
+    found, _ = _mended(signals, path, at, count)
+    everywhere = np.zeros(len(at), int), np.full(len(at), 60)
+    near = _put_back(signals, np.maximum(at - 6, 0), np.minimum(at + 6, 60), at, count)[0]
+    whole, first, _ = _put_back(signals, *everywhere, at, count)
+    # The same samples: only those near a loss are interpolated from.
+    for i, (k, n) in enumerate(zip(at, count, strict=True)):
+        part = first[i] + k + np.arange(n)
+        own = np.cumsum(np.append(0, np.minimum(at + 6, 60) - np.maximum(at - 6, 0) + count))[i]
+        own += k - max(k - 6, 0) + np.arange(n)
+        for there, here in zip(whole[1:], near[1:], strict=True):
+            there[part] = here[own]
+    ended = integrate_turns(*whole, first)
+    np.testing.assert_allclose(found.frame, ended.frame, atol=1e-12)
+    np.testing.assert_allclose(found.velocity, ended.velocity, atol=1e-10)
