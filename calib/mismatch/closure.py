@@ -39,7 +39,8 @@ class Closures(NamedTuple):
     Their response to df and dw at the n points of all turns, (5, n, 3) each, and to the two
     attitude angles of the rests on either side, (k, 5, 2): ``before`` and ``after`` are derivatives
     of the *model*, so that ``residual ~ before @ db + after @ da``. ``angle`` is the path of
-    rotation (rad), ``effort`` that of velocity (m/s), (k,); they scale the closure's own errors.
+    rotation (rad), ``effort`` that of velocity (m/s), (k,), and ``unresolved`` (k, 5) what every
+    second sample changes of the residuals; they scale the closure's own errors.
     """
 
     residual: FloatArray
@@ -49,6 +50,7 @@ class Closures(NamedTuple):
     after: FloatArray
     angle: FloatArray
     effort: FloatArray
+    unresolved: FloatArray
 
 
 class Ended(NamedTuple):
@@ -107,6 +109,15 @@ def follow_turns(time: FloatArray, force: FloatArray, rate: FloatArray, first: I
     turned = np.einsum("nij,nj->ni", mat, force)
     passed = np.cumsum(0.5 * _steps(time, first)[:, None] * (turned + np.roll(turned, 1, 0)), 0)
     return Ended(mat, passed - np.repeat(passed[first[:-1]], np.diff(first), axis=0))
+
+
+def integrate_half(time: FloatArray, force: FloatArray, rate: FloatArray, first: IntArray) -> Ended:
+    """Return the same from every second sample: how far off that is, samples do not resolve."""
+    number = np.diff(first)
+    place = np.arange(len(time)) - np.repeat(first[:-1], number)
+    kept = (place % 2 == 0) | (place == np.repeat(number, number) - 1)
+    fewer = np.append(0, np.cumsum(kept)[first[1:] - 1])
+    return integrate_turns(time[kept], force[kept], rate[kept], fewer)
 
 
 def _steps(time: FloatArray, first: IntArray) -> FloatArray:
@@ -172,6 +183,9 @@ def close_turns(
     after[:, :2] = -np.swapaxes(plane, 1, 2) @ mat[last] @ plane_after
     before[:, 2:] = gravity * duration[:, None, None] * plane
     moved = np.linalg.norm(turned - gravity * up_before[turn], axis=1)
+    half = integrate_half(time, force, rate, first)
+    tilt = np.einsum("kij,kj->ki", half.frame, up_after) - end
+    unresolved = np.hstack((np.einsum("kij,ki->kj", plane, tilt), half.velocity - total))
     return Closures(
         residual,
         accel,
@@ -180,4 +194,5 @@ def close_turns(
         after,
         np.add.reduceat(weight * np.linalg.norm(rate, axis=1), start),
         np.add.reduceat(weight * moved, start),
+        unresolved,
     )

@@ -18,7 +18,7 @@ from itertools import product
 import numpy as np
 from scipy import linalg
 
-from calib.mismatch.rows import Rows
+from calib.mismatch.rows import Component, Rows
 from calib.types import BoolArray, FloatArray, IntArray
 
 WITHIN = 0.7
@@ -154,8 +154,8 @@ def find_levels(rows: Rows, mean: FloatArray, start: FloatArray) -> Levels:
     white = np.diag(rows.white)
     worst = 0.0
     for i, component in enumerate(rows.components):
-        if component.group:
-            continue
+        if component.group or component.spread < Component.spread:
+            continue  # of these more is known beforehand
         size = np.diag(component.matrix)
         own = size > 0
         if own.any():

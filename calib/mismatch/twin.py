@@ -13,7 +13,7 @@ from scipy import sparse
 
 from calib.effects import get_effect
 from calib.effects.base import State
-from calib.mismatch.closure import across, close_turns
+from calib.mismatch.closure import Closures, across, close_turns
 from calib.mismatch.grid import Grid
 from calib.mismatch.heading import orient
 from calib.mismatch.rows import Component, Kind, Rows
@@ -32,13 +32,22 @@ on drift is part of the physics. Jitter, flicker and walk of the axes of one tri
 scale, so that what is seen from pose to pose says what to expect over minutes."""
 
 SPREAD = 1.4
-"""Standard deviation of the logarithm of a level of drift (a variance): a factor of 2 in size."""
+"""Standard deviation of the logarithm of a level (a variance) of drift, or of what sampling adds: a
+factor of 2 in size."""
 
 DRIFT_TIME = 600.0
 """s."""
 
 MEANS = 1 / 3
 """Mean square of the share, from 0 to 1, of a sample interval over which samples are means."""
+
+HALVED = 1 / 9
+"""Variance of what sampling adds to a closure, relative to what every second sample changes: a rule
+of the second order errs by a third of that."""
+
+UNRESOLVED = 3.0
+"""Square of what every second sample changes, relative to what noise does to it, from which a turn
+is too fast for its samples: noise alone reaches it in one turn of twenty."""
 
 # Weak knowledge that keeps the iteration steady where a recording says nothing: standard deviations
 # many times what uncalibrated parts have. It is no part of any evidence.
@@ -270,8 +279,7 @@ def build_rows(grid: Grid, twin: Twin, noise: FloatArray, *, spread: float | Non
         segment[:dense],
         white,
         noise,
-        closed.angle,
-        closed.effort,
+        closed,
         SPREAD if spread is None else spread,
     )
     blur = mean_over_interval(grid, state)
@@ -400,8 +408,7 @@ def _components(
     segment: IntArray,
     white: FloatArray,
     noise: FloatArray,
-    angle: FloatArray,
-    effort: FloatArray,
+    closed: Closures,
     spread: float,
 ) -> tuple[Component, ...]:
     """Return the unknown variances: per channel a jitter and a random walk; the closures' own."""
@@ -420,9 +427,9 @@ def _components(
         out += drift_components(name, pieces[c][:dense], flicker, walk, drift, spread)
     for label, which, scale in (
         ("attitude", Kind.ATTITUDE, None),
-        ("attitude by angle", Kind.ATTITUDE, angle),
+        ("attitude by angle", Kind.ATTITUDE, closed.angle),
         ("velocity", Kind.VELOCITY, None),
-        ("velocity by effort", Kind.VELOCITY, effort),
+        ("velocity by effort", Kind.VELOCITY, closed.effort),
     ):
         rows = np.flatnonzero(kind == which)
         if not len(rows):
@@ -432,6 +439,16 @@ def _components(
         typical = float(np.median(np.diag(white)[rows]))
         expected = 0.02 * typical / max(float(np.median(size)), 1e-12)
         out.append(Component(label, rows, np.diag(size), expected))
+    for label, which, change in (
+        ("attitude by sampling", Kind.ATTITUDE, closed.unresolved[:, :2]),
+        ("velocity by sampling", Kind.VELOCITY, closed.unresolved[:, 2:]),
+    ):
+        rows = np.flatnonzero(kind == which)
+        noisy = np.diag(white)[rows].reshape(change.shape).mean(axis=1)
+        size = np.square(change).mean(axis=1)
+        size = np.repeat(np.where(size > UNRESOLVED * noisy, size, 0.0), change.shape[1])
+        if size.any():
+            out.append(Component(label, rows[size > 0], np.diag(size[size > 0]), HALVED, SPREAD))
     return tuple(out)
 
 

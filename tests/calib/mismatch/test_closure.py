@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from calib.mismatch.closure import Closures, close_turns, integrate_turns
+from calib.mismatch.closure import Closures, close_turns, integrate_half, integrate_turns
 from calib.rotation import mat_from_rotvec
 from calib.types import FloatArray
 
@@ -94,3 +94,20 @@ def test_what_errors_of_the_signals_do_is_what_the_weights_say() -> None:
     np.testing.assert_allclose(
         moved.residual[0] - still.residual[0], expected, rtol=1e-3, atol=1e-10
     )
+
+
+def test_half_of_the_samples_tell_which_turns_are_too_fast_for_them() -> None:
+    errors, changes = [], []
+    for duration in (1.0, 0.5, 0.25):
+        time, force, rate, up = turn(0.02 / duration, 2.0)
+        # The same turn in less time: faster, and of fewer samples.
+        time, rate = duration * time, rate / duration
+        first = np.array([0, len(time)])
+        half = integrate_half(time, force, rate, first)
+        np.testing.assert_allclose(half.frame[0] @ up[-1], up[0], atol=0.05)
+        closed = close_turns(time, force, rate, first, up[:1], up[-1:], gravity=G)
+        errors.append(np.linalg.norm(closed.residual[0, 2:]))
+        changes.append(np.linalg.norm(closed.unresolved[0, 2:]))
+    assert errors[0] < errors[1] < errors[2]
+    assert changes[0] < changes[1] < changes[2]
+    assert all(e < c for e, c in zip(errors, changes, strict=True))

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from calib.mismatch import grid
 from calib.mismatch.grid import make_grid
@@ -115,3 +116,22 @@ def test_rests_are_cut_into_no_more_cells_than_the_rows_allow(monkeypatch):
     monkeypatch.setattr(grid, "ROWS", 6 * 15 + 5 * 11)
     assert len(poses) == 12
     assert 12 < make_grid(real, poses).is_rest.sum() <= 15
+
+
+@pytest.mark.parametrize("rate", [33.0, 50.0])
+def test_turns_too_fast_for_their_samples_close_within_what_is_allowed(rate: float) -> None:
+    rng = np.random.default_rng(5)
+    hands = bench_protocol(
+        rng, poses=24, first_pose=2.0, pose_duration=(2.0, 3.0), turn_duration=(0.5, 0.8)
+    )
+    real = simulate(hands, SensorModel(), CONSUMER.scaled(0.2), rng=rng, rate=rate)
+    grid = make_grid(real, find_poses(real))
+    rows = SelfProblem(grid, None, gravity=9.80665, full_gyro=False).rows()
+    own = rows.kind[: rows.n_dense] == Kind.VELOCITY
+    square = np.square(rows.residual[: rows.n_dense])[own]
+    allowed = rows.expected_variance()[own]
+    plain = replace(
+        rows, components=tuple(c for c in rows.components if "by sampling" not in c.name)
+    ).expected_variance()[own]
+    assert (square / plain).mean() > 4.0
+    assert 0.2 < (square / allowed).mean() < 3.0
