@@ -107,7 +107,7 @@ def estimate_levels(
     halved, caution, log_share = 0, 0.1, 0.0
     for _ in range(iterations):
         levels = np.exp(logs)
-        projector, value = _projector(covariance(rows, levels), basis, y)
+        projector, py, value = _projector(covariance(rows, levels), basis, y)
         value -= 0.5 * float((logs - centre) @ precision @ (logs - centre))
         if best is not None and value < best[0] - 1e-6:
             # Too long a step: go back half way.
@@ -120,17 +120,19 @@ def estimate_levels(
         best = (value, logs)
         if gain < 0.02:
             break
-        py = projector @ y
-        vpy, trace = np.zeros((len(py), len(levels))), np.empty(len(levels))
+        vpy, trace = np.zeros((len(py), len(levels)), order="F"), np.empty(len(levels))
         at = 0
         for index, matrices in _by_rows(rows):
+            # The lower half of a symmetric matrix, as long as the rows are in order.
             own = projector[np.ix_(index, index)]
+            middle = np.diag(own)
             for matrix in matrices:
                 vpy[index, at] = levels[at] * (matrix @ py[index])
-                trace[at] = levels[at] * float(np.vdot(own, matrix))
+                both = 2.0 * float(np.vdot(own, matrix)) - float(middle @ np.diag(matrix))
+                trace[at] = levels[at] * both
                 at += 1
         gradient = 0.5 * (vpy.T @ py - trace) - precision @ (logs - centre)
-        information = 0.5 * vpy.T @ projector @ vpy + precision
+        information = 0.5 * vpy.T @ linalg.blas.dsymm(1.0, projector, vpy, lower=1) + precision
         log_share = -0.5 * float(np.linalg.slogdet(np.linalg.solve(precision, information))[1])
         # Average information is poor far from the optimum; near it, caution only costs steps.
         information += np.diag(caution * np.abs(trace))
@@ -184,10 +186,15 @@ def range_basis(mean: FloatArray, *, tolerance: float = 1e-9) -> FloatArray:
     return np.asarray(q[:, :rank])
 
 
-def _projector(cov: FloatArray, basis: FloatArray, y: FloatArray) -> tuple[FloatArray, float]:
-    """Return ``P = inv(V) - inv(V) X inv(X' inv(V) X) X' inv(V)`` and the restricted likelihood."""
+def _projector(
+    cov: FloatArray, basis: FloatArray, y: FloatArray
+) -> tuple[FloatArray, FloatArray, float]:
+    """Return ``P = inv(V) - inv(V) X inv(X' inv(V) X) X' inv(V)``, P y, the restricted likelihood.
+
+    Of P the lower triangle, in Fortran's order, and zeros above.
+    """
     # In Fortran's order and lower triangles, so that LAPACK copies nothing and does half the work.
-    factor = linalg.cholesky(cov.T, lower=True, check_finite=False)
+    factor = linalg.cholesky(cov.T, lower=True, overwrite_a=True, check_finite=False)
     log_det = 2 * np.log(np.diag(factor)).sum()
     projector, _ = linalg.lapack.dpotri(factor, lower=1, overwrite_c=1)
     if basis.size:
@@ -196,9 +203,8 @@ def _projector(cov: FloatArray, basis: FloatArray, y: FloatArray) -> tuple[Float
         half = linalg.blas.dtrsm(1.0, inner, weighted, side=1, lower=1, trans_a=1, overwrite_b=1)
         projector = linalg.blas.dsyrk(-1.0, half, beta=1.0, c=projector, lower=1, overwrite_c=1)
         log_det += 2 * np.log(np.diag(inner)).sum()
-    projector = np.tril(projector)
-    projector += np.tril(projector, -1).T
-    return projector, float(-0.5 * (log_det + y @ projector @ y))
+    py = linalg.blas.dsymv(1.0, projector, y, lower=1)
+    return projector, py, float(-0.5 * (log_det + y @ py))
 
 
 def contrast_variance(rows: Rows, *, apart: BoolArray | None = None) -> FloatArray:

@@ -261,13 +261,14 @@ def _accept(rows: Rows, stack: Stack, chosen: Candidate, e_value: float) -> Acce
 
 def _superfluous(rows: Rows, accepted: list[Accepted], levels: FloatArray) -> Accepted | None:
     """Return the rival or transform that later findings have made worthless, if there is one."""
+    earlier = [a for a in accepted[:-1] if not a.in_model]
+    if not earlier:
+        return None
     contrast = contrast_noise(rows, accepted)
     # With all findings in the mean: drift must not take up again what they explained.
     levels = find_levels(rows, fitted(rows, accepted)[: rows.n_dense], levels).values
     worst: tuple[float, Accepted | None] = (KEEP, None)
-    for a in accepted[:-1]:
-        if a.in_model:
-            continue
+    for a in earlier:
         others = [b for b in accepted if b is not a]
         whitener = make_whitener(rows, levels, contrast, fitted(rows, others))
         own = Stack(len(rows.residual))
