@@ -98,7 +98,11 @@ def integrate_turns(
     Points ``[first[i], first[i + 1])`` are turn i's. The velocity is the integral of the specific
     force: gravity's is in it.
     """
-    mat = turned_frames(time, rate, first)
+    return end_turns(time, force, turned_frames(time, rate, first), first)
+
+
+def end_turns(time: FloatArray, force: FloatArray, mat: FloatArray, first: IntArray) -> Ended:
+    """Return where turns end whose `turned_frames` are known."""
     weighted = _weights(_steps(time, first))[:, None] * np.einsum("nij,nj->ni", mat, force)
     return Ended(mat[first[1:] - 1], np.add.reduceat(weighted, first[:-1], axis=0))
 

@@ -297,21 +297,39 @@ class Whitener:
         return white - self.basis @ (self.basis.T @ white)
 
 
+def factorise(rows: Rows, levels: FloatArray) -> FloatArray:
+    """Return the lower Cholesky factor of the covariance of the dense rows."""
+    # The transpose is in Fortran's order, so that LAPACK copies nothing.
+    cov = covariance(rows, levels)
+    factor = linalg.cholesky(cov.T, lower=True, overwrite_a=True, check_finite=False)
+    return np.asarray(factor)
+
+
 def make_whitener(
-    rows: Rows, levels: FloatArray, contrast: FloatArray, fitted: FloatArray
+    rows: Rows,
+    levels: FloatArray,
+    contrast: FloatArray,
+    fitted: FloatArray,
+    *,
+    factor: FloatArray | None = None,
 ) -> Whitener:
-    """Return the whitener for these levels, with the (m, p) `fitted` columns projected out."""
-    factor = linalg.cholesky(covariance(rows, levels), lower=True)
+    """Return the whitener for these levels, with the (m, p) `fitted` columns projected out.
+
+    ``factor`` is what `factorise` makes of the levels, where it is known.
+    """
+    factor = factorise(rows, levels) if factor is None else factor
     plain = Whitener(factor, np.sqrt(contrast), np.zeros((len(rows.residual), 0)), rows.n_dense)
     return Whitener(factor, plain.scale, range_basis(plain.whiten(fitted)), rows.n_dense)
 
 
-def level_likelihood(rows: Rows, basis: FloatArray, levels: FloatArray) -> float:
+def level_likelihood(
+    rows: Rows, basis: FloatArray, levels: FloatArray, *, factor: FloatArray | None = None
+) -> float:
     """Return the penalised restricted log-likelihood of given levels.
 
-    ``basis`` is the `range_basis` of the mean's dense rows.
+    ``basis`` is the `range_basis` of the mean's dense rows; ``factor`` as in `make_whitener`.
     """
-    factor = linalg.cholesky(covariance(rows, levels), lower=True, check_finite=False)
+    factor = factorise(rows, levels) if factor is None else factor
     both = np.column_stack((basis, rows.residual[: rows.n_dense]))
     white = linalg.solve_triangular(factor, both, lower=True, check_finite=False)
     q, r = linalg.qr(white[:, :-1], mode="economic", check_finite=False)

@@ -20,6 +20,7 @@ from calib.mismatch.noise import (
     contrast_likelihood,
     contrast_variance,
     estimate_levels,
+    factorise,
     find_levels,
     level_likelihood,
     make_whitener,
@@ -181,6 +182,7 @@ class _Scores:
     base: Levels
     basis: FloatArray
     weight: FloatArray
+    _factors: dict[bytes, FloatArray] = field(default_factory=dict)
 
     @classmethod
     def of(cls, rows: Rows, stack: Stack, accepted: list[Accepted], start: FloatArray) -> _Scores:
@@ -205,10 +207,26 @@ class _Scores:
         which: list[int] | None = None,
     ) -> FloatArray:
         """Return the evidence at some levels, of which the null has the log-likelihood `null`."""
-        whitener = make_whitener(self.rows, levels, contrast, self.mean)
+        whitener = self._whitener(levels, contrast)
         y = whitener.project(self.rows.residual)
         factors = self.stack.log_bayes_factors(whitener, y, which=which)
         return factors + (null - self.base.log_likelihood) + self.weight
+
+    def _factor(self, levels: FloatArray) -> FloatArray:
+        """Return the factor of the covariance at some levels; the last is kept."""
+        key = levels.tobytes()
+        if key not in self._factors:
+            self._factors.clear()
+            self._factors[key] = factorise(self.rows, levels)
+        return self._factors[key]
+
+    def _whitener(self, levels: FloatArray, contrast: FloatArray) -> Whitener:
+        factor = self._factor(levels)
+        return make_whitener(self.rows, levels, contrast, self.mean, factor=factor)
+
+    def _null(self, levels: FloatArray) -> float:
+        """Return the log-likelihood of some levels."""
+        return level_likelihood(self.rows, self.basis, levels, factor=self._factor(levels))
 
     def with_drift_of_all(self, evidence: FloatArray) -> tuple[FloatArray, Levels, list[_Hidden]]:
         """Return the evidence where physics, or rivals, take up the drift of their channels.
@@ -234,7 +252,7 @@ class _Scores:
                 if not which:
                     continue
                 levels = _swap(rows, base.values, other.values, channels)
-                null = level_likelihood(rows, self.basis, levels)
+                null = self._null(levels)
                 if physical:
                     scored = self.at(levels, self.contrast, null, which)
                     hidden.append(_Hidden(scored, null - base.log_likelihood, which, levels))
@@ -251,20 +269,20 @@ class _Scores:
         here, moved = leader, nearby(rows, leader)
         own = stack.of(leader)
         if moved.candidates:
-            whitener = make_whitener(rows, base.values, self.contrast, self.mean)
+            whitener = self._whitener(base.values, self.contrast)
             factors = moved.log_bayes_factors(whitener, whitener.project(rows.residual))
             here = moved.candidates[int(np.argmax(factors))]
             own = moved.of(here)
         with_own = np.hstack((self.mean, own))[: rows.n_dense]
         found = estimate_levels(rows, with_own, every.values)
         outside, cost = self._suited(found.values, here, own)
-        null = level_likelihood(rows, self.basis, found.values) + cost
+        null = self._null(found.values) + cost
         null += found.log_share - base.log_share
         names, code = stack.groups()
         which = np.flatnonzero(code == names.index(leader.group)).tolist()
         evidence = self.at(found.values, outside, null, which)
         if moved.candidates:
-            whitener = make_whitener(rows, found.values, outside, self.mean)
+            whitener = self._whitener(found.values, outside)
             average = moved.average(whitener, whitener.project(rows.residual))
             average += null - base.log_likelihood
             i = stack.candidates.index(leader)
@@ -287,7 +305,7 @@ class _Scores:
         cost = min(cost, 0.0)
         value = []
         for variance in (self.contrast, outside):
-            whitener = make_whitener(rows, levels, variance, self.mean)
+            whitener = self._whitener(levels, variance)
             value.append(log_bayes_factor(whitener.project(own), whitener.project(rows.residual)))
         return (outside, cost) if value[1] + cost > value[0] else (self.contrast, 0.0)
 

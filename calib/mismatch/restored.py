@@ -13,7 +13,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from calib.effects.base import Signals, TransformEffect
-from calib.mismatch.closure import across, integrate_turns
+from calib.mismatch.closure import across, end_turns, turned_frames
 from calib.mismatch.rows import Rows
 from calib.types import FloatArray
 
@@ -45,8 +45,10 @@ def whole_changes(
         before = effect.before(recorded, {**alone, **shape}, interval=interval)
         if all(a is b for a, b in zip(before, recorded, strict=True)):
             continue
-        force, rate = before.accel[place], before.gyro[place]
-        ended = integrate_turns(turns.time, force, rate, turns.first)
+        frame = turns.frame
+        if before.gyro is not recorded.gyro:
+            frame = turned_frames(turns.time, before.gyro[place], turns.first)
+        ended = end_turns(turns.time, before.accel[place], frame, turns.first)
         tilt = np.einsum("kij,kj->ki", turns.ended.frame - ended.frame, turns.up_after)
         out[p.name] = np.zeros(len(rows.residual))
         out[p.name][turns.index[:, :2]] = np.einsum("kij,ki->kj", across(turns.up_before), tilt)

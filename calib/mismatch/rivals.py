@@ -95,6 +95,7 @@ def add_rivals(stack: Stack, rows: Rows, *, skip: tuple[str, ...] = ()) -> None:
     """
     slots = _make_slots(rows)
     local, ripples = list(_in_windows(rows, slots, CORNERS)), list(_ripples(rows, slots))
+    smooth = list(_smooth(rows.state))
     alike = [
         item
         for item in _in_windows(rows, slots, MIDDLE)
@@ -112,7 +113,7 @@ def add_rivals(stack: Stack, rows: Rows, *, skip: tuple[str, ...] = ()) -> None:
         for channel in map(CHANNELS.index, triad):
             size = typical_size(triad[0].split(".")[0])
             parts.append(stack.add(size * (rows.functional[channel] @ slots.member).toarray()))
-            found += _of_channel(stack, rows, channel, slots, parts[-1], own, ripples)
+            found += _of_channel(stack, rows, channel, slots, parts[-1], own, ripples, smooth)
         found += _of_triad(triad, slots, parts, joint)
     found = [draft for draft in found if draft[1] not in skip]
     # Every kind has its share, each of its parts (one length of window, say) the same of that.
@@ -223,6 +224,7 @@ def _of_channel(
     parts: IntArray,
     local: list[_Local],
     ripples: list[tuple[float, FloatArray]],
+    smooth: list[tuple[str, FloatArray]],
 ) -> Iterator[_Draft]:
     """Yield candidates of a channel."""
     state, size = rows.state, typical_size(CHANNELS[c].split(".")[0])
@@ -243,7 +245,7 @@ def _of_channel(
             "mixing": item.mixing,
         }
         yield f"{b - a} segments", item.name, channels, index, about
-    for name, values in _smooth(state, c):
+    for name, values in (*smooth, ("its own rate", _own_rate(state, c))):
         index = stack.add(size * rows.columns(c, values))
         yield "smooth", name, channels, index, {}
         if name == "direction of gravity":
@@ -359,7 +361,7 @@ def _spiral(number: int) -> FloatArray:
     return np.stack((flat * np.cos(turn), flat * np.sin(turn), z), axis=1)
 
 
-def _smooth(state: State, c: int) -> Iterator[tuple[str, FloatArray]]:
+def _smooth(state: State) -> Iterator[tuple[str, FloatArray]]:
     """Yield bases of smooth functions; coefficients fall with order, so that they are smooth."""
     span = max(float(np.ptp(state.time)), 1e-9)
     order = np.arange(1, 9)
@@ -373,12 +375,20 @@ def _smooth(state: State, c: int) -> Iterator[tuple[str, FloatArray]]:
     if state.mat_ns is not None:
         # A field that is fixed to the room, as the sensor sees it: linear in the attitude.
         yield "orientation", state.mat_ns.reshape(-1, 9)
-    rates = state.rate / max(FAST, float(np.abs(state.rate).max()))
-    speed = np.linalg.norm(rates, axis=1)
+    speed = np.linalg.norm(_scaled_rates(state), axis=1)
     yield "speed of rotation", np.stack((speed, speed**2, speed**3, np.sqrt(speed)), axis=1)
-    rate = rates[:, c % 3]
+
+
+def _own_rate(state: State, c: int) -> FloatArray:
+    """Return the basis of smooth functions of the rate about a channel's axis, (n, 7)."""
+    rate = _scaled_rates(state)[:, c % 3]
     odd = (rate, np.abs(rate), rate * np.abs(rate), rate**2, rate**3, rate**4, np.tanh(5 * rate))
-    yield "its own rate", np.stack(odd, axis=1)
+    return np.stack(odd, axis=1)
+
+
+def _scaled_rates(state: State) -> FloatArray:
+    """Return rates in brisk turns; where one is brisker, in units of that."""
+    return state.rate / max(FAST, float(np.abs(state.rate).max()))
 
 
 def windows(segments: int) -> Iterator[tuple[int, int]]:

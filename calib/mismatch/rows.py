@@ -18,7 +18,7 @@ import numpy as np
 
 from calib.effects import get_effect
 from calib.effects.base import State
-from calib.mismatch.closure import Ended, integrate_turns
+from calib.mismatch.closure import Ended, end_turns, turned_frames
 from calib.recording import CHANNELS
 from calib.types import BoolArray, FloatArray, IntArray
 
@@ -65,8 +65,8 @@ class ClosedTurns:
         Rows of each turn: two of its attitude, three of its velocity.
     first : (k + 1,) array of int
         Points ``[first[i], first[i + 1])`` are turn i's.
-    time, force, rate : (n,), (n, 3), (n, 3) arrays
-        On the points of all turns.
+    time, force, rate, frame : (n,), (n, 3), (n, 3), (n, 3, 3) arrays
+        On the points of all turns; frames as `closure.turned_frames` has them.
     up_before, up_after : (k, 3) arrays
         Unit vectors up at the rests on either side.
     ended : Ended
@@ -78,6 +78,7 @@ class ClosedTurns:
     time: FloatArray
     force: FloatArray
     rate: FloatArray
+    frame: FloatArray
     up_before: FloatArray
     up_after: FloatArray
     ended: Ended
@@ -165,8 +166,9 @@ class Rows:
         time, force, rate = state.time[points], state.force[points], state.rate[points]
         # At rest the state is exact: gravity in the poses on either side.
         up_before, up_after = (state.force[k] / state.gravity for k in (start - 1, stop))
-        ended = integrate_turns(time, force, rate, first)
-        return ClosedTurns(index, first, time, force, rate, up_before, up_after, ended)
+        frame = turned_frames(time, rate, first)
+        ended = end_turns(time, force, frame, first)
+        return ClosedTurns(index, first, time, force, rate, frame, up_before, up_after, ended)
 
     def expected_variance(self) -> FloatArray:
         """Return the variance of each dense row, every component at the level expected of it."""

@@ -228,7 +228,10 @@ def _mixed(
         mixing = np.stack([np.asarray(candidates[i].mixing) for i in items])
         own = np.searchsorted(used, np.stack([place[candidates[i].index] for i in items]))
         if (own == own[0]).all():
-            inner = gram[np.ix_(own[0], own[0])] @ mixing
+            # All at once: a product with each alone would be one with a few columns.
+            n, k, r = mixing.shape
+            flat = np.swapaxes(mixing, 0, 1).reshape(k, n * r)
+            inner = np.swapaxes((gram[np.ix_(own[0], own[0])] @ flat).reshape(k, n, r), 0, 1)
         else:
             inner = gram[own[:, :, None], own[:, None, :]] @ mixing
         out[items] = log_bayes_factors(
