@@ -36,7 +36,7 @@ GRAVITY = 9.80665
 FAST = 0.3
 """Share of the highest rate from which on the motion is fast."""
 
-CLOSE = 1e-3
+CLOSE = 3e-4
 """m: how near to the drawing an arm must be for this script to succeed."""
 
 

@@ -23,6 +23,7 @@ from calib.mismatch.alignment import LEAST_OVERLAP, Alignment
 from calib.mismatch.colour import WHITE, find_colour, gaussian, whitening
 from calib.mismatch.grid import smooth_temperature
 from calib.mismatch.rows import Rows
+from calib.mismatch.scatter import scatter
 from calib.mismatch.truths import RecordingTruth
 from calib.mismatch.twin import ACCEL_MISALIGNMENT, baseline_column
 from calib.mismatch.windowed import Shapes, find_shapes, make_rows, robust_step
@@ -224,9 +225,11 @@ class ComparisonProblem:
         # that is not known: it would be noise, and the same in many columns.
         felt = state if self.unresolved else self.setup.model.felt(state)
         if self.shapes is None:
-            self.shapes = find_shapes(
-                self.time, left, list(self._shape_columns(felt)), blur=self.blur
-            )
+            columns = list(self._shape_columns(felt))
+            rough = None
+            if self.unresolved:
+                rough = scatter(felt, left, columns, blur=self.blur)
+            self.shapes = find_shapes(self.time, left, columns, blur=self.blur, scatter=rough)
         turned = [n.startswith("reference_misalignment") for n in self.aligned]
         rows = make_rows(
             self.shapes,

@@ -51,7 +51,12 @@ that the truth does not follow: shaking beyond its band, play between the two.""
 
 @dataclass(frozen=True, eq=False)
 class Shapes:
-    """Windows ``[first, last)`` of points, and the shapes (unit vectors) that are rows there."""
+    """Windows ``[first, last)`` of points, and the shapes (unit vectors) that are rows there.
+
+    ``noise`` (k, 6) is the variance of a window's points. Where that is not the same throughout,
+    ``scatter`` (n, 6) is that of every point but for a factor of each window, and the shapes are
+    those of points in units of its root.
+    """
 
     first: IntArray
     last: IntArray
@@ -59,6 +64,7 @@ class Shapes:
     channel: IntArray
     vectors: tuple[FloatArray, ...]
     noise: FloatArray
+    scatter: FloatArray | None = None
 
 
 def cut(time: FloatArray) -> tuple[IntArray, IntArray]:
@@ -72,7 +78,12 @@ def cut(time: FloatArray) -> tuple[IntArray, IntArray]:
 
 
 def find_shapes(
-    time: FloatArray, left: FloatArray, columns: list[tuple[str, FloatArray]], *, blur: Blur
+    time: FloatArray,
+    left: FloatArray,
+    columns: list[tuple[str, FloatArray]],
+    *,
+    blur: Blur,
+    scatter: FloatArray | None = None,
 ) -> Shapes:
     """Return windows, the shapes that columns have in each, and the noise of its samples.
 
@@ -84,32 +95,40 @@ def find_shapes(
     columns : list of (channel, (n,) values)
     blur : Blur
         Windows and shapes are of the m points that it leaves.
+    scatter : (n, 6) array, optional
+        Variance of the noise of every point but for a factor; without, it is the same within a
+        window.
     """
     first, last = cut(time[blur.seen])
     noise, free = np.empty((len(first), 6)), np.empty((len(first), 6))
+    size = _sizes(scatter, blur)
     found: list[tuple[float, int, int, FloatArray]] = []
     for c, name in enumerate(CHANNELS):
         matrix = blur.matrices[c // 3]
         own = matrix @ np.stack([v for channel, v in columns if channel == name], axis=1)
-        seen = matrix @ left[:, c]
+        own /= size[:, c, None]
+        seen = matrix @ left[:, c] / size[:, c]
         rough = float(np.median(np.abs(np.diff(seen, n=2)))) / 0.6745 / np.sqrt(6.0)
         rough = max(rough, 1e-9)
         for s, (a, b) in enumerate(zip(first, last, strict=True)):
-            part = own[a:b] - own[a:b].mean(axis=0)
+            mean = 1.0 / size[a:b, c]
+            mean /= np.linalg.norm(mean)
+            part = own[a:b] - np.outer(mean, mean @ own[a:b])
             values, vectors = np.linalg.eigh(part.T @ part)
-            size = np.sqrt(np.maximum(values[::-1], 0.0)) / rough
-            keep = (size > VISIBLE) & (size > 1e-6 * size[0])
+            strength = np.sqrt(np.maximum(values[::-1], 0.0)) / rough
+            keep = (strength > VISIBLE) & (strength > 1e-6 * strength[0])
             keep[max((b - a) // 3, 1) :] = False
             shapes = part @ vectors[:, ::-1][:, keep]
             shapes /= np.linalg.norm(shapes, axis=0)
-            y = seen[a:b] - seen[a:b].mean()
+            y = seen[a:b] - mean * (mean @ seen[a:b])
             rest = y - shapes @ (shapes.T @ y)
             # So many of its samples are independent; the mean and the shapes take up one each.
             independent = blur.power * (b - a)
             free[s, c] = max(independent - 1 - shapes.shape[1], LEAST_FREE * independent)
             noise[s, c] = float(rest @ rest) / free[s, c]
-            found += [(float(v), s, c, x) for v, x in zip(size[keep], shapes.T, strict=True)]
+            found += [(float(v), s, c, x) for v, x in zip(strength[keep], shapes.T, strict=True)]
     noise = _levelled(noise, free, blur.power * (last - first).astype(np.float64), blur.white)
+    noise *= _of_windows(size, first, last)
     strongest = sorted(found, key=lambda item: -item[0])[:SHAPES]
     strongest.sort(key=lambda item: (item[2], item[1]))
     return Shapes(
@@ -119,7 +138,25 @@ def find_shapes(
         np.array([item[2] for item in strongest], np.int64),
         tuple(item[3] for item in strongest),
         noise,
+        scatter,
     )
+
+
+def _sizes(scatter: FloatArray | None, blur: Blur) -> FloatArray:
+    """Return the root of how far the points that are seen scatter, (m, 6), the blur left aside."""
+    if scatter is None:
+        return np.ones((len(blur.seen), len(CHANNELS)))
+    out = []
+    for c in range(len(CHANNELS)):
+        square = blur.matrices[c // 3].power(2)
+        out.append(square @ scatter[:, c] / np.asarray(square.sum(axis=1)).ravel())
+    return np.asarray(np.sqrt(np.stack(out, axis=1)))
+
+
+def _of_windows(size: FloatArray, first: IntArray, last: IntArray) -> FloatArray:
+    """Return the variance (k, 6) of points that tell as much as those of windows do."""
+    worth = [np.square(1.0 / size[a:b]).mean(axis=0) for a, b in zip(first, last, strict=True)]
+    return np.asarray(1.0 / np.array(worth))
 
 
 def _levelled(
@@ -169,8 +206,15 @@ def make_rows(
     segment = np.concatenate((np.repeat(np.arange(k), 6), shapes.segment))
     kind = np.full(m, int(Kind.CONTRAST))
     kind[:dense] = Kind.MEAN
-    weights = [np.full(count[s], 1.0 / count[s]) for s in segment[:dense]]
-    weights += [v / np.sqrt(len(v)) for v in shapes.vectors]
+    size = _sizes(shapes.scatter, blur)
+    typical = np.sqrt(_of_windows(size, first, last))
+    relative = [
+        size[first[s] : last[s], c] / typical[s, c] for s, c in zip(segment, channel, strict=True)
+    ]
+    weights = [1.0 / (len(r) * np.square(r)) for r in relative[:dense]]
+    weights += [
+        v / (np.sqrt(len(v)) * r) for v, r in zip(shapes.vectors, relative[dense:], strict=True)
+    ]
     functional, white = [], np.zeros(m)
     for c in range(6):
         own = np.flatnonzero(channel == c)
@@ -179,7 +223,12 @@ def make_rows(
         values = np.concatenate([weights[i] for i in own])
         seen = sparse.csr_matrix((values, (row, points)), shape=(m, n))
         functional.append(seen @ blur.matrices[c // 3])
-        white += np.asarray((seen if blur.whitens else functional[c]).power(2).sum(axis=1)).ravel()
+        square = (seen if blur.whitens else functional[c]).power(2)
+        if shapes.scatter is None:
+            white += np.asarray(square.sum(axis=1)).ravel()
+        else:
+            scatter = shapes.scatter[blur.seen if blur.whitens else slice(None), c]
+            white[own] = (square @ scatter)[own] / np.square(typical[segment[own], c])
     variance = shapes.noise[segment, channel] * white
     quiet = np.quantile(shapes.noise, 0.2, axis=0)
     restless = shapes.noise[segment, channel] > RESTLESS * quiet[channel]
