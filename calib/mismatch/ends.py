@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from calib.mismatch.diagnosis import Interval
 from calib.mismatch.noise import Whitener
 from calib.mismatch.rivals import moved_window, segment_columns
 from calib.mismatch.rows import Rows
@@ -46,7 +47,12 @@ def place_window(rows: Rows, candidate: Candidate, whitener: Whitener, y: FloatA
     probable = value > value.max() + np.log(UNLIKELY)
     weight = np.exp(value[probable] - value.max())
     start, stop = rows.interval[first[probable], 0], rows.interval[last[probable] - 1, 1]
+    return moved_window(candidate, *expected_overlap(start, stop, weight))
+
+
+def expected_overlap(start: FloatArray, stop: FloatArray, weight: FloatArray) -> Interval:
+    """Return the one of (n,) intervals that overlaps most, on average over their weights."""
     common = np.minimum.outer(stop, stop) - np.maximum.outer(start, start)
     hull = np.maximum.outer(stop, stop) - np.minimum.outer(start, start)
     best = int(np.argmax(np.maximum(common, 0.0) / hull @ weight))
-    return moved_window(candidate, float(start[best]), float(stop[best]))
+    return float(start[best]), float(stop[best])

@@ -24,11 +24,13 @@ from calib.mismatch.grid import (
     untouched,
 )
 from calib.mismatch.losses import find_losses
+from calib.mismatch.places import joined
 from calib.mismatch.samples import lost_samples
 from calib.mismatch.search import Outcome, search
 from calib.mismatch.selfmode import SelfProblem
 from calib.mismatch.spectrum import look_at_spectrum
 from calib.mismatch.thin import Thinned, thin
+from calib.mismatch.within import look_within
 from calib.model import SensorModel
 from calib.poses import Poses
 from calib.recording import CHANNELS, Recording
@@ -86,7 +88,7 @@ def diagnose_thinned(
     missing = _missing(recording, poses)
     if seen.fatal:
         return _unfit(thinned, missing)
-    noisy = look_at_spectrum(recording, poses)
+    noisy = (*look_at_spectrum(recording, poses), *look_within(recording, poses))
     poses = _whole(connected(untouched(recording, steady(poses))), seen.spoilt)
     poses = poses.select(
         choose_poses(poses.accel, poses.start, poses.stop, interval=recording.interval)
@@ -128,7 +130,7 @@ def diagnose_thinned(
         findings = [_by_sample(f, thinned.samples) if _is_rate(f.effect) else f for f in findings]
     lost = [lost_samples(recording, loss, grid.interval[loss.segment]) for loss in losses]
     findings = [*seen.findings, *lost, *findings]
-    unexplained = [*seen.unexplained, *unexplained, *noisy]
+    unexplained = [*seen.unexplained, *joined([*unexplained, *noisy])]
     change, likelihood = changes(outcome)
     return Diagnosis(
         verdict=verdict(

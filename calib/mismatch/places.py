@@ -15,12 +15,15 @@ a window is found to within about a quarter of its length."""
 COMMON = 0.5
 """Overlap of two windows on different channels, relative to their hull, from which they are one."""
 
+SEEN = " there"
+"""How what follows the time ends where the samples of some rests show it, and those of no other."""
+
 
 def joined(items: list[Unexplained]) -> list[Unexplained]:
     """Return the items with pieces of one disturbance joined, in the place of the first.
 
     A disturbance that no single window describes (it grows, pauses, or reaches several channels) is
-    found piece by piece, strongest first. What it follows and how sure it is are said of that.
+    found piece by piece. What it follows and how sure it is are said of the surest.
     """
     out: list[Unexplained] = []
     for item in items:
@@ -28,7 +31,7 @@ def joined(items: list[Unexplained]) -> list[Unexplained]:
             if _are_one(other, item):
                 channels = {*other.channels, *item.channels}
                 out[i] = replace(
-                    other,
+                    min(other, item, key=lambda piece: piece.p_value),
                     channels=tuple(c for c in CHANNELS if c in channels),
                     intervals=(_hull(other.intervals[0], item.intervals[0]),),
                 )
@@ -39,12 +42,17 @@ def joined(items: list[Unexplained]) -> list[Unexplained]:
 
 
 def _are_one(one: Unexplained, other: Unexplained) -> bool:
-    if one.follows not in WINDOWED or other.follows not in WINDOWED:
+    if not (_is_local(one) and _is_local(other)):
         return False
     (a, b), (c, d) = one.intervals[0], other.intervals[0]
     start, stop = _hull((a, b), (c, d))
     common = (min(b, d) - max(a, c)) / (stop - start)
     return common > -GAP if set(one.channels) & set(other.channels) else common >= COMMON
+
+
+def _is_local(item: Unexplained) -> bool:
+    """Whether an item is somewhere in time: in the rows, or in the samples of rests."""
+    return item.follows in WINDOWED or item.follows.endswith(SEEN)
 
 
 def _hull(one: Interval, other: Interval) -> Interval:
