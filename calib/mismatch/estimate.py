@@ -20,7 +20,7 @@ from calib.effects.base import ShapeParameter
 from calib.mismatch.families import candidate_columns, forms, shape_grid
 from calib.mismatch.noise import make_whitener
 from calib.mismatch.ranking import Accepted, fitted
-from calib.mismatch.refit import cut, likelihood_gain, prior_rows
+from calib.mismatch.refit import cut, likelihood_gain, prior_rows, scaled
 from calib.mismatch.rows import Rows
 from calib.types import FloatArray
 
@@ -146,11 +146,9 @@ def _fit(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the least-squares step of all columns, of any rank, and its covariance."""
     mean = fitted(rows, accepted)
-    scale = np.linalg.norm(mean, axis=0)
-    scale[scale == 0] = 1.0
     whitener = make_whitener(rows, levels, contrast, mean[:, :0])
     prior, value = prior_rows(rows, accepted)
-    design = np.vstack((whitener.whiten(mean / scale), prior / scale))
+    design, scale = scaled(np.vstack((whitener.whiten(mean), prior)))
     y = np.append(whitener.whiten(rows.residual), value)
     aside = cut(rows, accepted)
     inverse = np.zeros(design.T.shape)

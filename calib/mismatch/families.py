@@ -12,11 +12,15 @@ from calib.effects import effects, get_effect
 from calib.effects.base import PRESENCE, Effect, ShapeParameter, TransformEffect
 from calib.mismatch.restored import whole_changes
 from calib.mismatch.rows import Kind, Rows
-from calib.mismatch.score import Candidate, Stack
+from calib.mismatch.score import LARGE, Candidate, Stack
 from calib.types import FloatArray
 
 SHAPES = 7
 """Candidates for each continuous shape parameter (its grid is refined once it was chosen)."""
+
+UNSEEN = 0.1
+"""Standard errors that a parameter must add at its largest, over all rows, to be one of a
+candidate: of an axis that never turns, rounding errors are all that there is to see."""
 
 PHYSICAL = 0.6
 """Prior probability of all physics together; the rivals share the rest."""
@@ -50,8 +54,10 @@ def _add(stack: Stack, effect: Effect, rows: Rows, *, reference: bool, weight: f
     channels = {p.name: p.channels for p in effect.parameters}
     units = {p.name: p.unit for p in effect.parameters}
     refining = tuple(p.name for p in effect.parameters if p.refining)
+    noise = np.sqrt(np.concatenate((rows.expected_variance(), rows.white_diagonal)))
     for shape in shapes:
         found = effect_columns(effect, rows, shape, reference=reference)
+        found = {n: v for n, v in found.items() if LARGE * np.linalg.norm(v / noise) > UNSEEN}
         if not found:
             continue
         index = dict(zip(found, stack.add(np.stack(list(found.values()), axis=1)), strict=True))

@@ -16,7 +16,7 @@ from calib.mismatch.noise import Whitener, find_levels, make_whitener
 from calib.mismatch.ranking import Accepted, contrast_noise, fitted
 from calib.mismatch.rivals import WINDOWED, moved_window, window_columns
 from calib.mismatch.rows import Rows
-from calib.mismatch.score import LARGE, Candidate, log_bayes_factor
+from calib.mismatch.score import LARGE, SCALES, Candidate, log_bayes_factor
 from calib.types import BoolArray, FloatArray
 
 REFINED = 3
@@ -100,9 +100,9 @@ def prior_rows(
 ) -> tuple[FloatArray, FloatArray]:
     """Return rows (k, p) of the priors, and their values (k,).
 
-    Beside a reference baseline and alignment have theirs from the rows, and no finding is much
-    beyond what is physical: what the motion leaves open (the height of a sensor over a table that
-    turns about the vertical) stays there. A smooth function can take the place of the baseline. At
+    Beside a reference baseline and alignment have theirs from the rows, and no finding is beyond
+    the largest size that has evidence: what the motion leaves open (the height of a sensor over a
+    table that turns about the vertical) stays there. A smooth function can take the place of the baseline. At
     rest the two are exactly alike, but in motion, or beside a truth with noise, only nearly so;
     what keeps them apart is the size that the evidence gave the rival, at most `LARGE`.
     """
@@ -115,8 +115,10 @@ def prior_rows(
     at = start
     for a in accepted:
         own = slice(at, at + a.columns.shape[1])
-        if rows.aligned or not a.candidate.physical:
+        if not a.candidate.physical:
             spread[own] = LARGE
+        elif rows.aligned:
+            spread[own] = SCALES[-1]
         if a.in_model:
             value[own] = -a.values / a.typical
         at = own.stop
@@ -136,15 +138,23 @@ def solve(
     step = np.zeros(mean.shape[1])
     mean = mean[:, kept]
     whitener = make_whitener(rows, levels, contrast, mean[:, :0])
-    scale = np.maximum(np.linalg.norm(mean, axis=0), 1e-300)
     prior, value = prior_rows(rows, accepted)
-    found = np.linalg.lstsq(
-        np.vstack((whitener.whiten(mean / scale), prior[:, kept] / scale)),
-        np.append(whitener.whiten(rows.residual), value),
-        rcond=1e-9,
-    )[0]
+    design, scale = scaled(np.vstack((whitener.whiten(mean), prior[:, kept])))
+    y = np.append(whitener.whiten(rows.residual), value)
+    found = np.linalg.lstsq(design, y, rcond=1e-9)[0]
     step[kept] = found / scale
     return step
+
+
+def scaled(design: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return columns of unit length, and their lengths.
+
+    Priors belong to the length: a column that shows next to nothing is all prior, and by what it
+    shows alone its prior would be so steep that beside it nothing else had a rank.
+    """
+    size = np.linalg.norm(design, axis=0)
+    size[size == 0] = 1.0
+    return design / size, size
 
 
 def cut(rows: Rows, accepted: list[Accepted] | tuple[Accepted, ...]) -> BoolArray:

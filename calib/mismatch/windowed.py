@@ -13,6 +13,7 @@ from scipy import sparse
 
 from calib.effects.base import State
 from calib.mismatch.colour import Blur
+from calib.mismatch.refit import scaled
 from calib.mismatch.rows import Component, Kind, Rows
 from calib.mismatch.twin import (
     DRIFT,
@@ -315,12 +316,11 @@ def robust_step(rows: Rows) -> FloatArray:
     y = rows.residual / sigma
     ridge = np.diag(1.0 / rows.prior[:, 1])
     pull = -rows.prior[:, 0] / rows.prior[:, 1]
-    size = np.maximum(np.linalg.norm(design, axis=0), 1e-12)
     weight = np.ones(len(y))
     step = np.zeros(design.shape[1])
     for _ in range(5):
         root = np.sqrt(weight)
-        stacked = np.vstack((design * root[:, None], ridge)) / size
+        stacked, size = scaled(np.vstack((design * root[:, None], ridge)))
         step = np.linalg.lstsq(stacked, np.append(y * root, pull), rcond=1e-12)[0] / size
         left = np.abs(y - design @ step)
         scale = max(float(np.median(left)) / 0.6745, 1.0)

@@ -134,6 +134,24 @@ def test_a_sensor_with_errors_off_the_centre_of_a_table_has_an_arm_and_nothing_e
     assert named(found)["accel_lever_arm"]["rz"].sigma > 0.1
 
 
+def test_what_axes_that_never_turn_would_have_upsets_nothing():
+    """Their columns are rounding errors: the arm stays, and only what turns has a parameter."""
+    arm = (0.08, -0.05, 0.02)
+    table = turntable([3.5, -1.7, 0.9, -3.5], offset=arm)
+    model = SensorModel(terms=(Term("gyro_scale_quadratic", {"kz": 5e-5}),))
+    rng = np.random.default_rng(5)
+    real = simulate(table, model, CONSUMER, rng=rng, rate=50.0)
+    time = np.arange(0.0, table.duration, 1 / 20)
+    reference = ReferenceMotion(time - 9.0, table.kinematics(time)[0].quat)
+    found = named(diagnose_reference(real, reference, gravity=GRAVITY))
+    assert set(found) == {"time_offset", "accel_lever_arm", "gyro_scale_quadratic"}
+    assert set(found["gyro_scale_quadratic"]) == {"kz"}
+    for name, value in (("rx", arm[0]), ("ry", arm[1])):
+        q = found["accel_lever_arm"][name]
+        assert abs(q.value - value) < 3.5 * q.sigma, name
+        assert q.sigma < 0.005
+
+
 def test_a_lost_sample_is_counted_in_samples_of_the_recording():
     """Beside noisy captured motion every third sample of it is compared."""
     rng = np.random.default_rng(6)
