@@ -34,6 +34,7 @@ from calib.mismatch.heldout import held_out
 from calib.mismatch.noise import Whitener, make_whitener
 from calib.mismatch.ranking import CLAIM, fitted, make_stack
 from calib.mismatch.rows import Rows
+from calib.mismatch.score import LARGE
 from calib.mismatch.search import TIE
 from calib.mismatch.selfmode import SelfProblem
 from calib.mismatch.twin import DRIFT_TIME, build_rows
@@ -344,12 +345,14 @@ def sized_term(
     rng: np.random.Generator,
     *,
     reference: bool = False,
+    physical: bool = False,
     change: Callable[[Term], np.ndarray] | None = None,
-) -> Term:
+) -> Term | None:
     """Return the effect with random signs and axes, sized to the oracle's non-centrality.
 
     What is there or not has no small size that is to scale: ``change`` is what it does to the rows,
-    where these are not linear in the signals.
+    where these are not linear in the signals. With ``physical`` no parameter is larger than anyone
+    would believe; None if the rows show none of them then (what an axis has that never turns).
     """
     shape: dict[str, float] = {}
     optional = [s for s in effect.shape if s.optional and s.spacing != "integer"]
@@ -374,6 +377,11 @@ def sized_term(
         if p.name in columns and (reference or not p.reference_only)
     ]
     typical = {p.name: p.typical for p in effect.parameters}
+    if physical:
+        largest = {n: LARGE * typical[n] * rows.column(columns[n]) for n in names}
+        names = [n for n in names if np.square(whitener.project(largest[n])).sum() >= power]
+        if not names:
+            return None
     if chosen is not None:
         names = names[:1] if len(columns) == 1 else names
     single = rng.random() < 0.5
