@@ -102,9 +102,9 @@ def prior_rows(
 
     Beside a reference baseline and alignment have theirs from the rows, and no finding is beyond
     the largest size that has evidence: what the motion leaves open (the height of a sensor over a
-    table that turns about the vertical) stays there. A smooth function can take the place of the baseline. At
-    rest the two are exactly alike, but in motion, or beside a truth with noise, only nearly so;
-    what keeps them apart is the size that the evidence gave the rival, at most `LARGE`.
+    table that turns about the vertical) stays there. A smooth function can take the place of the
+    baseline. At rest the two are exactly alike, but in motion, or beside a truth with noise, only
+    nearly so; what keeps them apart is the size that the evidence gave the rival, at most `LARGE`.
     """
     start = rows.baseline.shape[1] + rows.nuisance.shape[1]
     width = start + sum(a.columns.shape[1] for a in accepted)
