@@ -20,7 +20,8 @@ SHAPES = 7
 
 UNSEEN = 0.1
 """Standard errors that a parameter must add at its largest, over all rows, to be one of a
-candidate: of an axis that never turns, rounding errors are all that there is to see."""
+candidate: of an axis that never turns, rounding errors are all that there is to see. A setup is one
+thing, an arm or a rotation, of which the open part is said too."""
 
 PHYSICAL = 0.6
 """Prior probability of all physics together; the rivals share the rest."""
@@ -57,7 +58,8 @@ def _add(stack: Stack, effect: Effect, rows: Rows, *, reference: bool, weight: f
     noise = np.sqrt(np.concatenate((rows.expected_variance(), rows.white_diagonal)))
     for shape in shapes:
         found = effect_columns(effect, rows, shape, reference=reference)
-        found = {n: v for n, v in found.items() if LARGE * np.linalg.norm(v / noise) > UNSEEN}
+        if effect.kind != "setup":
+            found = {n: v for n, v in found.items() if LARGE * np.linalg.norm(v / noise) > UNSEEN}
         if not found:
             continue
         index = dict(zip(found, stack.add(np.stack(list(found.values()), axis=1)), strict=True))
