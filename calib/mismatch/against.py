@@ -9,7 +9,7 @@ import numpy as np
 
 from calib.calibration import Quantity
 from calib.effects import effects, get_effect
-from calib.mismatch.alignment import LEAST_OVERLAP, align
+from calib.mismatch.alignment import LEAST_OVERLAP, Alignment, align
 from calib.mismatch.band import matched
 from calib.mismatch.comparison import ComparisonProblem
 from calib.mismatch.diagnosis import Diagnosis, Finding
@@ -33,6 +33,16 @@ _OPEN = {"bias": 0.1, "scale_factor_error": 0.02, "misalignment": 0.02}
 _LINEAR = {"time_offset": 0.02, "clock_scale": 1e-4, "reference_misalignment": 0.1}
 """Sizes (SI) up to which an alignment acts in proportion, so that it can be left out again to see
 what it is worth on held-out windows."""
+
+STILL, MOVES = 0.05, 0.5
+"""rad/s below which a motion is at rest, and above which it moves."""
+
+ENOUGH = 300
+"""Samples of either kind that tell how loud the noise is: 1 in 20."""
+
+LESS = 0.9
+"""Noise of the differences where it moves, relative to that at rest, below which part of it is in
+the motion. A simulation's own noise hides that; as loud as the recording's it leaves 0.7 to 0.8."""
 
 _SELDOM_ALONE = ("earth_rate", "gravity_magnitude")
 """What is in a simulation's own signals already, or is a scale that the baseline has."""
@@ -68,7 +78,18 @@ def diagnose_against(
     still = at_rest(real, simulated)
     if still:
         return undetermined(still, summary)
-    problem, skip = compare_simulation(real, simulated, seen, gravity=gravity, model=model)
+    alignment = align(real.time, real.gyro, simulated.time, simulated.gyro)
+    if follows_noise(real, RecordingTruth(simulated, gravity), alignment):
+        return undetermined(
+            "a simulation with a motion of its own: this one moves with the recording's noise, so "
+            "its motion was estimated from it (simulate --like), and what the sensor gets wrong is "
+            "in both. Leave out --against and give --calibration with the twin's sensor: that "
+            "compares the recording with its twin",
+            summary,
+        )
+    problem, skip = compare_simulation(
+        real, simulated, seen, alignment=alignment, gravity=gravity, model=model
+    )
     # When a simulation starts is nobody's fault; what its clock does to the motion is.
     return conclude(problem, seen, summary, setups=("clock_scale",), skip=skip)
 
@@ -79,10 +100,12 @@ def compare_simulation(
     seen: Samples,
     *,
     gravity: float,
+    alignment: Alignment | None = None,
     model: SensorModel | None = None,
 ) -> tuple[ComparisonProblem, tuple[str, ...]]:
     """Align a simulation with a recording; return what to compare, and what cannot show."""
-    alignment = align(real.time, real.gyro, simulated.time, simulated.gyro)
+    if alignment is None:
+        alignment = align(real.time, real.gyro, simulated.time, simulated.gyro)
     common = matched(
         real,
         RecordingTruth(simulated, gravity),
@@ -102,6 +125,24 @@ def compare_simulation(
         raw=real if common.limited else None,
     )
     return problem, ((*_SELDOM_ALONE, "bandwidth") if common.limited else _SELDOM_ALONE)
+
+
+def follows_noise(real: Recording, truth: RecordingTruth, alignment: Alignment) -> bool:
+    """Whether a simulation has the recording's noise in its motion: it was estimated from it.
+
+    At rest such a motion is still, and the differences hold all of the noise; where it moves they
+    hold less. Those of any other simulation hold as much there, or more.
+    """
+    at = alignment.times(real.time)
+    state = truth.state(at)
+    noise = np.abs(np.diff(real.accel - state.force, n=2, axis=0))
+    turning = np.linalg.norm(state.rate - np.median(state.rate, axis=0), axis=1)[1:-1]
+    known = truth.covers(at)[1:-1]
+    moving, still = known & (turning > MOVES), known & (turning < STILL)
+    if min(moving.sum(), still.sum()) < ENOUGH:
+        return False
+    ratio = np.median(noise[moving], axis=0) / np.maximum(np.median(noise[still], axis=0), 1e-12)
+    return bool(np.mean(ratio) < LESS)
 
 
 def at_rest(*recordings: Recording) -> str:
@@ -133,6 +174,7 @@ def conclude(
     fit = outcome.fit(reference=True)
     findings, unexplained, (known, covariance) = explain(outcome, fit, names=problem.names)
     found = _setups(outcome, fit, problem, setups)
+    findings = [f for f in findings if not any(_the_same(f, item) for item in seen.findings)]
     findings = [*seen.findings, *found, *findings]
     unexplained = [*seen.unexplained, *unexplained]
     slugs = {f.effect for f in findings}
@@ -195,6 +237,14 @@ def _in_samples(outcome: Outcome, model: SensorModel, thin: int) -> tuple[Outcom
         for t in model.terms
     )
     return replace(outcome, accepted=accepted), replace(model, terms=terms)
+
+
+def _the_same(finding: Finding, seen: Finding) -> bool:
+    """Whether the samples themselves show an event, at a moment that is exact there."""
+    if finding.effect != seen.effect or "moment" not in finding.parameters:
+        return False
+    own = finding.parameters["moment"]
+    return abs(own.value - seen.parameters["moment"].value) <= 3.0 * (own.sigma or 0.0)
 
 
 def _open(names: tuple[str, ...], fit: Estimate) -> list[str]:

@@ -9,13 +9,17 @@ import pytest
 from calib.effects.base import Term
 from calib.errors import NoCommonMotionError
 from calib.mismatch import diagnose_against
+from calib.mismatch.against import follows_noise
 from calib.mismatch.alignment import align
+from calib.mismatch.truths import RecordingTruth
 from calib.model import SensorModel, Triad
 from calib.recording import Recording
-from calib.simulate import IDEAL, Sampling, simulate
+from calib.simulate import IDEAL, Sampling, digital_twin, simulate
 from calib.simulation.bench import bench_protocol
 from calib.simulation.kinematics import Motion
 from calib.simulation.noise import CONSUMER, NoiseModel
+from calib.simulation.recorded import motion_of
+from calib.statics import find_poses
 
 GRAVITY = 9.80665
 SHOWN = 30.0
@@ -132,3 +136,30 @@ def test_a_simulation_at_rest_leaves_it_undetermined():
     found = diagnose_against(recorded(), still, gravity=GRAVITY)
     assert found.verdict == "undetermined"
     assert "motion" in found.missing[0]
+
+
+@pytest.mark.parametrize("noise", [0.0, 1.0])
+def test_a_twin_of_the_recording_itself_is_no_truth(noise):
+    """Its motion holds the recording's own noise; the motion that was simulated does not."""
+    real = recorded()
+    twin = digital_twin(
+        real,
+        motion_of(real, SensorModel(), find_poses(real), gravity=GRAVITY),
+        SensorModel(),
+        CONSUMER.scaled(noise),
+        rng=np.random.default_rng(3),
+    )
+    found = diagnose_against(real, replace(twin, time=twin.time + 60.0), gravity=GRAVITY)
+    assert found.verdict == "undetermined"
+    assert "--calibration" in found.missing[0]
+    truth = simulate(motion(), SensorModel(), CONSUMER, rng=np.random.default_rng(4), rate=50.0)
+    for other in (truth, simulation()):
+        alignment = align(real.time, real.gyro, other.time, other.gyro)
+        assert not follows_noise(real, RecordingTruth(other, GRAVITY), alignment)
+
+
+def test_a_repeated_sample_is_one_finding():
+    term = Term("dropped_samples", {"count": -1.0, "moment": float(motion().turns[3].mean())})
+    found = diagnose_against(recorded(term), simulation(), gravity=GRAVITY)
+    assert [f.effect for f in found.findings] == ["dropped_samples"]
+    assert found.findings[0].parameters["count"].value == -1.0
