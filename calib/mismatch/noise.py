@@ -107,8 +107,9 @@ def estimate_levels(
     halved, caution, log_share = 0, 0.1, 0.0
     for _ in range(iterations):
         levels = np.exp(logs)
-        projector, py, value = _projector(covariance(rows, levels), basis, y)
-        value -= 0.5 * float((logs - centre) @ precision @ (logs - centre))
+        factor = factorise(rows, levels)
+        likelihood, white, left = _restricted(factor, basis, y)
+        value = likelihood - 0.5 * float((logs - centre) @ precision @ (logs - centre))
         if best is not None and value < best[0] - 1e-6:
             # Too long a step: go back half way.
             halved, caution = halved + 1, 0.1
@@ -120,6 +121,7 @@ def estimate_levels(
         best = (value, logs)
         if gain < 0.02:
             break
+        projector, py = _projector(factor, white, left)
         vpy, trace = np.zeros((len(py), len(levels)), order="F"), np.empty(len(levels))
         at = 0
         for index, matrices in _by_rows(rows):
@@ -186,25 +188,35 @@ def range_basis(mean: FloatArray, *, tolerance: float = 1e-9) -> FloatArray:
     return np.asarray(q[:, :rank])
 
 
+def _restricted(
+    factor: FloatArray, basis: FloatArray, y: FloatArray
+) -> tuple[float, FloatArray, FloatArray]:
+    """Return the restricted log-likelihood, the whitened mean (orthonormal), and what it leaves."""
+    right = np.asfortranarray(np.column_stack((basis, y)))
+    both = linalg.blas.dtrsm(1.0, factor, right, lower=1, overwrite_b=1)
+    mean, left = both[:, :-1], both[:, -1]
+    log_det = 2 * np.log(np.diag(factor)).sum()
+    if basis.size:
+        inner = linalg.cholesky(mean.T @ mean, lower=True, check_finite=False)
+        mean = linalg.blas.dtrsm(1.0, inner, mean, side=1, lower=1, trans_a=1)
+        left = left - mean @ (mean.T @ left)
+        log_det += 2 * np.log(np.diag(inner)).sum()
+    return float(-0.5 * (log_det + left @ left)), mean, left
+
+
 def _projector(
-    cov: FloatArray, basis: FloatArray, y: FloatArray
-) -> tuple[FloatArray, FloatArray, float]:
-    """Return ``P = inv(V) - inv(V) X inv(X' inv(V) X) X' inv(V)``, P y, the restricted likelihood.
+    factor: FloatArray, mean: FloatArray, left: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return ``P = inv(V) - inv(V) X inv(X' inv(V) X) X' inv(V)``, and P y.
 
     Of P the lower triangle, in Fortran's order, and zeros above.
     """
-    # In Fortran's order and lower triangles, so that LAPACK copies nothing and does half the work.
-    factor = linalg.cholesky(cov.T, lower=True, overwrite_a=True, check_finite=False)
-    log_det = 2 * np.log(np.diag(factor)).sum()
-    projector, _ = linalg.lapack.dpotri(factor, lower=1, overwrite_c=1)
-    if basis.size:
-        weighted = linalg.blas.dsymm(1.0, projector, basis, lower=1)
-        inner = linalg.cholesky(basis.T @ weighted, lower=True, check_finite=False)
-        half = linalg.blas.dtrsm(1.0, inner, weighted, side=1, lower=1, trans_a=1, overwrite_b=1)
+    py = linalg.solve_triangular(factor, left, lower=True, trans="T", check_finite=False)
+    projector, _ = linalg.lapack.dpotri(factor, lower=1)
+    if mean.size:
+        half = linalg.blas.dtrsm(1.0, factor, mean, lower=1, trans_a=1)
         projector = linalg.blas.dsyrk(-1.0, half, beta=1.0, c=projector, lower=1, overwrite_c=1)
-        log_det += 2 * np.log(np.diag(inner)).sum()
-    py = linalg.blas.dsymv(1.0, projector, y, lower=1)
-    return projector, py, float(-0.5 * (log_det + y @ py))
+    return projector, py
 
 
 def contrast_variance(rows: Rows, *, apart: BoolArray | None = None) -> FloatArray:
