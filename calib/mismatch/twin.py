@@ -447,8 +447,8 @@ def _components(
         noisy = np.diag(white)[rows].reshape(change.shape).mean(axis=1)
         size = np.square(change).mean(axis=1)
         size = np.repeat(np.where(size > UNRESOLVED * noisy, size, 0.0), change.shape[1])
-        if size.any():
-            out.append(Component(label, rows[size > 0], np.diag(size[size > 0]), HALVED, SPREAD))
+        # Also where there is none: as the twin moves, a turn may come to be one, or cease to be.
+        out.append(Component(label, rows[size > 0], np.diag(size[size > 0]), HALVED, SPREAD))
     return tuple(out)
 
 

@@ -135,3 +135,23 @@ def test_turns_too_fast_for_their_samples_close_within_what_is_allowed(rate: flo
     ).expected_variance()[own]
     assert (square / plain).mean() > 4.0
     assert 0.2 < (square / allowed).mean() < 3.0
+
+
+def test_what_is_unknown_has_a_level_wherever_the_twin_stands() -> None:
+    """Levels go from one linearisation to the next: none may come or go with a turn."""
+    rng = np.random.default_rng(6)
+    real = simulate(
+        bench_protocol(rng, poses=8, turn_duration=(0.5, 0.8)),
+        SensorModel(),
+        CONSUMER,
+        rng=rng,
+        rate=50.0,
+    )
+    grid = make_grid(real, find_poses(real))
+    problem = SelfProblem(grid, None, gravity=9.80665, full_gyro=False)
+    before = problem.rows().components
+    # With less noise, more turns are too fast for their samples.
+    problem.noise = 1e-6 * problem.noise
+    after = problem.rows().components
+    assert [c.name for c in before] == [c.name for c in after]
+    assert [len(c.index) for c in before] != [len(c.index) for c in after]
