@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from calib.mismatch import spectrum
 from calib.mismatch.spectrum import look_at_spectrum
 from calib.poses import Poses
 from calib.recording import Recording
@@ -102,3 +103,21 @@ def test_a_tremor_that_both_triads_follow_is_motion_and_what_one_has_alone_is_no
     accel[:, 2] -= recording.accel[:, 1] * angle
     held = Recording(recording.time, accel, gyro, "device")
     assert not look_at_spectrum(held, poses)
+
+
+def test_rests_of_one_periodogram_have_no_line_by_chance() -> None:
+    """Their floor is seen by that alone, and its median is below its mean."""
+    rng = np.random.default_rng(11)
+    count = np.array([1] * 8 + [5] * 12)
+    rest = np.repeat(np.arange(20), count)
+    window = np.hanning(spectrum.LENGTH)[:, None]
+    least = []
+    for _ in range(200):
+        noise = window * rng.normal(size=(spectrum.LENGTH, len(rest)))
+        power = np.square(np.abs(np.fft.rfft(noise, axis=0)))[2:-1]
+        mean = np.stack([power[:, rest == k].mean(axis=1) for k in range(20)], axis=1)
+        floor, p = spectrum._peaks(mean, count)
+        least.append(p.min() / 6)  # of six channels
+    # The floor is that of the noise: squares of the window, in every bin.
+    np.testing.assert_allclose(floor.mean(), np.square(window).sum(), rtol=0.1)
+    assert np.mean(np.array(least) < 0.1) < 0.1
