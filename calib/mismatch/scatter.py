@@ -10,7 +10,7 @@ parts, found along with all that could explain the differences.
 from __future__ import annotations
 
 import numpy as np
-from scipy import linalg, optimize
+from scipy import linalg
 
 from calib.effects.base import State
 from calib.mismatch.colour import Blur
@@ -72,13 +72,15 @@ def _bend(values: FloatArray) -> FloatArray:
 
 def _of_parts(parts: FloatArray, y: FloatArray, design: FloatArray, power: float) -> FloatArray:
     """Return how much of each part is in the variance of y, beside what the design explains."""
+    from scipy.optimize import nnls  # a fifth of a second to import
+
     least = 1e-12 + 1e-6 * float(np.mean(np.square(y)))
     share, left = np.zeros(parts.shape[1]), y
     variance = np.full(len(y), max(float(np.mean(np.square(y))), least))
     ridge = np.eye(design.shape[1]) / LOOSE**2
     for k in range(PASSES):
         square = np.minimum(np.square(left), KNOCK * variance) if k else np.square(left)
-        share = optimize.nnls(parts / variance[:, None], square / variance)[0]
+        share = nnls(parts / variance[:, None], square / variance)[0]
         variance = np.maximum(parts @ share, least)
         # Neighbours are alike by the blur: so many of them are worth one.
         weighted = design * (power / variance)[:, None]

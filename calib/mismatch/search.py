@@ -16,6 +16,7 @@ from calib.mismatch.answers import grouped, leading, nearby
 from calib.mismatch.estimate import Estimate, estimate, settle
 from calib.mismatch.families import candidate_columns
 from calib.mismatch.noise import (
+    estimate_levels,
     expected_levels,
     find_levels,
     make_whitener,
@@ -102,7 +103,8 @@ def search(problem: Problem, *, skip: tuple[str, ...] = ()) -> Outcome:
         ranking = _ranked(problem, rows, accepted, levels, skip)
     stack = ranking.stack
     contrast = contrast_noise(rows, accepted)
-    levels = find_levels(rows, fitted(rows, accepted)[: rows.n_dense], ranking.levels).values
+    # The ranking took the better of two maxima: its own is left to be approached more closely.
+    levels = estimate_levels(rows, fitted(rows, accepted)[: rows.n_dense], ranking.levels).values
     accepted = [
         replace(
             a,

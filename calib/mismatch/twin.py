@@ -522,24 +522,26 @@ def fit_twin(
     loose = np.array([_LOOSE[n.split(".")[1]] for n in twin.names])
     for _ in range(iterations):
         rows = build_rows(grid, twin, noise)
-        rows = rows if drop is None else rows.without(drop[rows.segment])
-        twin, size = _step(rows, twin, loose)
+        own = np.arange(rows.n_dense)
+        if drop is not None:
+            own = own[~drop[rows.segment[own]]]
+        twin, size = _step(rows, own, twin, loose)
         if size < 1e-7:
             break
     return twin
 
 
-def _step(rows: Rows, twin: Twin, loose: FloatArray) -> tuple[Twin, float]:
+def _step(rows: Rows, dense: IntArray, twin: Twin, loose: FloatArray) -> tuple[Twin, float]:
+    """Return the twin after a step that fits some of the dense rows, and how large a step it is."""
     p = len(twin.names)
-    dense = rows.n_dense
-    sigma = np.sqrt(rows.expected_variance())
-    design = np.hstack((rows.baseline, rows.nuisance))[:dense] / sigma[:, None]
-    y = rows.residual[:dense] / sigma
+    sigma = np.sqrt(rows.expected_variance()[dense])
+    design = np.hstack((rows.baseline[dense], rows.nuisance[dense])) / sigma[:, None]
+    y, kinds = rows.residual[dense] / sigma, rows.kind[dense]
     now = {**twin.model.accel.parameters("accel"), **twin.model.gyro.parameters("gyro")}
     ridge = np.zeros((p, design.shape[1]))
     ridge[:, :p] = np.diag(1.0 / loose)
     pull = -np.array([now[n] for n in twin.names]) / loose
-    weight = np.ones(dense)
+    weight = np.ones(len(dense))
     step = np.zeros(design.shape[1])
     for _ in range(4):
         root = np.sqrt(weight)
@@ -548,8 +550,8 @@ def _step(rows: Rows, twin: Twin, loose: FloatArray) -> tuple[Twin, float]:
         )[0]
         left = np.abs(y - design @ step)
         # Each kind has its own scale: what the closures leave is not known beforehand.
-        for kind in np.unique(rows.kind[:dense]):
-            own = rows.kind[:dense] == kind
+        for kind in np.unique(kinds):
+            own = kinds == kind
             scale = max(float(np.median(left[own])) / 0.6745, 1.0)
             weight[own] = np.minimum(1.0, 3.0 * scale / np.maximum(left[own], 1e-12)) / scale**2
     angles = step[p:].reshape(-1, 2)
