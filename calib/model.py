@@ -136,6 +136,11 @@ class SensorModel:
             signals = effect.transform(state.time, signals, parameters)
         return signals
 
+    @property
+    def ahead(self) -> int:
+        """Samples at the end of what `distort` returns that have no input: others went missing."""
+        return sum(e.ahead(p) for e, p in self._transforms("readout"))
+
     def felt(self, state: State) -> State:
         """Return the true state where the sensor is, from that where the setup was said to be.
 

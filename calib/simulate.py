@@ -95,6 +95,11 @@ def simulate(
     sampling : Sampling
         Clock and lost samples.
 
+    Returns
+    -------
+    Recording
+        Shorter than asked by the samples that `model` loses, whose clock does not notice.
+
     Raises
     ------
     ValueError
@@ -118,6 +123,8 @@ def simulate(
         temperature = temperature + rng.normal(0.0, noise.temperature, len(true_time))
     stamps = sampling.stamps(true_time, rng=rng)
     kept, lost = _lose(len(true_time), sampling, rng=rng)
+    there = kept < len(true_time) - model.ahead
+    kept, lost = kept[there], lost[there]
     if device.rate is None:
         interval = np.median(np.diff(true_time)) if len(true_time) > 1 else np.inf
         device = replace(device, rate=float(rate if rate is not None else 1 / interval))
@@ -165,7 +172,9 @@ def digital_twin(
         sampling=Sampling(clock_offset=start, clock=recording.clock),
     )
     notes = {"motion": "of a recording"}
-    return replace(twin, time=recording.time, lost=recording.lost, notes=notes)
+    n = len(twin.time)
+    lost = None if recording.lost is None else recording.lost[:n]
+    return replace(twin, time=recording.time[:n], lost=lost, notes=notes)
 
 
 def _sample_times(motion: Motion, rate: float | None, time: FloatArray | None) -> FloatArray:

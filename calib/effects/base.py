@@ -321,6 +321,10 @@ class TransformEffect(Effect):
     ) -> Signals:
         """Return the signals with the effect taken out, as far as that is possible."""
 
+    def ahead(self, parameters: Mapping[str, float]) -> int:
+        """Return by how many samples `transform` is ahead: so many at the end have no input."""
+        return 0
+
     def before(
         self, signals: Signals, parameters: Mapping[str, float], *, interval: float
     ) -> Signals:

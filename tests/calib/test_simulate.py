@@ -5,7 +5,7 @@ import pytest
 
 from calib.effects.base import Signals, Term
 from calib.model import SensorModel
-from calib.recording import DeviceInfo
+from calib.recording import DeviceInfo, Recording
 from calib.rotation import integrate_rate, mat_from_quat, quat_from_rotvec
 from calib.simulate import Sampling, simulate
 from calib.simulation.bench import bench_protocol
@@ -321,3 +321,23 @@ def test_vibration_rectifies() -> None:
     assert state.vibration is not None
     expected = np.where(state.vibration[:, 0] > 0, 1e-3 * 12.0, 0.0)
     np.testing.assert_allclose(recording.gyro[:, 0] - state.rate[:, 0], expected, atol=1e-12)
+
+
+def test_samples_that_a_clock_does_not_miss_are_not_made_up_at_the_end() -> None:
+    motion = bench_protocol(np.random.default_rng(6), poses=3, first_pose=1.0)
+
+    def record(*terms: Term) -> Recording:
+        return simulate(
+            motion, SensorModel(terms=terms), QUIET, rng=np.random.default_rng(0), rate=50.0
+        )
+
+    whole, moment = record(), 5.0
+    short = record(Term("dropped_samples", {"count": 3.0, "moment": moment}))
+    at = int(np.searchsorted(short.time, moment))
+    assert len(short.time) == len(whole.time) - 3
+    np.testing.assert_array_equal(short.time, whole.time[:-3])
+    np.testing.assert_allclose(short.gyro[at:], whole.gyro[at + 3 :], atol=1e-12)
+    # Repeated samples push others out of the end, where nothing is missing.
+    assert len(record(Term("dropped_samples", {"count": -3.0, "moment": moment})).time) == len(
+        whole.time
+    )
