@@ -27,7 +27,7 @@ class Kind(IntEnum):
     """What a row measures."""
 
     MEAN = 0  # mean of one channel over a cell of a rest, or over a window
-    CONTRAST = 1  # change of one channel within a cell: linear and quadratic, orthogonal to MEAN
+    CONTRAST = 1  # change of one channel within a cell, orthogonal to MEAN
     ATTITUDE = 2  # gravity direction after a turn, rad
     VELOCITY = 3  # velocity after a turn, m/s
 

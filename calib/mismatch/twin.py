@@ -41,6 +41,9 @@ DRIFT_TIME = 600.0
 MEANS = 1 / 3
 """Mean square of the share, from 0 to 1, of a sample interval over which samples are means."""
 
+BINS = (1 / 6, 1 / 2)
+"""Where a cell of a rest is cut, in its length: what a turn leaves behind fades at its start."""
+
 HALVED = 1 / 9
 """Variance of what sampling adds to a closure, relative to what every second sample changes: a rule
 of the second order errs by a third of that."""
@@ -331,19 +334,25 @@ def _explained(grid: Grid, twin: Twin, state: State) -> FloatArray:
 
 
 def _cell_weights(count: IntArray, cell: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the weights of a mean and of two contrasts over three bins, all of one variance.
+    """Return the weights of a mean and of two contrasts over the `BINS`, all of one variance.
 
     Each point has its `count` of samples, and its `cell`.
     """
     first = np.flatnonzero(np.diff(cell, prepend=-1))
     points = np.diff(first, append=len(cell))[cell]
-    bins = np.minimum((np.arange(len(cell)) - first[cell]) * 3 // points, 2)
-    size = np.bincount(3 * cell + bins, count)
-    mean = count / np.bincount(cell, count)[cell]
-    own = count / size[3 * cell + bins]
-    linear = np.array([-1.0, 0.0, 1.0])[bins] * own / np.sqrt(6.0)
-    quadratic = np.array([1.0, -2.0, 1.0])[bins] * own / np.sqrt(18.0)
-    return mean, linear, quadratic
+    place = (np.arange(len(cell)) - first[cell] + 0.5) / points
+    bins = np.searchsorted(BINS, place)
+    size = np.bincount(3 * cell + bins, count).reshape(-1, 3)
+    share = (size / size.sum(axis=1, keepdims=True))[cell]
+    mean = count / size.sum(axis=1)[cell]
+    own = count / size[cell, bins]
+    # Each bin against those after it; the squares over the shares add up to one.
+    after = share[:, 1] + share[:, 2]
+    early = np.where(bins == 0, 1.0, -share[np.arange(len(cell)), bins] / after)
+    early *= np.sqrt(share[:, 0] * after)
+    late = np.array([0.0, 1.0, -1.0])[bins]
+    late *= np.sqrt(share[:, 1] * share[:, 2] / after)
+    return mean, own * early, own * late
 
 
 def flicker_covariance(time: FloatArray, length: FloatArray) -> FloatArray:

@@ -155,3 +155,21 @@ def test_what_is_unknown_has_a_level_wherever_the_twin_stands() -> None:
     after = problem.rows().components
     assert [c.name for c in before] == [c.name for c in after]
     assert [len(c.index) for c in before] != [len(c.index) for c in after]
+
+
+def test_settling_shows_in_the_contrasts_of_a_rest():
+    grid, self_mode = problem()
+    rows = self_mode.rows()
+    contrast = np.arange(len(rows.residual)) >= rows.n_dense
+    fading = np.exp(-np.nan_to_num(rows.state.since_turn, posinf=1e9) / 0.7)
+    seen = rows.columns(2, fading[:, None])[:, 0]
+    rest = grid.pose >= 0
+    weight = grid.count[rest] * 1.0
+    # Of what it varies by within rests, most is in their two contrasts.
+    total = np.bincount(grid.segment[rest], weight * fading[rest])
+    number = np.bincount(grid.segment[rest], weight)
+    mean = (total / np.maximum(number, 1.0))[grid.segment[rest]]
+    varies = np.bincount(grid.segment[rest], weight * np.square(fading[rest] - mean))
+    own = np.bincount(rows.segment[contrast], np.square(seen[contrast]), len(varies))
+    settled = varies > 0.1 * varies.max()
+    assert np.median((own * number)[settled] / varies[settled]) > 0.8
