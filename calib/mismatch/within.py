@@ -15,10 +15,10 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import ndtri, stdtr
+from scipy.special import ndtri, pdtrc, stdtr
 
 from calib.faults import ROBUST, resolution, values_of
-from calib.mismatch.diagnosis import Unexplained
+from calib.mismatch.diagnosis import Interval, Unexplained
 from calib.mismatch.ends import expected_overlap
 from calib.mismatch.rivals import windows
 from calib.poses import Poses
@@ -37,15 +37,17 @@ MARGIN = 0.25
 LOUDER = 2.0
 """Power from which a stretch of rests differs in kind: below, noise counts as steady."""
 
+CHANCE = 0.1
+"""Pulses of a channel, in a recording, that noise alone is expected to make."""
+
 SEVERAL = 4
-"""Pulses on one channel that are more than mishaps."""
+"""Pulses on one channel that are no noise then: it has so many in 2e-5 of recordings."""
 
 APART = 0.5
 """s between two pulses."""
 
-COMPANION = 3.5
-"""Standard errors at which another channel shows the same, by chance in 1 % of the places where
-one is looked for at all widths."""
+MISSED = 0.01
+"""Share of disturbances that are taken for motion as another channel shows the same by chance."""
 
 CAP = 6.0
 """Times the usual noise beyond which a single value counts no more: those are pulses."""
@@ -129,32 +131,51 @@ def _look(
 
 
 def _pulses(looks: list[_Look], recording: Recording) -> list[Unexplained]:
-    """Return channels with several pulses or jumps, from the first to the last of them."""
+    """Return channels with several pulses or jumps that no other shows, from first to last."""
+    start, stop = float(recording.time[0]), float(recording.time[-1])
     number = sum(look.size.size for look in looks)
-    limit = -float(ndtri(CLAIM / number / 2))
-    moments: list[list[float]] = [[] for _ in CHANNELS]
+    limit = -float(ndtri(CHANCE / (number / len(CHANNELS)) / 2))
+    moments = int((stop - start) / APART) + 3
+    # The largest of each moment, at all widths: in the usual noise, and in that of its own rest.
+    seen, hit = np.zeros((moments, 6)), np.zeros((moments, 6))
     for look in looks:
-        if look.width == 1:
+        at = ((look.time - start) / APART).astype(np.int64) + 1
+        np.maximum.at(seen, at, np.abs(look.size))
+        if look.width > 1:
             # Single samples off course are mishaps of the readout, which the audit reports.
-            continue
-        own = _own_scale(look)
-        for i, c in np.argwhere(np.abs(look.size) > limit * own[look.rest]):
-            near = abs(look.time[i] - np.array(moments[c])) < APART
-            if not near.any() and not _is_motion(looks, c, float(look.time[i])):
-                moments[c].append(float(look.time[i]))
+            np.maximum.at(hit, at, np.abs(look.size) / _own_scale(look)[look.rest])
+    near = np.maximum(seen[1:-1], np.maximum(seen[:-2], seen[2:]))
+    companion = -float(ndtri(MISSED / (number / max((seen > 0).sum(), 1)) / 30))
     out = []
-    for c, found in enumerate(moments):
+    for c, channel in enumerate(CHANNELS):
+        alone = (np.delete(near, c, axis=1) < companion).all(axis=1)
+        found = np.flatnonzero((hit[1:-1, c] > limit) & alone)
+        # A pulse on the edge of two moments is one.
+        found = found[np.diff(found, prepend=-2) > 1]
         if len(found) < SEVERAL:
             continue
-        first, last = min(found), max(found)
-        # Of k moments anywhere in an interval the extremes are a (k + 1)-th of it from its ends.
-        beyond = (last - first) / (len(found) - 1)
-        where = (
-            max(first - beyond, float(recording.time[0])),
-            min(last + beyond, float(recording.time[-1])),
-        )
-        out.append(Unexplained((CHANNELS[c],), (where,), "the time: pulses there", CLAIM))
+        p = float(pdtrc(len(found) - 1, CHANCE)) * len(CHANNELS)
+        where = _densest(np.asarray(start + APART * (found + 0.5)), (start, stop))
+        out.append(Unexplained((channel,), (where,), "the time: pulses there", p))
     return out
+
+
+def _densest(moments: FloatArray, whole: Interval) -> Interval:
+    """Return where pulses at (k,) moments most likely begin and end, in order of time.
+
+    Poisson processes: inside with the rate that is seen, outside with that of noise.
+    """
+    start, stop = whole
+    first, last = np.triu_indices(len(moments), SEVERAL - 1)
+    number = last - first + 1
+    # Of n moments anywhere in an interval the extremes are an (n + 1)-th of it from its ends.
+    beyond = (moments[last] - moments[first]) / (number - 1)
+    begin = np.maximum(moments[first] - beyond, start)
+    end = np.minimum(moments[last] + beyond, stop)
+    value = number * np.log(number / (end - begin)) - number
+    value += (len(moments) - number) * np.log(CHANCE / (stop - start))
+    best = int(np.argmax(value))
+    return float(begin[best]), float(end[best])
 
 
 def _own_scale(look: _Look) -> FloatArray:
@@ -164,15 +185,6 @@ def _own_scale(look: _Look) -> FloatArray:
         own = np.abs(look.size[look.rest == k])
         out[k] = np.maximum(1.0, ROBUST * np.median(own, axis=0))
     return out
-
-
-def _is_motion(looks: list[_Look], channel: int, time: float) -> bool:
-    """Whether others show at a time what one channel does there."""
-    seen = np.zeros(6, bool)
-    for look in looks:
-        near = np.abs(look.time - time) < APART / 2
-        seen |= (np.abs(look.size[near]) > COMPANION).any(axis=0)
-    return bool(seen.any())
 
 
 def _stretches(
@@ -186,6 +198,7 @@ def _stretches(
     found = [_louder(look, rests, some) for look in looks]
     stands, chances, stirred = (np.stack(part) for part in zip(*found, strict=True))
     ends = poses.interval[rests]
+    companion = -float(ndtri(MISSED / (5 * len(looks))))
     first, last = np.array(some).T
     out = []
     for c, channel in enumerate(CHANNELS):
@@ -194,7 +207,7 @@ def _stretches(
         k, w = np.unravel_index(int(np.argmin(chances[:, :, c])), chances.shape[:2])
         p = float(chances[k, w, c]) * chances.size
         others = np.delete(stirred[:, w].max(axis=0), c)
-        if p >= CLAIM or (others > COMPANION).any():
+        if p >= CLAIM or (others > companion).any():
             continue
         gain = 0.5 * np.square(stands[k, :, c])
         weight = np.where(stands[k, :, c] > 0, np.exp(gain - gain.max()), 0.0)

@@ -79,6 +79,25 @@ def test_what_one_channel_has_in_some_rests_is_placed(make: Callable[..., FloatA
         assert item.p_value <= 1e-4
 
 
+def test_few_pulses_are_told_from_noise_and_a_knock_is_none() -> None:
+    real = simulated(seed=67, poses=24)
+    poses = find_poses(real)
+    start, stop = poses.interval[8, 0], poses.interval[17, 1]
+    both = np.hstack((real.accel, real.gyro))
+    for k in range(8, 18):
+        at = int(poses.start[k] + poses.stop[k]) // 2
+        both[at : at + 6, 3] += 8.0 * SIGMA[1]
+    recording = Recording(real.time, both[:, :3], both[:, 3:], "device")
+    (item,) = look_within(recording, poses)
+    assert item.follows == "the time: pulses there"
+    assert item.channels == ("gyro.x",)
+    assert overlap(item.intervals[0], (start, stop)) > 0.5
+    for k in range(8, 18):
+        at = int(poses.start[k] + poses.stop[k]) // 2
+        both[at : at + 6, 1] += 8.0 * SIGMA[0]
+    assert not look_within(Recording(real.time, both[:, :3], both[:, 3:], "device"), poses)
+
+
 def test_a_disturbance_in_the_samples_alone_is_unexplained_and_has_no_name() -> None:
     recording, where = disturbed(simulated(seed=64), [4], louder, 64)
     found = diagnose_recording(recording, gravity=GRAVITY)
