@@ -58,6 +58,10 @@ many cosines it then has for each segment, and at most."""
 MIDDLE = {6.0: (1, 16)}
 """The same for what a triad has, where three times the columns make every hypothesis dear."""
 
+MOST_ORDERS = 64
+"""Cosines that a moved window has at most, twice as many as on the grid: a window that comes to
+hold a rest of hours would have thousands, of which the rows of a few segments know nothing."""
+
 WAVES = 6
 """Segments in a window with a wave, fewest: a wave has a mean, an amplitude and a phase."""
 
@@ -277,7 +281,7 @@ def moved_window(candidate: Candidate, start: float, stop: float) -> Candidate:
     shape = dict(candidate.shape)
     if "order" in shape:
         ratio = (stop - start) / max(candidate.interval[1] - candidate.interval[0], 1e-9)
-        shape["order"] = float(max(round(shape["order"] * ratio), 2))
+        shape["order"] = float(np.clip(round(shape["order"] * ratio), 2, MOST_ORDERS))
         shape["corner"] *= ratio
     return replace(candidate, interval=(start, stop), shape=shape)
 

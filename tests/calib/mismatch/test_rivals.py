@@ -60,6 +60,8 @@ def test_a_moved_window_holds_what_is_as_fast_in_seconds():
     for name in ("order", "corner"):
         assert moved.shape[name] == pytest.approx(1.5 * candidate.shape[name], rel=0.05)
     assert moved_window(moved, start, stop).shape == pytest.approx(candidate.shape)
+    night = moved_window(candidate, start, start + 1000.0 * (stop - start))
+    assert night.shape["order"] <= 64
 
 
 def test_what_follows_a_field_in_the_room_is_unexplained_and_so_is_what_a_triad_has_at_once():
