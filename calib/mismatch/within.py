@@ -23,7 +23,7 @@ from calib.mismatch.ends import expected_overlap
 from calib.mismatch.rivals import windows
 from calib.poses import Poses
 from calib.recording import CHANNELS, Recording
-from calib.types import BoolArray, FloatArray, IntArray
+from calib.types import FloatArray, IntArray
 
 CLAIM = 1e-4
 """Family-wise p-value below which something is reported."""
@@ -67,15 +67,19 @@ class _Look(NamedTuple):
 
 def look_within(recording: Recording, poses: Poses) -> tuple[Unexplained, ...]:
     """Return disturbances within rests of channels that are alone with it."""
-    values = _without_spikes(values_of(recording))
+    raw = values_of(recording)
+    values = _without_spikes(raw)
     rests = [(a, b) for a, b in zip(poses.start, poses.stop, strict=True) if b - a > 4]
     if not rests:
         return ()
     # Where counts are coarse, noise comes and goes with where between two of them a signal is.
     change = np.vstack([np.diff(values[a:b], axis=0) for a, b in rests])
-    noisy = ROBUST * np.median(np.abs(change), axis=0) > np.sqrt(2.0) * resolution(values)
+    step = resolution(raw)
+    # The mean, as a median of few counts is off by up to half of one.
+    noise = np.sqrt(np.pi) / 2.0 * np.abs(change).mean(axis=0)
+    step[noise <= step] = np.inf
     widths = _widths(recording, poses)
-    tried = [_look(recording.time, values, poses, width, noisy) for width in widths]
+    tried = [_look(recording.time, values, poses, width, step) for width in widths]
     looks = [look for look in tried if look is not None]
     if not looks:
         return ()
@@ -103,9 +107,12 @@ def _without_spikes(values: FloatArray) -> FloatArray:
 
 
 def _look(
-    time: FloatArray, values: FloatArray, poses: Poses, width: int, noisy: BoolArray
+    time: FloatArray, values: FloatArray, poses: Poses, width: int, step: FloatArray
 ) -> _Look | None:
-    """Look at (n, 6) values through windows of one width, every half of it."""
+    """Look at (n, 6) values through windows of one width, every half of it.
+
+    ``step`` is a count of each channel, infinite where nothing is to be seen.
+    """
     half = max(1, width // 2)
     interval = float(np.median(np.diff(time)))
     margin = round(MARGIN / max(interval, 1e-9))
@@ -126,8 +133,9 @@ def _look(
     if len(rest) < 6:
         return None
     off, which = np.concatenate(rows), np.concatenate(rest)
-    usual = ROBUST * np.median(np.abs(off), axis=0)
-    return _Look(width, which, time[np.concatenate(at)], off / np.where(noisy, usual, np.inf))
+    # Counts make these multiples of half a count over the width, and their median off by half that.
+    usual = ROBUST * (np.median(np.abs(off), axis=0) + 0.25 * step / width)
+    return _Look(width, which, time[np.concatenate(at)], off / usual)
 
 
 def _pulses(looks: list[_Look], recording: Recording) -> list[Unexplained]:
@@ -230,36 +238,34 @@ def _louder(
     count = np.bincount(place, minlength=len(rests)).astype(float)
     square = np.minimum(np.square(look.size), CAP**2)
     power = np.stack([np.bincount(place, square[:, c], len(rests)) for c in range(6)], axis=1)
-    here = count > 0
-    level = np.log(np.maximum(power, 1e-12) / np.maximum(count, 1.0)[:, None])
-    chance = 2.0 / np.maximum(count * _independent(look.width), 1.0)
-    stand, p, stirred = np.zeros((3, len(some), 6))
-    p += 1.0
-    for i, (a, b) in enumerate(some):
-        inside = here & (np.arange(len(rests)) >= a) & (np.arange(len(rests)) < b)
-        outside = here & ~inside
-        n, m = int(inside.sum()), int(outside.sum())
-        if n < 2 or m < FEWEST // 2:
-            continue
-        usual = np.median(level[outside], axis=0)
-        off = np.abs(level[outside] - usual)
-        scatter = np.maximum(
-            np.square(ROBUST * np.median(off, axis=0)), np.square(off).mean(axis=0)
-        )
-        own = np.maximum(scatter - np.median(chance[outside]), 0.0)
-        more = level[inside].mean(axis=0) - level[outside].mean(axis=0)
-        error = own / n + chance[inside].mean() / n + own / m + chance[outside].mean() / m
-        total = own + chance[outside].mean()
-        freedom = (m - 1) * np.square(total / np.maximum(own, 1e-9 * total))
-        stand[i] = more / np.sqrt(error)
-        tail = stdtr(np.minimum(freedom, 1e9), -stand[i])
-        p[i] = np.where(more > np.log(LOUDER), tail, 1.0)
-        # The quieter half of normal errors has a mean of -0.8.
-        quiet = np.sort(level[outside], axis=0)[: m // 2].mean(axis=0)
-        quiet += np.sqrt(2.0 / np.pi * chance[outside].mean())
-        error = chance[inside].mean() / n + 2.0 * chance[outside].mean() / m
-        stirred[i] = (level[inside].mean(axis=0) - quiet) / np.sqrt(error)
-    return stand, p, stirred
+    here = (count > 0)[:, None]
+    level = here * np.log(np.maximum(power, 1e-12) / np.maximum(count, 1.0)[:, None])
+    chance = here * 2.0 / np.maximum(count * _independent(look.width), 1.0)[:, None]
+    parts = np.hstack((here, chance, level, np.square(level)))
+    total = np.concatenate((np.zeros((1, parts.shape[1])), np.cumsum(parts, axis=0)))
+    first, last = np.array(some).T
+    inside = total[last] - total[first]
+    outside = total[-1] - inside
+    n, m = inside[:, :1], outside[:, :1]
+    # Not where nearly all rests are too short for such a width.
+    enough = (n >= 2) & (m >= FEWEST // 2)
+    inside, outside = inside[:, 1:] / np.maximum(n, 1.0), outside[:, 1:] / np.maximum(m, 1.0)
+    more = inside[:, 1:7] - outside[:, 1:7]
+    scatter = (outside[:, 7:] - np.square(outside[:, 1:7])) * m / np.maximum(m - 1.0, 1.0)
+    by_chance = inside[:, :1] / np.maximum(n, 1.0) + outside[:, :1] / np.maximum(m, 1.0)
+    own = np.maximum(scatter - outside[:, :1], 0.0)
+    error = own / np.maximum(n, 1.0) + own / np.maximum(m, 1.0) + by_chance
+    spread = own + outside[:, :1]
+    freedom = (m - 1.0) * np.square(spread / np.maximum(own, 1e-5 * spread))
+    stand = np.where(enough, more / np.sqrt(error), 0.0)
+    tail = stdtr(np.maximum(freedom, 1.0), -stand)
+    # The quieter half of normal errors has a mean of -0.8.
+    some_rests = np.flatnonzero(here[:, 0])
+    usual = float(chance[some_rests].mean())
+    half = np.sort(level[some_rests], axis=0)[: max(len(some_rests) // 2, 1)]
+    quiet = half.mean(axis=0) + np.sqrt(2.0 / np.pi * usual)
+    stirred = (inside[:, 1:7] - quiet) / np.sqrt(by_chance + usual / np.maximum(m, 1.0))
+    return stand, np.where(enough & (more > np.log(LOUDER)), tail, 1.0), enough * stirred
 
 
 def _independent(width: int) -> float:

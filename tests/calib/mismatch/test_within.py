@@ -124,7 +124,7 @@ MOTIONS = {
 
 @pytest.mark.parametrize("what", MOTIONS)
 def test_motion_is_no_disturbance(what: str) -> None:
-    for seed in range(4):
+    for seed in range(3):
         rng = np.random.default_rng([63, seed])
         motion = bench_protocol(rng, poses=20, pose_duration=(3.0, 4.0), **MOTIONS[what])
         recording = simulate(motion, SensorModel(), CONSUMER, rng=rng, rate=50.0)
@@ -148,10 +148,10 @@ def test_noise_that_drifts_and_settles_is_no_disturbance(rate: float) -> None:
 
 
 def test_neither_coarse_counts_nor_single_samples_off_course_are_disturbances() -> None:
-    for seed in range(4):
+    for seed in range(3):
         real = simulated(seed=65 + seed)
         rng = np.random.default_rng(seed)
-        for lsb in (0.3, 1.0, 3.0):
+        for lsb in (0.3, 1.0, 1.7, 3.0):
             both = np.hstack((real.accel, real.gyro))
             step = lsb * np.repeat(SIGMA, 3)
             both = np.round(both / step) * step
