@@ -150,6 +150,7 @@ class ComparisonProblem:
         start = SensorModel() if model is None else model
         if model is None and self.temperature is not None:
             start = replace(start, reference_temperature=float(np.median(self.temperature)))
+        self.noisy = raw is not None
         shaken = real if raw is None else raw
         self.thin = max(1, round(real.interval / shaken.interval))
         self.rests = np.zeros((0, 2), np.int64)
@@ -227,8 +228,8 @@ class ComparisonProblem:
         if self.shapes is None:
             columns = list(self._shape_columns(felt))
             rough = None
-            if self.unresolved:
-                rough = scatter(felt, left, columns, blur=self.blur)
+            if self.noisy:
+                rough = scatter(felt, left, columns, blur=self.blur, resolved=not self.unresolved)
             self.shapes = find_shapes(self.time, left, columns, blur=self.blur, scatter=rough)
         turned = [n.startswith("reference_misalignment") for n in self.aligned]
         rows = make_rows(

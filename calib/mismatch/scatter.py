@@ -1,13 +1,16 @@
-"""How far samples scatter about what a reference says of a motion that samples do not resolve.
+"""How far samples scatter about what a reference with noise of its own says of them.
 
-What happens between two samples reaches a recording and its reference unlike: they sample at
-moments and through filters of their own, and an angular acceleration of which the samples show a
-part only is felt whole at the end of an arm. So the differences scatter more while the motion is
-fast, and while it changes from one sample to the next. The variance of a sample is a sum of such
-parts, found along with all that could explain the differences.
+More while the sensor vibrates, for that is no motion of the body. And where samples do not resolve
+the motion, what happens between two of them reaches a recording and its reference unlike: they
+sample at moments and through filters of their own, and an angular acceleration of which the samples
+show a part only is felt whole at the end of an arm. So the variance of a sample is a sum of parts
+that go with the vibration, the rate and its changes, found along with all that could explain the
+differences.
 """
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 from scipy import linalg
@@ -17,20 +20,37 @@ from calib.mismatch.colour import Blur
 from calib.recording import CHANNELS
 from calib.types import FloatArray
 
-PASSES = 6
-"""How often columns and variance are fitted in turn."""
+PASSES = 8
+"""How often columns and variance are fitted in turn: what scatters most is reached from what is at
+rest by a factor of `KNOCK` each."""
 
-KNOCK = 25.0
+KNOCK = 9.0
 """Square of a difference, relative to its variance, from which on it is a knock of its own."""
 
 LOOSE = 30.0
 """How large, in its typical size, an effect may be that takes its part before the rest scatters."""
 
 
+class Scatter(NamedTuple):
+    """The noise of n points on every channel, but for a factor.
+
+    ``variance`` (n, 6) is that of slow noise; the m points that are seen show the share ``seen``
+    (m, 6) of it. It is 1 but where a blur that whitens takes most of what is white away.
+    """
+
+    variance: FloatArray
+    seen: FloatArray
+
+
 def scatter(
-    state: State, left: FloatArray, columns: list[tuple[str, FloatArray]], *, blur: Blur
-) -> FloatArray:
-    """Return the variance of the noise of n points on every channel, (n, 6).
+    state: State,
+    left: FloatArray,
+    columns: list[tuple[str, FloatArray]],
+    *,
+    blur: Blur,
+    resolved: bool,
+) -> Scatter:
+    """Return how far points scatter.
 
     Parameters
     ----------
@@ -41,28 +61,39 @@ def scatter(
     columns : list of (channel, (n,) values)
         What the differences can have besides, each in its typical size.
     blur : Blur
-        The n points scatter independently, and this is what their differences are seen through.
+        What their differences are seen through. What they scatter more than always is white.
+    resolved : bool
+        Whether the samples resolve the motion.
     """
-    parts = _parts(state)
+    parts = _parts(state, resolved=resolved)
     size = parts.mean(axis=0)
     parts = parts[:, size > 0] / size[size > 0]
-    out = np.empty((len(parts), len(CHANNELS)))
+    variance = np.empty((len(parts), len(CHANNELS)))
+    shown = np.ones((len(blur.seen), len(CHANNELS)))
     for c, name in enumerate(CHANNELS):
         matrix = blur.matrices[c // 3]
         own = [values for channel, values in columns if channel == name]
         design = matrix @ np.stack([*own, np.ones(len(parts))], axis=1)
         y = matrix @ left[:, c]
-        share = _of_parts(matrix.power(2) @ parts, y, design, blur.power)
-        out[:, c] = parts @ share
-    return out
+        seen = parts[blur.seen] if blur.whitens else matrix.power(2) @ parts
+        share = _of_parts(seen, y, design, blur.power)
+        known = seen @ share
+        share[1:] /= blur.white[c // 3]
+        variance[:, c] = parts @ share
+        shown[:, c] = known / (seen @ share)
+    return Scatter(variance, shown)
 
 
-def _parts(state: State) -> FloatArray:
-    """Return what the variance may go with, (n, k): the same always; rate, and its changes."""
+def _parts(state: State, *, resolved: bool) -> FloatArray:
+    """Return what the variance may go with, (n, k): the same always, vibration, rate, changes."""
+    same = np.ones(len(state.time))
+    vibration = 0.0 * same if state.vibration is None else state.vibration.sum(axis=1)
+    if resolved:
+        return np.stack((same, vibration), axis=1)
     rate = np.square(state.rate).sum(axis=1)
     turning = np.square(state.rate_dot).sum(axis=1)
     bent = [np.square(_bend(values)).sum(axis=1) for values in (state.rate, state.force)]
-    return np.stack((np.ones(len(rate)), rate, np.square(rate), turning, *bent), axis=1)
+    return np.stack((same, vibration, rate, np.square(rate), turning, *bent), axis=1)
 
 
 def _bend(values: FloatArray) -> FloatArray:
@@ -76,10 +107,11 @@ def _of_parts(parts: FloatArray, y: FloatArray, design: FloatArray, power: float
 
     least = 1e-12 + 1e-6 * float(np.mean(np.square(y)))
     share, left = np.zeros(parts.shape[1]), y
-    variance = np.full(len(y), max(float(np.mean(np.square(y))), least))
+    # Half of a normal variable's squares are below 0.455 of their mean.
+    variance = np.full(len(y), max(float(np.median(np.square(y))) / 0.455, least))
     ridge = np.eye(design.shape[1]) / LOOSE**2
-    for k in range(PASSES):
-        square = np.minimum(np.square(left), KNOCK * variance) if k else np.square(left)
+    for _ in range(PASSES):
+        square = np.minimum(np.square(left), KNOCK * variance)
         share = nnls(parts / variance[:, None], square / variance)[0]
         variance = np.maximum(parts @ share, least)
         # Neighbours are alike by the blur: so many of them are worth one.

@@ -15,6 +15,7 @@ from calib.effects.base import State
 from calib.mismatch.colour import Blur
 from calib.mismatch.refit import scaled
 from calib.mismatch.rows import Component, Kind, Rows
+from calib.mismatch.scatter import Scatter
 from calib.mismatch.twin import (
     DRIFT,
     DRIFT_TIME,
@@ -55,8 +56,8 @@ class Shapes:
     """Windows ``[first, last)`` of points, and the shapes (unit vectors) that are rows there.
 
     ``noise`` (k, 6) is the variance of a window's points. Where that is not the same throughout,
-    ``scatter`` (n, 6) is that of every point but for a factor of each window, and the shapes are
-    those of points in units of its root.
+    ``scatter`` tells of every point but for a factor of each window, and the shapes are those of
+    points in units of its root.
     """
 
     first: IntArray
@@ -65,7 +66,7 @@ class Shapes:
     channel: IntArray
     vectors: tuple[FloatArray, ...]
     noise: FloatArray
-    scatter: FloatArray | None = None
+    scatter: Scatter | None = None
 
 
 def cut(time: FloatArray) -> tuple[IntArray, IntArray]:
@@ -84,7 +85,7 @@ def find_shapes(
     columns: list[tuple[str, FloatArray]],
     *,
     blur: Blur,
-    scatter: FloatArray | None = None,
+    scatter: Scatter | None = None,
 ) -> Shapes:
     """Return windows, the shapes that columns have in each, and the noise of its samples.
 
@@ -96,13 +97,16 @@ def find_shapes(
     columns : list of (channel, (n,) values)
     blur : Blur
         Windows and shapes are of the m points that it leaves.
-    scatter : (n, 6) array, optional
-        Variance of the noise of every point but for a factor; without, it is the same within a
-        window.
+    scatter : Scatter, optional
+        Without, points are as noisy throughout a window.
     """
     first, last = cut(time[blur.seen])
     noise, free = np.empty((len(first), 6)), np.empty((len(first), 6))
     size = _sizes(scatter, blur)
+    seen_of = np.ones_like(size) if scatter is None else scatter.seen
+    independent = blur.power * np.array(
+        [seen_of[a:b].sum(axis=0) for a, b in zip(first, last, strict=True)]
+    )
     found: list[tuple[float, int, int, FloatArray]] = []
     for c, name in enumerate(CHANNELS):
         matrix = blur.matrices[c // 3]
@@ -124,11 +128,11 @@ def find_shapes(
             y = seen[a:b] - mean * (mean @ seen[a:b])
             rest = y - shapes @ (shapes.T @ y)
             # So many of its samples are independent; the mean and the shapes take up one each.
-            independent = blur.power * (b - a)
-            free[s, c] = max(independent - 1 - shapes.shape[1], LEAST_FREE * independent)
+            many = independent[s, c]
+            free[s, c] = max(many - 1 - shapes.shape[1], LEAST_FREE * many)
             noise[s, c] = float(rest @ rest) / free[s, c]
             found += [(float(v), s, c, x) for v, x in zip(strength[keep], shapes.T, strict=True)]
-    noise = _levelled(noise, free, blur.power * (last - first).astype(np.float64), blur.white)
+    noise = _levelled(noise, free, independent, blur.white)
     noise *= _of_windows(size, first, last)
     strongest = sorted(found, key=lambda item: -item[0])[:SHAPES]
     strongest.sort(key=lambda item: (item[2], item[1]))
@@ -143,14 +147,17 @@ def find_shapes(
     )
 
 
-def _sizes(scatter: FloatArray | None, blur: Blur) -> FloatArray:
+def _sizes(scatter: Scatter | None, blur: Blur) -> FloatArray:
     """Return the root of how far the points that are seen scatter, (m, 6), the blur left aside."""
     if scatter is None:
         return np.ones((len(blur.seen), len(CHANNELS)))
     out = []
     for c in range(len(CHANNELS)):
+        if blur.whitens:
+            out.append(scatter.variance[blur.seen, c])
+            continue
         square = blur.matrices[c // 3].power(2)
-        out.append(square @ scatter[:, c] / np.asarray(square.sum(axis=1)).ravel())
+        out.append(square @ scatter.variance[:, c] / np.asarray(square.sum(axis=1)).ravel())
     return np.asarray(np.sqrt(np.stack(out, axis=1)))
 
 
@@ -173,7 +180,7 @@ def _levelled(
     """
     out = np.empty_like(noise)
     for c in range(6):
-        told = free[:, c] > 0.5 * independent
+        told = free[:, c] > 0.5 * independent[:, c]
         if told.sum() < 5:
             told = free[:, c] >= np.quantile(free[:, c], 0.8)
         most = max(float(np.median(noise[told, c])), 1e-18)
@@ -228,8 +235,8 @@ def make_rows(
         if shapes.scatter is None:
             white += np.asarray(square.sum(axis=1)).ravel()
         else:
-            scatter = shapes.scatter[blur.seen if blur.whitens else slice(None), c]
-            white[own] = (square @ scatter)[own] / np.square(typical[segment[own], c])
+            variance = shapes.scatter.variance[blur.seen if blur.whitens else slice(None), c]
+            white[own] = (square @ variance)[own] / np.square(typical[segment[own], c])
     variance = shapes.noise[segment, channel] * white
     quiet = np.quantile(shapes.noise, 0.2, axis=0)
     restless = shapes.noise[segment, channel] > RESTLESS * quiet[channel]

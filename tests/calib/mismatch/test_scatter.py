@@ -1,12 +1,15 @@
 """Noise that goes with a motion that samples do not resolve."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.signal import butter, sosfilt
 
 from calib.effects.base import State
 from calib.mismatch import diagnose_reference
-from calib.mismatch.colour import Blur, gaussian
+from calib.mismatch.band import zero_phase
+from calib.mismatch.colour import WHITE, Blur, Colour, gaussian, whitening
 from calib.mismatch.rows import Kind
 from calib.mismatch.scatter import scatter
 from calib.mismatch.windowed import find_shapes, make_rows
@@ -55,7 +58,7 @@ def test_the_variance_of_samples_is_found_beside_what_effects_explain(tumbled):
     for c, name in enumerate(CHANNELS):
         for channel, values in columns:
             left[:, c] += 2.0 * values * (channel == name)
-    found = scatter(tumbled, left, columns, blur=blurred(tumbled))
+    found = scatter(tumbled, left, columns, blur=blurred(tumbled), resolved=False).variance
     for own in (variance[:, 0] < 0.02, variance[:, 0] > 1.0):
         assert np.allclose(np.median(found[own] / variance[own], axis=0), 1.0, atol=0.2)
 
@@ -64,7 +67,7 @@ def test_the_variance_of_samples_is_found_beside_what_effects_explain(tumbled):
 def test_rows_within_a_turn_are_as_noisy_as_they_say(tumbled, known):
     left, _ = noisy(tumbled, np.random.default_rng(3))
     blur, columns = blurred(tumbled), shown(tumbled)
-    rough = scatter(tumbled, left, columns, blur=blur) if known else None
+    rough = scatter(tumbled, left, columns, blur=blur, resolved=False) if known else None
     rows = make_rows(
         find_shapes(tumbled.time, left, columns, blur=blur, scatter=rough),
         tumbled,
@@ -84,6 +87,35 @@ def test_rows_within_a_turn_are_as_noisy_as_they_say(tumbled, known):
     else:
         # The noise of a window is that of its rest.
         assert np.mean(ratio[(rows.kind == Kind.CONTRAST) & early]) > 2.0
+
+
+@pytest.mark.parametrize("colour", [WHITE, Colour(0.1, 0.0)])
+def test_a_window_that_is_shaken_in_part_is_as_noisy_as_it_says(tumbled, colour):
+    """What vibration adds is white; a captured motion's own noise is not, but is made so."""
+    rng = np.random.default_rng(4)
+    time, band = tumbled.time, 5.0
+    shaken = (time % 8.0 > 2.0) & (time % 8.0 < 5.0)
+    own = np.fft.rfft(rng.normal(0, 0.1, (N, 6)), axis=0)
+    own *= np.sqrt(colour.at(np.fft.rfftfreq(N, STEP)))[:, None]
+    left = np.fft.irfft(own, N, axis=0) + shaken[:, None] * rng.normal(size=(N, 6))
+    left = zero_phase(left, band * STEP)
+    state = replace(tumbled, vibration=np.tile(1.0 * shaken[:, None], (1, 3)))
+    blur = whitening(time, [colour, colour], STEP, band)
+    columns = shown(state)
+    rough = scatter(state, left, columns, blur=blur, resolved=True)
+    rows = make_rows(
+        find_shapes(time, left, columns, blur=blur, scatter=rough),
+        state,
+        left,
+        blur=blur,
+        names=("gyro.bias.x",),
+        nuisance=[{"gyro.x": np.ones(N)}],
+        aligned=(),
+        prior=np.array([[0.0, 2.0], [0.0, 0.1]]),
+    )
+    variance = np.append(np.diag(rows.white), rows.white_diagonal)
+    for kind in (Kind.MEAN, Kind.CONTRAST):
+        assert 0.7 < np.mean((np.square(rows.residual) / variance)[rows.kind == kind]) < 1.4
 
 
 ARM = np.array([-0.0189, 0.0189, 0.0])
