@@ -17,7 +17,7 @@ import numpy as np
 
 from calib.effects import get_effect
 from calib.effects.base import ShapeParameter
-from calib.mismatch.families import candidate_columns, forms, shape_grid
+from calib.mismatch.families import candidate_columns, forms, is_moment, shape_grid
 from calib.mismatch.noise import make_whitener
 from calib.mismatch.ranking import Accepted, fitted
 from calib.mismatch.refit import cut, likelihood_gain, prior_rows, scaled
@@ -132,6 +132,10 @@ def estimate(
             off = np.abs(values - a.candidate.shape[item.name])
             mixed = np.sqrt(weights @ np.square(off))
             shapes[i, item.name] = float(max(mixed, off[drop < WITHIN].max() / 3.0))
+        for item in _moments(a):
+            shapes[i, item.name] = _of_moment(
+                rows, list(accepted), i, item, levels, contrast, reference=reference
+            )
     size = np.sqrt(np.diag(total))
     wider = np.maximum(reach / 3.0, size) / np.where(size > 0, size, 1.0)
     total *= np.outer(wider, wider)
@@ -173,11 +177,19 @@ def _inverse(design: FloatArray) -> FloatArray:
 
 
 def _shapes(a: Accepted) -> list[ShapeParameter]:
-    """Return the continuous shape parameters of a finding; moments are searched elsewhere."""
+    """Return the continuous shape parameters of a finding but for its moment."""
     if not a.candidate.physical:
         return []
     shape = get_effect(a.candidate.name).shape
     return [item for item in shape if item.spacing == "log" and item.name in a.candidate.shape]
+
+
+def _moments(a: Accepted) -> list[ShapeParameter]:
+    """Return the moment of a finding, if it has one: it is searched elsewhere."""
+    if not a.candidate.physical:
+        return []
+    shape = get_effect(a.candidate.name).shape
+    return [item for item in shape if is_moment(item) and item.name in a.candidate.shape]
 
 
 def _forms(a: Accepted) -> list[dict[str, float]]:
@@ -226,6 +238,36 @@ def _profile(
             return values, gains
         low, high = max(near[0] - 1, 0), min(near[-1] + 1, len(values) - 1)
         values = np.geomspace(values[low], values[high], POINTS)
+
+
+def _of_moment(
+    rows: Rows,
+    accepted: list[Accepted],
+    which: int,
+    item: ShapeParameter,
+    levels: FloatArray,
+    contrast: FloatArray,
+    *,
+    reference: bool,
+) -> float:
+    """Return the standard error of a moment: when in its rest or turn is open, and in which is."""
+    own = accepted[which]
+    here = own.candidate.shape[item.name]
+    others = [a for i, a in enumerate(accepted) if i != which]
+    whitener = make_whitener(rows, levels, contrast, fitted(rows, others))
+    y = whitener.project(rows.residual)
+    values, length = rows.interval.mean(axis=1), np.ptp(rows.interval, axis=1)
+    values[max(int(np.searchsorted(rows.interval[:, 0], here, side="right")) - 1, 0)] = here
+    gains = np.zeros(len(values))
+    for k, value in enumerate(values):
+        shape = {**own.candidate.shape, item.name: float(value)}
+        moved = own if value == here else _moved(rows, own, shape, reference=reference)
+        if moved is not None:
+            gains[k] = likelihood_gain(whitener.project(moved.columns), y)
+    drop, off = gains.max() - gains, np.abs(values - here)
+    weights = np.exp(-drop) * length / (np.exp(-drop) @ length)
+    mixed = np.sqrt(weights @ (np.square(off) + length**2 / 12.0))
+    return float(max(mixed, off[drop < WITHIN].max() / 3.0))
 
 
 def _peak(values: FloatArray, gains: FloatArray) -> float:

@@ -21,6 +21,7 @@ from calib.mismatch.diagnosis import (
 )
 from calib.mismatch.estimate import Estimate
 from calib.mismatch.evidence import gather
+from calib.mismatch.families import is_moment
 from calib.mismatch.heldout import HeldOut, held_out
 from calib.mismatch.noise import make_whitener, range_basis
 from calib.mismatch.places import joined
@@ -72,10 +73,8 @@ def explain(
             if item.name not in a.candidate.shape:
                 continue
             here, spread = a.candidate.shape[item.name], None
-            if item.spacing == "log":
+            if item.spacing == "log" or is_moment(item):
                 spread = fit.shapes[i, item.name]
-            elif item.unit == "s" and item.low is None:
-                spread = _moment_sigma(rows, here)
             parameters[item.name] = Quantity(float(here), spread, item.unit)
         absorbed, proof, before = _proof(outcome, fit, i, names)
         predicted = a.columns @ fit.step[part]
@@ -179,13 +178,6 @@ def _intervals(rows: Rows, a: Accepted) -> tuple[Interval, ...]:
             if item.unit == "s" and item.low is None:
                 start = a.candidate.shape[item.name]
     return ((start, stop),)
-
-
-def _moment_sigma(rows: Rows, moment: float) -> float:
-    """Return the standard error of a moment that lies anywhere in its rest or turn."""
-    k = int(np.clip(np.searchsorted(rows.interval[:, 0], moment, side="right") - 1, 0, None))
-    length = float(rows.interval[k, 1] - rows.interval[k, 0])
-    return float(length / np.sqrt(12.0))
 
 
 def _proof(

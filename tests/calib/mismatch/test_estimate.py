@@ -8,13 +8,30 @@ import pytest
 from calib.effects import get_effect
 from calib.mismatch.estimate import estimate, settle
 from calib.mismatch.families import effect_columns
-from calib.mismatch.noise import covariance, expected_levels
+from calib.mismatch.noise import covariance, expected_levels, make_whitener
 from calib.mismatch.ranking import Accepted
+from calib.mismatch.refit import likelihood_gain
 from calib.mismatch.score import Candidate
 
 from .bench import problem
 
 NAMES = ("kx", "kz")
+
+
+def step(rows, moment: float) -> Accepted:
+    effect = get_effect("gyro_bias_step")
+    found = effect_columns(effect, rows, {"moment": moment}, reference=False)
+    candidate = Candidate(
+        effect.slug,
+        np.arange(1),
+        1.0,
+        True,
+        ("gyro.x",),
+        parameters=("bx",),
+        shape={"moment": moment},
+    )
+    typical = np.array([effect.parameters[0].typical])
+    return Accepted(candidate, found["bx"][:, None], typical, np.zeros(1), False, 1.0)
 
 
 def warm_up(rows, tau: float) -> Accepted:
@@ -67,3 +84,32 @@ def test_a_time_constant_is_settled_and_its_errors_are_honest(tau, start):
     # 20 draws: 0.16 is one standard deviation. A shape whose end is open has errors to spare.
     assert (np.sqrt(np.mean(z**2, axis=0)) < 1.5).all()
     assert (np.sqrt(np.mean(z**2, axis=0)) > 0.3).all()
+
+
+def test_a_moment_is_as_uncertain_as_the_rests_and_turns_beside_it_allow():
+    _, self_mode = problem()
+    rows = self_mode.rows()
+    levels, contrast = expected_levels(rows), rows.white_diagonal
+    dense = np.linalg.cholesky(covariance(rows, levels))
+    fit_all = np.hstack((rows.baseline, rows.nuisance))
+    whitener = make_whitener(rows, levels, contrast, fit_all)
+    segments = rows.interval[3:-3].mean(axis=1)
+    steps = [step(rows, float(m)) for m in segments]
+    shown = [whitener.project(s.columns) for s in steps]
+    middle = len(segments) // 2
+    true = steps[middle].columns * np.sqrt(40.0 / np.square(shown[middle]).sum())
+    rng = np.random.default_rng(6)
+    errors = []
+    for _ in range(20):
+        noise = np.append(
+            dense @ rng.normal(size=rows.n_dense),
+            np.sqrt(contrast) * rng.normal(size=len(contrast)),
+        )
+        real = replace(rows, residual=noise + true[:, 0])
+        y = whitener.project(real.residual)
+        likeliest = int(np.argmax([likelihood_gain(columns, y) for columns in shown]))
+        fit = estimate(real, (steps[likeliest],), levels, contrast, reference=False)
+        errors.append((segments[likeliest] - segments[middle]) / fit.shapes[0, "moment"])
+    assert np.abs(errors).max() < 3.5
+    # In some draws it is another rest or turn that fits best.
+    assert 0.2 < np.sqrt(np.mean(np.square(errors))) < 1.5

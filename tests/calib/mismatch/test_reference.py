@@ -170,6 +170,14 @@ def test_a_lost_sample_is_counted_in_samples_of_the_recording():
     assert count.value == pytest.approx(-2.0, abs=0.1)
 
 
+def test_a_repeated_sample_is_one_finding_though_all_that_follows_is_late():
+    turn = motion().turns[3]
+    term = Term("dropped_samples", {"count": -1.0, "moment": float(turn.mean())})
+    found = diagnose_reference(recorded(term), recorded(seed=3, offset=4.0), gravity=GRAVITY)
+    (item,) = (f for f in found.findings if f.effect == "dropped_samples")
+    assert item.parameters["moment"].value == pytest.approx(turn.mean(), abs=0.03)
+
+
 def test_a_reference_of_another_motion_is_an_error():
     rng = np.random.default_rng(4)
     other = bench_protocol(rng, poses=8, first_pose=4.0, pose_duration=(2.0, 6.0))
