@@ -44,6 +44,7 @@ from calib.rotation import mat_from_quat, mat_from_rotvec, quat_from_rotvec, qua
 from calib.simulate import Sampling, simulate
 from calib.simulation.bench import bench_protocol
 from calib.simulation.kinematics import Kinematics, Motion, Path
+from calib.simulation.motions import FACES
 from calib.simulation.noise import CONSUMER, NoiseModel
 from calib.simulation.turntable import turntable
 from calib.statics import find_poses
@@ -171,9 +172,10 @@ def make_motion(case: Case, rng: np.random.Generator) -> Motion:
     """Return what both see: a sensor handled on a bench, or one on a table."""
     if case.kind == "profile":
         rates = np.radians(rng.choice([50.0, 100.0, 200.0, 300.0], 4) * [1, -1, 1, -1])
-        # One axis, or a second one that tilts the sensor between its spins.
-        faces = ["+z"] if rng.random() < 0.5 else list(rng.permutation(["+z", "-x", "+y"]))
-        spin = rng.uniform(6.0, 12.0) / len(faces)
+        # One axis; or a second one that tilts the sensor to its other faces between the spins.
+        faces = ["+z"] if rng.random() < 0.5 else list(rng.permutation(list(FACES)))
+        rates = rates if len(faces) == 1 else rates[:2]
+        spin = rng.uniform(6.0, 12.0) / np.sqrt(len(faces))
         table = turntable(rates.tolist(), faces=faces, offset=(0.0, 0.0, 0.0), spin=spin)
         table = off_centre(table, np.array(ARM))
         return replace(table, temperature=lambda t: 28.0 + 6.0 * (1 - np.exp(-t / 180.0)))

@@ -33,7 +33,9 @@ POSITION = ("x", "y", "z")
 TABLE = ("angle", "angle_deg", "rate", "rate_dps")
 
 
-def read_reference(path: Path, *, imu: int | None = None) -> Recording | ReferenceMotion:
+def read_reference(
+    path: Path, *, imu: int | None = None, profile: str | None = None
+) -> Recording | ReferenceMotion:
     """Read a reference.
 
     Parameters
@@ -41,16 +43,18 @@ def read_reference(path: Path, *, imu: int | None = None) -> Recording | Referen
     path : Path
     imu : int, optional
         Which sensor of a board, where the reference is another IMU.
+    profile : str, optional
+        Import profile of the other IMU's log; the reference then is one.
 
     Raises
     ------
     RecordingError
         If it is none of the above; the message names what was seen and expected.
     """
-    if not path.is_file():
+    if not path.is_file() or profile is not None:
         if not path.exists():
             raise RecordingNotFoundError(f"{path}: there is no such reference")
-        return read_recording(path, imu=imu)
+        return read_recording(path, imu=imu, profile=profile)
     with path.open("rb") as file:
         head = file.read(4096)
     if head.startswith(b"\x89HDF\r\n\x1a\n"):

@@ -16,7 +16,7 @@ import numpy as np
 from scipy import fft
 
 from calib.mismatch.alignment import Alignment
-from calib.mismatch.truths import RecordingTruth
+from calib.mismatch.truths import DEGREE, RecordingTruth
 from calib.recording import Recording
 from calib.types import BoolArray, FloatArray, IntArray
 
@@ -40,6 +40,9 @@ half the rate while it still passes something rings."""
 
 FELT = 2.0
 """Periods of the cut-off within which the low-pass still passes 0.2 % of a step."""
+
+PART = 2.0
+"""s: a turn by hand."""
 
 QUIET = 0.1
 """Noise of a truth, relative to the recording's, up to which it counts as exact."""
@@ -75,12 +78,15 @@ def matched(
 ) -> Matched:
     """Return a recording and its truth in the band that both share.
 
-    Both come back as they are if the truth has little noise beside the recording. With ``forces``
-    the specific forces have a say in the band too.
+    Both come back as they are if the truth has little noise beside the recording, and samples
+    enough for its motion. With ``forces`` the specific forces have a say in the band too.
     """
     other = truth.recording
-    if (noise_of(other) <= QUIET * noise_of(real)).all():
-        return Matched(real, truth, spoilt)
+    noise = noise_of(real)
+    if (noise_of(other) <= QUIET * noise).all():
+        if (between(other) <= noise).all():
+            return Matched(real, truth, spoilt)
+        return limited(real, truth, RESOLVED / max(real.interval, other.interval), spoilt)
     bandwidth = common_band(real, truth, alignment, mat, forces=forces)
     if bandwidth is None:
         blur = BLUR * max(real.interval, other.interval)
@@ -97,6 +103,32 @@ def noise_of(recording: Recording) -> FloatArray:
         # A third of the samples, the quietest, are at rest if anything is.
         low = np.quantile(second, 0.2, axis=0) / 0.2533 / np.sqrt(6.0)
         out.append(float(low.mean()))
+    return np.array(out)
+
+
+def between(recording: Recording) -> FloatArray:
+    """Return by how much a spline errs between a recording's samples, (2,) for both triads.
+
+    The root-mean-square over the liveliest `PART` seconds. Through even samples a spline of degree
+    d gives back a sinusoid of frequency f (in cycles per sample) but for ``(f / (1 - f))**(d + 1)``
+    of it, and as much of its first alias.
+
+    References
+    ----------
+    .. [1] M. Unser, "Splines: a perfect fit for signal and image processing", IEEE Signal Process.
+       Mag. 16(6), 1999 (the frequency response of cardinal splines).
+    """
+    n = min(max(16, round(PART / recording.interval)), len(recording))
+    window = np.hanning(n)
+    frequency = fft.rfftfreq(n)
+    lost = 2.0 * np.square((frequency / (1.0 - frequency)) ** (DEGREE + 1))
+    lost[1:] *= 2.0
+    out = []
+    for values in (recording.accel, recording.gyro):
+        parts = np.lib.stride_tricks.sliding_window_view(values, n, axis=0)[:: max(n // 2, 1)]
+        spread = parts - parts.mean(axis=2, keepdims=True)
+        power = np.square(np.abs(fft.rfft(spread * window, axis=2))) @ lost
+        out.append(float(np.sqrt(power.max() / n / np.square(window).sum())))
     return np.array(out)
 
 

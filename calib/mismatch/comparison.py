@@ -287,12 +287,16 @@ class ComparisonProblem:
         self.shapes = None
         state = self.state()
         left = np.square(self.residual(state)[:, 3:]).sum()
-        total = np.square(state.rate - state.rate.mean(axis=0)).sum()
+        # Of the quieter of the two: what does not move leaves nothing where scales became zero.
+        total = min(
+            float(np.square(rate - rate.mean(axis=0)).sum())
+            for rate in (state.rate, self.measured[:, 3:])
+        )
         if left > UNLIKE * total:
             raise NoCommonMotionError(
                 "the two do not show the same motion: where they match best, "
-                f"{100 * left / total:.0f} % of the rotation differs; check that they belong "
-                "together and that the axes are the same"
+                f"{100 * min(left / total, 1.0):.0f} % of the rotation differs; check that they "
+                "belong together and that the axes are the same"
             )
 
     def _whiten(self) -> None:

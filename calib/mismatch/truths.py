@@ -22,6 +22,10 @@ DEGREE = 7
 GAP = 3.5
 """Sample intervals over which a truth is interpolated; beyond, it is not known."""
 
+ENDS = 8
+"""Samples at either end through which an interpolating spline is loose, as nothing holds it beyond:
+what ends within a turn would be off there by more than noise."""
+
 REACH = 2
 """Samples about a spoilt one at which an interpolating spline still feels it."""
 
@@ -71,8 +75,10 @@ class RecordingTruth:
         return float(self.recording.time[0]), float(self.recording.time[-1])
 
     def covers(self, time: FloatArray) -> BoolArray:
-        """Return where the recording has samples on either side, (n,) bool."""
-        return near(self._good, time)
+        """Return where the recording has samples enough on either side, (n,) bool."""
+        edge = min(ENDS, (len(self.recording) - 1) // 2)
+        first, last = self.recording.time[[edge, -1 - edge]]
+        return np.asarray(near(self._good, time) & (time >= first) & (time <= last))
 
     def state(self, time: FloatArray) -> State:
         """Return what was measured as the true state, its angular acceleration by spline."""

@@ -38,6 +38,10 @@ def diagnose(
     reference_imu: Annotated[
         int | None, typer.Option(help="Which sensor of the reference's board, from 1.")
     ] = None,
+    other_profile: Annotated[
+        str | None,
+        typer.Option(help="Import profile of SIM or REF, where that is a foreign log."),
+    ] = None,
     profile: ProfileOption = None,
     imu: ImuOption = None,
     gravity: Annotated[
@@ -79,17 +83,19 @@ def diagnose(
         )
     if reference_imu is not None and reference is None:
         raise typer.BadParameter("it needs --reference", param_hint="--reference-imu")
+    if other_profile is not None and against is None and reference is None:
+        raise typer.BadParameter("it needs --against or --reference", param_hint="--other-profile")
     known = None if calibration is None else load_calibration(calibration)
     if known is not None and gravity is None and latitude is None:
         local = known.gravity
     model = None if known is None else known.model
     if against is not None:
         real = read_recording(recording, profile=profile, imu=imu)
-        simulated = read_recording(against)
+        simulated = read_recording(against, profile=other_profile)
         found = diagnose_against(real, simulated, gravity=local.value, model=model)
     elif reference is not None:
         real = read_recording(recording, profile=profile, imu=imu)
-        other = read_reference(reference, imu=reference_imu)
+        other = read_reference(reference, imu=reference_imu, profile=other_profile)
         found = diagnose_reference(real, other, gravity=local.value, model=model)
     else:
         found, real = _by_itself(recording, profile, imu, gravity=local.value, model=model)

@@ -13,7 +13,7 @@ from calib.effects.base import Term
 from calib.model import SensorModel, Triad
 from calib.simulate import simulate
 from calib.simulation.bench import bench_protocol
-from calib.simulation.noise import CONSUMER
+from calib.simulation.noise import CONSUMER, NoiseModel
 from drivers.calibration_file import load_calibration
 from drivers.formats import write_recording
 from imu_cli.app import app
@@ -92,3 +92,33 @@ def test_it_is_interrupted_cleanly(log: Path, monkeypatch: pytest.MonkeyPatch) -
     assert result.exit_code == 130
     assert result.stdout == ""
     assert "Traceback" not in result.stderr
+
+
+def test_a_simulation_in_a_csv_of_other_units_is_read_by_a_profile_of_its_own(
+    log: Path, tmp_path: Path
+) -> None:
+    """Without temperature, at another rate, and its clock started minutes before."""
+    rng = np.random.default_rng(5)
+    motion = bench_protocol(rng, poses=12, first_pose=2.0, pose_duration=(3.0, 4.0))
+    sim = simulate(motion, SensorModel(), NoiseModel(), rng=rng, rate=80.0)
+    table = np.column_stack((sim.time + 431.7, sim.accel / 9.80665, np.degrees(sim.gyro)))
+    path, profile = tmp_path / "sim.csv", tmp_path / "sim.toml"
+    names = ("t", "fx", "fy", "fz", "wx", "wy", "wz")
+    np.savetxt(path, table, delimiter=",", header=",".join(names), comments="", fmt="%.9g")
+    profile.write_text(
+        "[text]\ndelimiter = ','\nheader = true\n"
+        "[time]\ncolumn = 't'\nunit = 's'\n"
+        "[accel]\ncolumns = ['fx', 'fy', 'fz']\nunit = 'g'\n"
+        "[gyro]\ncolumns = ['wx', 'wy', 'wz']\nunit = 'deg/s'\n"
+    )
+    args = ["diagnose", str(log), "--against", str(path), "--json"]
+    result = CliRunner().invoke(app, [*args, "--other-profile", str(profile)])
+    assert result.exit_code == 0, result.output
+    document = json.loads(result.stdout)
+    assert [f["effect"] for f in document["findings"]] == ["gyro_misalignment"]
+
+
+def test_a_profile_of_what_it_is_not_compared_with_is_refused(log: Path) -> None:
+    result = CliRunner().invoke(app, ["diagnose", str(log), "--other-profile", "mpu9150"])
+    assert result.exit_code == 2
+    assert "--against" in result.output

@@ -10,7 +10,9 @@ from calib.effects.base import Term
 from calib.errors import NoCommonMotionError
 from calib.mismatch import diagnose_against
 from calib.mismatch.against import follows_noise
-from calib.mismatch.alignment import align
+from calib.mismatch.alignment import Alignment, align
+from calib.mismatch.band import between
+from calib.mismatch.comparison import ComparisonProblem
 from calib.mismatch.truths import RecordingTruth
 from calib.model import SensorModel, Triad
 from calib.recording import Recording
@@ -163,3 +165,44 @@ def test_a_repeated_sample_is_one_finding():
     found = diagnose_against(recorded(term), simulation(), gravity=GRAVITY)
     assert [f.effect for f in found.findings] == ["dropped_samples"]
     assert found.findings[0].parameters["count"].value == -1.0
+
+
+def test_what_is_at_rest_where_the_other_turns_is_another_motion():
+    """Scale factors of nothing would leave less than the other's rotation."""
+    real = recorded()
+    slow = replace(real, gyro=0.2 * real.gyro[::-1])
+    alignment = Alignment(SHOWN, 0.0, 0.0)
+    with pytest.raises(NoCommonMotionError, match="100 % of the rotation"):
+        ComparisonProblem(slow, RecordingTruth(simulation(), GRAVITY), alignment, gravity=GRAVITY)
+
+
+@pytest.mark.parametrize("cut", [0.3, 0.5, 0.7])
+def test_a_simulation_that_ends_within_a_turn_is_cut_where_it_is_not_known(cut):
+    """A spline is loose where its samples end; in a turn that shows."""
+    begin, end = motion().turns[-1]
+    stop = begin + cut * (end - begin)
+    time = np.arange(0.0, stop, 1 / 50)
+    sim = simulate(motion(), SensorModel(), NoiseModel(), rng=np.random.default_rng(5), time=time)
+    truth = RecordingTruth(sim, GRAVITY)
+    at = np.arange(0.0, time[-1], 1 / 400)
+    known = truth.covers(at)
+    error = np.abs(truth.state(at).rate - motion().state(at).rate).max(axis=1)
+    noise = CONSUMER.gyro_noise_density * np.sqrt(50.0)
+    assert at[known][-1] > stop - 0.2
+    assert error[known & (at > stop - 0.3)].max() < 0.3 * noise < error[~known].max()
+
+
+def test_a_simulation_of_few_samples_is_compared_up_to_what_it_resolves():
+    """Its spline would err like a low-pass; a motion that is sampled well enough is left whole."""
+    few = simulate(motion(), SensorModel(), NoiseModel(), rng=np.random.default_rng(5), rate=20.0)
+    found = diagnose_against(
+        recorded(Term("gyro_g_sensitivity", {"gxx": 1e-3})), few, gravity=GRAVITY
+    )
+    assert [f.effect for f in found.findings] == ["gyro_g_sensitivity"]
+    assert not found.unexplained
+    time = np.arange(0.0, motion().duration, 1 / 20)
+    at = time[10:-10] + 1 / 40
+    error = RecordingTruth(few, GRAVITY).state(at).rate - motion().state(at).rate
+    worst = np.sqrt(np.mean(np.square(error), axis=0).max())
+    assert 0.5 * worst < between(few)[1]
+    assert (between(simulation()) < between(few)).all()
