@@ -23,7 +23,10 @@ from concealed import (
     GRAVITY,
     Case,
     Result,
+    contrast_of,
     hidden_effects,
+    named_with_noise_known,
+    oracle_gain,
     random_sensor,
     report,
     run_all,
@@ -35,7 +38,8 @@ from calib.effects import get_effect
 from calib.effects.base import Term
 from calib.mismatch import Diagnosis, ReferenceMotion, diagnose_against, diagnose_reference
 from calib.mismatch.against import compare_simulation
-from calib.mismatch.noise import contrast_variance, make_whitener
+from calib.mismatch.comparison import ComparisonProblem
+from calib.mismatch.noise import make_whitener
 from calib.mismatch.referencemode import compare_reference
 from calib.mismatch.samples import look_at_samples
 from calib.model import SensorModel
@@ -66,6 +70,9 @@ DELAYING = ("time_offset", "clock_scale", "bandwidth", "inter_axis_skew")
 VIBRATION = 10.0
 """m/s² rms, about 1 g: where data sheets state what vibration does to a mean. Shaken by less, what
 a noisy reference shows is beyond what is physical."""
+
+ALIGNED = ("clock_scale", "reference_misalignment")
+"""What is fitted whatever is found, and competes with nothing."""
 
 MODES = ("simulation", "capture", "imu", "profile")
 MOUNTING = np.array([0.03, -0.02, 0.6])
@@ -139,6 +146,7 @@ def run(case: Case) -> Result:
         recording = record(term)
     start = time.process_time()
     found = diagnosed(case.kind, recording, truth)
+    gain = None
     result.seconds = time.process_time() - start
     result.verdict = found.verdict
     for item in found.findings:
@@ -155,7 +163,7 @@ def run(case: Case) -> Result:
         if own or not aligns:
             result.found.append((item.effect, [r.effect for r in item.rivals]))
         if own and item.held_out is not None:
-            result.gain = item.held_out.gain
+            gain = item.held_out.gain
         if case.names and case.names[0] in DELAYING and not own:
             # The delay between the clocks is then another one, at another moment.
             continue
@@ -165,6 +173,14 @@ def run(case: Case) -> Result:
                 result.errors.append((q.value - known.get(key, 0.0)) / q.sigma)
     for left in found.unexplained:
         result.unexplained.append((left.follows, left.intervals[0], left.channels))
+    if term is not None and term.effect not in ALIGNED:
+        problem, skip = compared(case.kind, recording, truth)
+        rows, noise = problem.rows(), noise_of_both(case.kind)
+        result.known = named_with_noise_known(
+            rows, term.effect, noise=noise, skip=skip, reference=True
+        )
+        if gain is not None:
+            result.gain = gain / oracle_gain(rows, term, noise=noise, reference=True)
     return result
 
 
@@ -241,25 +257,37 @@ def make_truth(
     return ReferenceMotion(at + start, quat, position), offset
 
 
+def compared(
+    mode: str, recording: Recording, truth: Truth
+) -> tuple[ComparisonProblem, tuple[str, ...]]:
+    """Return what the diagnosis compares, and what it does not try."""
+    seen = look_at_samples(recording, find_poses(recording))
+    if mode == "simulation":
+        assert isinstance(truth, Recording)
+        problem, skip = compare_simulation(recording, truth, seen, gravity=GRAVITY)
+    else:
+        problem, skip = compare_reference(recording, truth, seen, gravity=GRAVITY)
+    turned = ("reference_misalignment",) if problem.turned else ()
+    return problem, (*skip, "clock_scale", *turned)
+
+
+def noise_of_both(mode: str) -> NoiseModel:
+    """Return what the differences hold: the drift of another IMU adds to the sensor's own."""
+    return CONSUMER.scaled(np.sqrt(2.0)) if mode == "imu" else CONSUMER
+
+
 def sized(case: Case, clean: Recording, truth: Truth, rng: np.random.Generator) -> Term | None:
     """Return the case's effect at its non-centrality after baseline and alignment.
 
     None if a table does not show it.
     """
-    seen = look_at_samples(clean, find_poses(clean))
-    if case.kind == "simulation":
-        assert isinstance(truth, Recording)
-        problem, _ = compare_simulation(clean, truth, seen, gravity=GRAVITY)
-    else:
-        problem, _ = compare_reference(clean, truth, seen, gravity=GRAVITY)
-    rows = problem.rows()
+    rows = compared(case.kind, clean, truth)[0].rows()
     # An alignment is fitted whatever is added; only of its own kind is it the effect itself.
     own = case.names[0] if case.names[0] != "time_offset" else ""
     other = [i for i, n in enumerate(rows.aligned) if n.split(".")[0] != own]
     mean = np.hstack((rows.baseline, rows.nuisance[:, other]))
-    # The drift of another IMU adds to the sensor's own.
-    noise = CONSUMER.scaled(np.sqrt(2.0)) if case.kind == "imu" else CONSUMER
-    whitener = make_whitener(rows, true_levels(rows, noise), contrast_variance(rows), mean)
+    levels = true_levels(rows, noise_of_both(case.kind))
+    whitener = make_whitener(rows, levels, contrast_of(rows, reference=True), mean)
     effect = get_effect(case.names[0])
     return sized_term(
         effect,
