@@ -10,7 +10,7 @@ import numpy as np
 from calib.calibration import Quantity
 from calib.effects import effects, get_effect
 from calib.mismatch.alignment import LEAST_OVERLAP, Alignment, align
-from calib.mismatch.band import matched
+from calib.mismatch.band import follows_noise, matched, too_few
 from calib.mismatch.comparison import ComparisonProblem
 from calib.mismatch.diagnosis import Diagnosis, Finding
 from calib.mismatch.estimate import Estimate
@@ -33,16 +33,6 @@ _OPEN = {"bias": 0.1, "scale_factor_error": 0.02, "misalignment": 0.02}
 _LINEAR = {"time_offset": 0.02, "clock_scale": 1e-4, "reference_misalignment": 0.1}
 """Sizes (SI) up to which an alignment acts in proportion, so that it can be left out again to see
 what it is worth on held-out windows."""
-
-STILL, MOVES = 0.05, 0.5
-"""rad/s below which a motion is at rest, and above which it moves."""
-
-ENOUGH = 300
-"""Samples of either kind that tell how loud the noise is: 1 in 20."""
-
-LESS = 0.9
-"""Noise of the differences where it moves, relative to that at rest, below which part of it is in
-the motion. A simulation's own noise hides that; as loud as the recording's it leaves 0.7 to 0.8."""
 
 _SELDOM_ALONE = ("earth_rate", "gravity_magnitude")
 """What is in a simulation's own signals already, or is a scale that the baseline has."""
@@ -91,7 +81,13 @@ def diagnose_against(
         real, simulated, seen, alignment=alignment, gravity=gravity, model=model
     )
     # When a simulation starts is nobody's fault; what its clock does to the motion is.
-    return conclude(problem, seen, summary, setups=("clock_scale",), skip=skip)
+    few: tuple[str, ...] = ()
+    if too_few(real, simulated):
+        few = (
+            f"a simulation at a higher rate: at {1.0 / simulated.interval:.3g} Hz it has too few "
+            "samples for its motion, of which only the slow part was compared",
+        )
+    return conclude(problem, seen, summary, setups=("clock_scale",), skip=skip, missing=few)
 
 
 def compare_simulation(
@@ -127,24 +123,6 @@ def compare_simulation(
     return problem, ((*_SELDOM_ALONE, "bandwidth") if common.limited else _SELDOM_ALONE)
 
 
-def follows_noise(real: Recording, truth: RecordingTruth, alignment: Alignment) -> bool:
-    """Whether a simulation has the recording's noise in its motion: it was estimated from it.
-
-    At rest such a motion is still, and the differences hold all of the noise; where it moves they
-    hold less. Those of any other simulation hold as much there, or more.
-    """
-    at = alignment.times(real.time)
-    state = truth.state(at)
-    noise = np.abs(np.diff(real.accel - state.force, n=2, axis=0))
-    turning = np.linalg.norm(state.rate - np.median(state.rate, axis=0), axis=1)[1:-1]
-    known = truth.covers(at)[1:-1]
-    moving, still = known & (turning > MOVES), known & (turning < STILL)
-    if min(moving.sum(), still.sum()) < ENOUGH:
-        return False
-    ratio = np.median(noise[moving], axis=0) / np.maximum(np.median(noise[still], axis=0), 1e-12)
-    return bool(np.mean(ratio) < LESS)
-
-
 def at_rest(*recordings: Recording) -> str:
     """Return what to say if one of the recordings is at rest all along, else nothing."""
     for name, recording in zip(
@@ -166,6 +144,7 @@ def conclude(
     *,
     setups: tuple[str, ...],
     skip: tuple[str, ...] = (),
+    missing: tuple[str, ...] = (),
 ) -> Diagnosis:
     """Search, explain, and report alignments among ``setups`` as findings."""
     skip += ("clock_scale", *(("reference_misalignment",) if problem.turned else ()))
@@ -181,7 +160,8 @@ def conclude(
     keep = [i for i, n in enumerate(known) if n in problem.names or n.split(".")[0] in slugs]
     known, covariance = tuple(known[i] for i in keep), covariance[np.ix_(keep, keep)]
     open_ = _open(problem.names, fit)
-    missing = (f"motion that determines {', '.join(open_)}",) if open_ else ()
+    if open_:
+        missing += (f"motion that determines {', '.join(open_)}",)
     change, likelihood = changes(outcome)
     shown = {c.name for c in outcome.candidates if c.physical}
     alignment = problem.setup.alignment

@@ -48,6 +48,17 @@ QUIET = 0.1
 """Noise of a truth, relative to the recording's, up to which it counts as exact."""
 
 
+STILL, MOVES = 0.05, 0.5
+"""rad/s below which a motion is at rest, and above which it moves."""
+
+ENOUGH = 300
+"""Samples of either kind that tell how loud the noise is: 1 in 20."""
+
+LESS = 0.9
+"""Noise of the differences where it moves, relative to that at rest, below which part of it is in
+the motion. A simulation's own noise hides that; as loud as the recording's it leaves 0.7 to 0.8."""
+
+
 class Matched(NamedTuple):
     """A recording and its truth, limited to what both know.
 
@@ -82,9 +93,8 @@ def matched(
     enough for its motion. With ``forces`` the specific forces have a say in the band too.
     """
     other = truth.recording
-    noise = noise_of(real)
-    if (noise_of(other) <= QUIET * noise).all():
-        if (between(other) <= noise).all():
+    if (noise_of(other) <= QUIET * noise_of(real)).all():
+        if not too_few(real, other):
             return Matched(real, truth, spoilt)
         return limited(real, truth, RESOLVED / max(real.interval, other.interval), spoilt)
     bandwidth = common_band(real, truth, alignment, mat, forces=forces)
@@ -104,6 +114,29 @@ def noise_of(recording: Recording) -> FloatArray:
         low = np.quantile(second, 0.2, axis=0) / 0.2533 / np.sqrt(6.0)
         out.append(float(low.mean()))
     return np.array(out)
+
+
+def follows_noise(real: Recording, truth: RecordingTruth, alignment: Alignment) -> bool:
+    """Whether a simulation has the recording's noise in its motion: it was estimated from it.
+
+    At rest such a motion is still, and the differences hold all of the noise; where it moves they
+    hold less. Those of any other simulation hold as much there, or more.
+    """
+    at = alignment.times(real.time)
+    state = truth.state(at)
+    noise = np.abs(np.diff(real.accel - state.force, n=2, axis=0))
+    turning = np.linalg.norm(state.rate - np.median(state.rate, axis=0), axis=1)[1:-1]
+    known = truth.covers(at)[1:-1]
+    moving, still = known & (turning > MOVES), known & (turning < STILL)
+    if min(moving.sum(), still.sum()) < ENOUGH:
+        return False
+    ratio = np.median(noise[moving], axis=0) / np.maximum(np.median(noise[still], axis=0), 1e-12)
+    return bool(np.mean(ratio) < LESS)
+
+
+def too_few(real: Recording, other: Recording) -> bool:
+    """Whether another recording has too few samples for its motion, beside this one's noise."""
+    return bool((between(other) > noise_of(real)).any())
 
 
 def between(recording: Recording) -> FloatArray:

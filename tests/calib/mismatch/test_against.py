@@ -9,9 +9,8 @@ import pytest
 from calib.effects.base import Term
 from calib.errors import NoCommonMotionError
 from calib.mismatch import diagnose_against
-from calib.mismatch.against import follows_noise
 from calib.mismatch.alignment import Alignment, align
-from calib.mismatch.band import between
+from calib.mismatch.band import between, follows_noise
 from calib.mismatch.comparison import ComparisonProblem
 from calib.mismatch.truths import RecordingTruth
 from calib.model import SensorModel, Triad
@@ -200,6 +199,7 @@ def test_a_simulation_of_few_samples_is_compared_up_to_what_it_resolves():
     )
     assert [f.effect for f in found.findings] == ["gyro_g_sensitivity"]
     assert not found.unexplained
+    assert "20 Hz" in found.missing[0]
     time = np.arange(0.0, motion().duration, 1 / 20)
     at = time[10:-10] + 1 / 40
     error = RecordingTruth(few, GRAVITY).state(at).rate - motion().state(at).rate
