@@ -77,8 +77,9 @@ class ReferenceMotion:
 
         good = self.known
         if good.sum() < 4 * BRIDGE:
-            raise ValueError(
-                f"the reference has {good.sum()} finite rows, expected at least {4 * BRIDGE}"
+            raise NoCommonMotionError(
+                f"the reference has {good.sum()} finite rows, expected at least {4 * BRIDGE}: give "
+                "the motion at even steps, not only the corners of a profile"
             )
         first, last = np.flatnonzero(good)[[0, -1]]
         good = good[first : last + 1]
@@ -132,8 +133,6 @@ def diagnose_reference(
     ------
     NoCommonMotionError
         If the two do not show the same motion.
-    ValueError
-        If the reference has fewer than four finite rows.
     """
     seen = look_at_samples(real, find_poses(real))
     summary = summarise(real)

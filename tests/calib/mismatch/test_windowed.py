@@ -11,7 +11,7 @@ from calib.mismatch.ranking import Accepted
 from calib.mismatch.refit import cut
 from calib.mismatch.rows import Kind, Rows
 from calib.mismatch.score import Candidate
-from calib.mismatch.truths import RecordingTruth
+from calib.mismatch.truths import ENDS, RecordingTruth
 from calib.mismatch.windowed import find_shapes, make_rows
 from calib.recording import CHANNELS, Recording
 
@@ -113,8 +113,9 @@ def test_a_truth_is_not_believed_beside_a_spoilt_sample():
     truth = RecordingTruth(Recording(time, signals[:, :3], signals[:, 3:], "device"), 9.8, spoilt)
     known = truth.covers(time)
     assert not known[48:53].any()
-    assert known[:48].all()
-    assert known[54:].all()
+    assert known[ENDS:48].all()
+    assert known[54:-ENDS].all()
+    assert not known[: ENDS - 1].any()
 
 
 @pytest.mark.parametrize("derivative", [0, 1, 2])
