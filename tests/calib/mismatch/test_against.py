@@ -141,7 +141,7 @@ def test_a_simulation_at_rest_leaves_it_undetermined():
 
 @pytest.mark.parametrize("noise", [0.0, 1.0])
 def test_a_twin_of_the_recording_itself_is_no_truth(noise):
-    """Its motion holds the recording's own noise; the motion that was simulated does not."""
+    """Its motion holds the recording's noise; one that was simulated does not, shaken or not."""
     real = recorded()
     twin = digital_twin(
         real,
@@ -154,9 +154,14 @@ def test_a_twin_of_the_recording_itself_is_no_truth(noise):
     assert found.verdict == "undetermined"
     assert "--calibration" in found.missing[0]
     truth = simulate(motion(), SensorModel(), CONSUMER, rng=np.random.default_rng(4), rate=50.0)
-    for other in (truth, simulation()):
-        alignment = align(real.time, real.gyro, other.time, other.gyro)
-        assert not follows_noise(real, RecordingTruth(other, GRAVITY), alignment)
+    shaken = np.zeros_like(real.accel)
+    for begin, end in motion().statics[3:7]:
+        here = (real.time > begin) & (real.time < end)
+        shaken[here] = np.random.default_rng(6).normal(0.0, 0.3, (here.sum(), 3))
+    for log in (real, replace(real, accel=real.accel + shaken)):
+        for other in (truth, simulation()):
+            alignment = align(log.time, log.gyro, other.time, other.gyro)
+            assert not follows_noise(log, RecordingTruth(other, GRAVITY), alignment)
 
 
 def test_a_repeated_sample_is_one_finding():
