@@ -131,8 +131,8 @@ def follows_noise(real: Recording, truth: RecordingTruth, alignment: Alignment) 
     moving, still = noise[known & (turning > MOVES)], noise[known & (turning < STILL)]
     if min(len(moving), len(still)) < ENOUGH:
         return False
-    parts = np.array_split(still, len(still) // (ENOUGH // 2))
-    quiet = np.quantile([np.median(part, axis=0) for part in parts], 0.25, axis=0)
+    parts = np.array_split(still, max(1, int(len(still) * real.interval / PART)))
+    quiet = np.quantile([np.median(part, axis=0) for part in parts], 0.1, axis=0)
     ratio = np.median(moving, axis=0) / np.maximum(quiet, 1e-12)
     return bool(np.mean(ratio) < LESS)
 

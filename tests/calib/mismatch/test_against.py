@@ -155,7 +155,7 @@ def test_a_twin_of_the_recording_itself_is_no_truth(noise):
     assert "--calibration" in found.missing[0]
     truth = simulate(motion(), SensorModel(), CONSUMER, rng=np.random.default_rng(4), rate=50.0)
     shaken = np.zeros_like(real.accel)
-    for begin, end in motion().statics[3:7]:
+    for begin, end in motion().statics[3:6]:
         here = (real.time > begin) & (real.time < end)
         shaken[here] = np.random.default_rng(6).normal(0.0, 0.3, (here.sum(), 3))
     for log in (real, replace(real, accel=real.accel + shaken)):
