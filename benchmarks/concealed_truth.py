@@ -197,7 +197,6 @@ def make_motion(case: Case, rng: np.random.Generator) -> Motion:
         return replace(table, temperature=lambda t: 28.0 + 6.0 * (1 - np.exp(-t / 180.0)))
     # Of what an effect leaves alone every other one is shaken too.
     shaken = any("vibration" in n for n in case.names) or (not case.names and case.seed % 2 == 1)
-    size = VIBRATION if case.kind in ("capture", "imu") else 0.3
     return bench_protocol(
         rng,
         poses=20,
@@ -205,7 +204,7 @@ def make_motion(case: Case, rng: np.random.Generator) -> Motion:
         pose_duration=(2.0, 4.0),
         power_on=0.0,
         tremor=0.3,
-        vibration=size * rng.uniform(0.5, 1.5) if shaken else 0.0,
+        vibration=VIBRATION * rng.uniform(0.5, 1.5) if shaken else 0.0,
     )
 
 

@@ -132,7 +132,7 @@ def follows_noise(real: Recording, truth: RecordingTruth, alignment: Alignment) 
     if min(len(moving), len(still)) < ENOUGH:
         return False
     parts = np.array_split(still, max(1, int(len(still) * real.interval / PART)))
-    quiet = np.quantile([np.median(part, axis=0) for part in parts], 0.1, axis=0)
+    quiet = np.quantile([np.median(part, axis=0) for part in parts], 0.25, axis=0)
     ratio = np.median(moving, axis=0) / np.maximum(quiet, 1e-12)
     return bool(np.mean(ratio) < LESS)
 
