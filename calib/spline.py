@@ -1,6 +1,6 @@
 """Cubic splines through points, not-a-knot at their ends: slopes first, then Hermite's form.
 
-`scipy.interpolate.CubicSpline` gives the same (the tests compare them), one set of points at a time.
+`scipy.interpolate.CubicSpline` gives the same (tests compare them), one set of points at a time.
 Where a sample may be missing, thousands of short splines are tried, each through points of its own:
 here they are one banded system.
 
