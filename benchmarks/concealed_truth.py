@@ -14,6 +14,7 @@ import argparse
 import os
 import sys
 import time
+from collections.abc import Mapping
 from dataclasses import replace
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -39,8 +40,10 @@ from calib.effects.base import Term
 from calib.mismatch import Diagnosis, ReferenceMotion, diagnose_against, diagnose_reference
 from calib.mismatch.against import compare_simulation
 from calib.mismatch.comparison import ComparisonProblem
+from calib.mismatch.families import effect_columns
 from calib.mismatch.noise import make_whitener
 from calib.mismatch.referencemode import compare_reference
+from calib.mismatch.rows import Rows
 from calib.mismatch.samples import look_at_samples
 from calib.model import SensorModel
 from calib.recording import Recording
@@ -140,7 +143,7 @@ def run(case: Case) -> Result:
     recording = record()
     term = None
     if case.names:
-        term = sized(case, recording, truth, rng)
+        term = sized(case, recording, truth, expected, rng)
         if term is None:
             return result
         recording = record(term)
@@ -175,7 +178,8 @@ def run(case: Case) -> Result:
         result.unexplained.append((left.follows, left.intervals[0], left.channels))
     if term is not None and term.effect not in ALIGNED:
         problem, skip = compared(case.kind, recording, truth)
-        rows, noise = problem.rows(), noise_of_both(case.kind)
+        rows = with_setup(problem.rows(), expected, term.effect)
+        noise = noise_of_both(case.kind)
         result.known = named_with_noise_known(
             rows, term.effect, noise=noise, skip=skip, reference=True
         )
@@ -275,16 +279,35 @@ def noise_of_both(mode: str) -> NoiseModel:
     return CONSUMER.scaled(np.sqrt(2.0)) if mode == "imu" else CONSUMER
 
 
-def sized(case: Case, clean: Recording, truth: Truth, rng: np.random.Generator) -> Term | None:
-    """Return the case's effect at its non-centrality after baseline and alignment.
+def with_setup(rows: Rows, expected: Mapping[str, object], slug: str) -> Rows:
+    """Return the rows with what the setup has in any case, besides an effect, as nuisances."""
+    aligned = {name.split(".")[0] for name in rows.aligned}
+    more = [
+        column
+        for name in expected
+        if name not in aligned and name != slug
+        for column in effect_columns(get_effect(name), rows, {}, reference=True).values()
+    ]
+    return replace(rows, nuisance=np.column_stack((rows.nuisance, *more)))
+
+
+def sized(
+    case: Case,
+    clean: Recording,
+    truth: Truth,
+    expected: Mapping[str, object],
+    rng: np.random.Generator,
+) -> Term | None:
+    """Return the case's effect at its non-centrality after baseline, alignment and arm.
 
     None if a table does not show it.
     """
-    rows = compared(case.kind, clean, truth)[0].rows()
+    rows = with_setup(compared(case.kind, clean, truth)[0].rows(), expected, case.names[0])
     # An alignment is fitted whatever is added; only of its own kind is it the effect itself.
     own = case.names[0] if case.names[0] != "time_offset" else ""
-    other = [i for i, n in enumerate(rows.aligned) if n.split(".")[0] != own]
-    mean = np.hstack((rows.baseline, rows.nuisance[:, other]))
+    kept = [n.split(".")[0] != own for n in rows.aligned]
+    kept += [True] * (rows.nuisance.shape[1] - len(kept))
+    mean = np.hstack((rows.baseline, rows.nuisance[:, kept]))
     levels = true_levels(rows, noise_of_both(case.kind))
     whitener = make_whitener(rows, levels, contrast_of(rows, reference=True), mean)
     effect = get_effect(case.names[0])
