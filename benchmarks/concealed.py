@@ -34,11 +34,12 @@ from calib.mismatch.grid import make_grid
 from calib.mismatch.heldout import held_out
 from calib.mismatch.noise import Whitener, contrast_variance, make_whitener
 from calib.mismatch.ranking import CLAIM, fitted, make_stack
+from calib.mismatch.residuals import build_rows
 from calib.mismatch.rows import Rows
 from calib.mismatch.score import LARGE
 from calib.mismatch.search import TIE
 from calib.mismatch.selfmode import SelfProblem
-from calib.mismatch.twin import DRIFT_TIME, build_rows
+from calib.mismatch.sensornoise import DRIFT_TIME
 from calib.model import SensorModel, Triad
 from calib.recording import CHANNELS, Recording
 from calib.simulate import simulate

@@ -18,7 +18,8 @@ from calib.faults import ROBUST
 from calib.mismatch.closure import Ended, across, follow_turns, integrate_turns
 from calib.mismatch.grid import Grid
 from calib.mismatch.selfmode import SelfProblem
-from calib.mismatch.twin import Twin, fit_twin, true_state
+from calib.mismatch.twin import Twin, true_state
+from calib.mismatch.twinfit import fit_twin
 from calib.spline import spline_between, spline_slopes
 from calib.types import FloatArray, IntArray
 

@@ -10,8 +10,11 @@ import numpy as np
 from calib.effects import get_effect
 from calib.effects.base import Term
 from calib.mismatch.grid import Grid
+from calib.mismatch.residuals import build_rows
 from calib.mismatch.rows import Kind, Rows
-from calib.mismatch.twin import Twin, build_rows, fit_twin, sample_noise, start_twin
+from calib.mismatch.sensornoise import sample_noise
+from calib.mismatch.twin import Twin
+from calib.mismatch.twinfit import fit_twin, start_twin
 from calib.model import SensorModel
 from calib.types import BoolArray, FloatArray
 

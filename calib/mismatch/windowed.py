@@ -16,14 +16,14 @@ from calib.mismatch.colour import Blur
 from calib.mismatch.refit import scaled
 from calib.mismatch.rows import Component, Kind, Rows
 from calib.mismatch.scatter import Scatter
-from calib.mismatch.twin import (
+from calib.mismatch.sensornoise import (
     DRIFT,
     DRIFT_TIME,
     SPREAD,
-    baseline_column,
     drift_components,
     flicker_covariance,
 )
+from calib.mismatch.twin import baseline_column
 from calib.recording import CHANNELS
 from calib.types import BoolArray, FloatArray, IntArray
 

@@ -18,7 +18,7 @@ from calib.mismatch.noise import (
     range_basis,
 )
 from calib.mismatch.score import SCALES, SHARES, Candidate, Stack
-from calib.mismatch.twin import shrunk
+from calib.mismatch.sensornoise import shrunk
 
 from .bench import problem
 

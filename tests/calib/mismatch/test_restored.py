@@ -7,8 +7,8 @@ from calib.effects import get_effect
 from calib.effects.base import Term
 from calib.mismatch.families import effect_columns
 from calib.mismatch.grid import make_grid
+from calib.mismatch.residuals import build_rows
 from calib.mismatch.rows import Kind
-from calib.mismatch.twin import build_rows
 from calib.statics import find_poses
 
 from .bench import problem, recording

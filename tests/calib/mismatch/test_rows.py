@@ -8,9 +8,9 @@ import pytest
 from calib.mismatch import grid
 from calib.mismatch.grid import make_grid
 from calib.mismatch.noise import covariance, expected_levels
+from calib.mismatch.residuals import build_rows
 from calib.mismatch.rows import Kind
 from calib.mismatch.selfmode import SelfProblem
-from calib.mismatch.twin import build_rows
 from calib.model import SensorModel
 from calib.poses import Poses
 from calib.recording import Recording

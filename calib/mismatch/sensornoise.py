@@ -1,0 +1,136 @@
+"""Noise of a sensor: white, from samples at rest; and how a bias drifts, as covariances.
+
+How much it drifts is a level that `noise` estimates; how much to expect is said here.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import sparse
+
+from calib.mismatch.grid import Grid
+from calib.mismatch.rows import Component
+from calib.types import FloatArray
+
+DRIFT = {"accel": 0.15, "gyro": 0.5}
+"""How far a bias wanders in `DRIFT_TIME`, per noise density: the ratio of bias instability to noise
+density in data sheets and Allan plots (MPU-6050: 50 µg to 400 µg/√Hz, 10 °/h to 18 °/h/√Hz). In
+minutes at rest a few slow modes are all that shows of drift, and effects go with them; so the prior
+on drift is part of the physics. Jitter, flicker and walk of the axes of one triad share their
+scale, so that what is seen from pose to pose says what to expect over minutes."""
+
+SPREAD = 1.4
+"""Standard deviation of the logarithm of a level (a variance) of drift, or of what sampling adds: a
+factor of 2 in size."""
+
+DRIFT_TIME = 600.0
+"""s."""
+
+
+def sample_noise(grid: Grid) -> FloatArray:
+    """Return the variance of each point's mean on each channel, (n, 6), white part.
+
+    From successive differences of the points at rest (quarter seconds), so that noise that is
+    correlated over a few samples counts in full and drift does not. A rest that is clearly noisier
+    than the others (vibration, a hand) has its own level.
+    """
+    values = np.hstack((grid.accel, grid.gyro))
+    segment, pose = grid.segment, grid.pose
+    pair = (segment[1:] == segment[:-1]) & (pose[1:] >= 0)
+    gap = np.diff(grid.time)
+    # Across a hole in time the bias has drifted.
+    pair &= gap <= 3 * np.median(gap[pair]) if pair.any() else pair
+    weight = grid.count[1:] * grid.count[:-1] / (grid.count[1:] + grid.count[:-1])
+    square = np.square(np.diff(values, axis=0)) * weight[:, None]
+    own = np.empty((grid.n_poses, 6))
+    number = np.bincount(pose[1:][pair], minlength=grid.n_poses)
+    for c in range(6):
+        own[:, c] = np.bincount(pose[1:][pair], square[pair, c], grid.n_poses)
+    own /= np.maximum(number, 1)[:, None]
+    usable = number >= 4
+    common = np.median(own[usable] if usable.any() else own, axis=0)
+    floor = np.maximum(common, 1e-12 * np.square(np.abs(values)).max(axis=0) + 1e-18)
+    ratio = np.where(usable[:, None], own / floor, 1.0)
+    # A ratio beyond four standard errors of its estimate is a rest with a level of its own.
+    limit = 1.0 + 4.0 * np.sqrt(2.0 / np.maximum(number, 1))[:, None]
+    loud = ratio > limit
+    error = np.broadcast_to(3.0 / np.maximum(number, 1)[:, None], ratio.shape)
+    for triad in (np.arange(6) < 3, np.arange(6) >= 3):
+        mine = loud & triad
+        ratio[mine] = shrunk(ratio[mine], error[mine])
+    level = floor * np.where(loud, ratio, 1.0)
+    # While it moves, nobody knows: the common level.
+    near = grid.near
+    each = np.where((near >= 0)[:, None], level[np.maximum(near, 0)], floor)
+    return np.asarray(each / grid.count[:, None])
+
+
+def shrunk(level: FloatArray, error: FloatArray) -> FloatArray:
+    """Return variances from few differences each, drawn to what they have in common.
+
+    Where each is weighted by its own, those that are too small by chance would count most. The
+    logarithm of a variance from n successive differences has a variance of about 3/n, `error`; what
+    levels differ by beyond that is how much each is its own.
+    """
+    if not len(level):
+        return level
+    logs = np.log(level) + 0.5 * error
+    between = max(float(np.var(logs) - error.mean()), 0.0) if len(level) > 1 else np.inf
+    own = 1.0 if np.isinf(between) else between / (between + error)
+    # The mean of a variance whose logarithm is uncertain.
+    return np.asarray(np.exp(logs.mean() + own * (logs - logs.mean()) + 0.5 * own * error))
+
+
+def flicker_covariance(time: FloatArray, length: FloatArray) -> FloatArray:
+    """Return the covariance of means of 1/f noise with a bias instability of one.
+
+    A sum of Gauss-Markov processes, correlation times a factor of 3 apart from shorter than any
+    segment to longer than the recording, each of variance ``ln(3) / pi``: one-sided density
+    ``1 / (pi f)``. Those shorter than a segment are averaged down in it.
+    """
+    gap = np.abs(np.subtract.outer(time, time))
+    span = max(float(gap.max()), 1e-9)
+    size = np.maximum(length, 1e-9)
+    out = np.zeros_like(gap)
+    for correlation in 3 * span * 3.0 ** -np.arange(12.0):
+        ratio = size / correlation
+        # Variance of the mean of a Gauss-Markov process over a segment.
+        own = 2 * (ratio - 1 + np.exp(-ratio)) / np.square(ratio)
+        part = np.exp(-np.maximum(gap, 0) / correlation) * np.sqrt(np.outer(own, own))
+        np.fill_diagonal(part, own)
+        out += part
+    return np.asarray(out * np.log(3.0) / np.pi)
+
+
+def drift_components(
+    channel: str,
+    pieces: sparse.csr_matrix,
+    flicker: FloatArray,
+    walk: FloatArray,
+    drift: float,
+    spread: float,
+) -> list[Component]:
+    """Return the drift of one channel's bias: jitter, flicker and random walk.
+
+    Parameters
+    ----------
+    channel : str
+    pieces : sparse (n_dense, s) matrix
+        Response to a constant on that channel in each segment.
+    flicker, walk : (s, s) arrays
+        Covariances of the mean bias of the segments, for a level of one.
+    drift : float
+        Expected level.
+    spread : float
+    """
+    index = np.flatnonzero(np.diff(pieces.indptr))
+    response = pieces[index].toarray()
+    triad = channel.split(".")[0]
+    return [
+        Component(f"{channel} {label}", index, matrix, share * drift, spread, triad)
+        for label, matrix, share in (
+            ("jitter", response @ response.T, 0.1),
+            ("flicker", response @ flicker @ response.T, 1.0),
+            ("walk", response @ walk @ response.T, 1.0),
+        )
+    ]
