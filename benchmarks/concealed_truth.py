@@ -318,7 +318,7 @@ def sized(
         case.power,
         rng,
         reference=effect.slug != "time_offset",
-        physical=case.kind == "profile",
+        physical=case.kind != "simulation",
     )
 
 
