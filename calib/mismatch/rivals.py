@@ -37,10 +37,10 @@ _KINDS = {
     "direction of gravity": 0.14,
     "orientation": 0.03,
     "speed of rotation": 0.05,
-    "its own rate": 0.05,
+    "its own rate": 0.02,
 }
-"""Share of each. What follows temperature or time smoothly has names in the catalogue, or is drift:
-only odd shapes are left."""
+"""Share of each. What follows temperature, time or its own rate smoothly has names in the
+catalogue, or is drift: only odd shapes are left."""
 
 _OF_TRIADS = {"bias in a window": 0.02, "fluctuation in a window": 0.05}
 """The same for what three channels have at once: their supply, cable or package."""
