@@ -300,7 +300,7 @@ def sized(
 ) -> Term | None:
     """Return the case's effect at its non-centrality after baseline, alignment and arm.
 
-    None if a table does not show it.
+    None if nothing of a physical size shows as much.
     """
     rows = with_setup(compared(case.kind, clean, truth)[0].rows(), expected, case.names[0])
     # An alignment is fitted whatever is added; only of its own kind is it the effect itself.
@@ -311,7 +311,7 @@ def sized(
     levels = true_levels(rows, noise_of_both(case.kind))
     whitener = make_whitener(rows, levels, contrast_of(rows, reference=True), mean)
     effect = get_effect(case.names[0])
-    return sized_term(
+    term = sized_term(
         effect,
         rows,
         whitener,
@@ -320,6 +320,13 @@ def sized(
         reference=effect.slug != "time_offset",
         physical=case.kind != "simulation",
     )
+    # A cut-off beyond the catalogue's: samples as slow as these make more of it than it is.
+    inside = term is None or all(
+        term.parameters.get(item.name, 0.0) <= item.high
+        for item in effect.shape
+        if item.optional and item.high is not None
+    )
+    return term if inside else None
 
 
 def diagnosed(mode: str, recording: Recording, truth: Truth) -> Diagnosis:
