@@ -370,7 +370,7 @@ def test_dropped_samples_move_the_rest_and_are_put_back(count: int) -> None:
     true = smooth(TIME)
     found = effect.transform(TIME, true, parameters)
     np.testing.assert_allclose(found.gyro[:400], true.gyro[:400], atol=1e-12)
-    np.testing.assert_allclose(found.gyro[410:900], true.gyro[410 + count : 900 + count], atol=1e-9)
+    np.testing.assert_array_equal(found.gyro[410:900], true.gyro[410 + count : 900 + count])
     back = effect.inverse(TIME, found, parameters)
     np.testing.assert_allclose(back.gyro[:900], true.gyro[:900], atol=5e-3)
 
