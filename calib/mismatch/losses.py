@@ -23,8 +23,13 @@ from calib.mismatch.twinfit import fit_twin
 from calib.spline import spline_between, spline_slopes
 from calib.types import FloatArray, IntArray
 
-FAR = 20.0
-"""Size of a closure that cannot be drift or drift's like, in scatters of all closures."""
+SURE = 100.0
+"""Odds of a loss, against a turn that errs by as much for another reason, from which it is one. Of
+such errors, five numbers of any direction, a share of ``(after / before)**5`` is mended as well at
+one place; so many places are tried."""
+
+SHARP = 0.5
+"""Share of the greatest jump of the signals in a turn from which others are as likely a loss."""
 
 NEAR = 3.0
 """The same of a turn that closes."""
@@ -57,7 +62,8 @@ Signals = tuple[FloatArray, FloatArray, FloatArray]
 class Loss(NamedTuple):
     """``number`` samples are missing just before ``moment`` (s), in one segment of the grid.
 
-    ``before`` and ``after`` are the size of its closure in scatters, with and without the loss.
+    ``before`` and ``after`` are the size of its closure in scatters, with and without the loss;
+    ``looks`` is at how many places, and for how many samples, a loss was as likely beforehand.
     """
 
     segment: int
@@ -65,6 +71,14 @@ class Loss(NamedTuple):
     number: int
     before: float
     after: float
+    looks: int
+
+    @property
+    def stands(self) -> bool:
+        """Whether the loss mends the turn, and no other error would be mended so by chance."""
+        mended = self.after < max(NEAR, SHARE * self.before)
+        odds = (self.before / max(self.after, 1.0)) ** 5 / self.looks
+        return mended and self.before > SUSPECT and odds > SURE
 
 
 def find_losses(problem: SelfProblem) -> list[Loss]:
@@ -94,7 +108,7 @@ def find_losses(problem: SelfProblem) -> list[Loss]:
         twin = fit_twin(grid, whole, problem.noise, drop=drop)
         closures = _Closures(grid, twin, turns)
         loss = closures.mended(s)
-        if loss.before > FAR and loss.after < max(NEAR, SHARE * loss.before):
+        if loss.stands:
             out.append(loss)
         scores = np.where(drop[turns], 0.0, closures.scores)
     return out
@@ -142,7 +156,9 @@ class _Closures:
         around = [range(max(2, k - stride), min(last, k + stride + 1)) for k in places]
         _, at, number, after = min((best(near) for near in around), key=lambda found: found[0])
         before = float(self.scores[self._turns.tolist().index(s)])
-        return Loss(int(s), float(signals[0][at]), number, before, after)
+        likely = jump[1:] <= SHARP * jump.min()
+        looks = int(likely.sum() if likely[number - 1, at] else likely.size)
+        return Loss(int(s), float(signals[0][at]), number, before, after, looks)
 
     def _residuals(self, turns: IntArray, ended: Ended, duration: FloatArray) -> FloatArray:
         """Return the five residuals of `closure.close_turns` of each, (k, 5)."""

@@ -3,13 +3,14 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from scipy.interpolate import CubicSpline
 
 from calib.effects.base import Term
 from calib.mismatch import diagnose_recording
 from calib.mismatch.closure import follow_turns, integrate_turns
 from calib.mismatch.grid import make_grid
-from calib.mismatch.losses import _mended, _put_back, find_losses
+from calib.mismatch.losses import Loss, _mended, _put_back, find_losses
 from calib.mismatch.selfmode import SelfProblem
 from calib.recording import Recording
 from calib.statics import find_poses
@@ -131,3 +132,19 @@ def test_a_mended_turn_ends_where_it_does_when_all_of_it_is_integrated() -> None
     ended = integrate_turns(*whole, first)
     np.testing.assert_allclose(found.frame, ended.frame, atol=1e-12)
     np.testing.assert_allclose(found.velocity, ended.velocity, atol=1e-10)
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "looks", "stands"),
+    [
+        (100.0, 4.0, 1500, True),
+        (16.6, 2.4, 2, True),  # where the signals jump as well
+        (16.6, 2.4, 1500, False),  # anywhere: such an error is mended so once in five
+        (5.0, 0.5, 1, False),
+        (100.0, 20.0, 1, False),
+    ],
+)
+def test_a_loss_stands_if_no_other_error_would_be_mended_so(
+    before: float, after: float, looks: int, stands: bool
+) -> None:
+    assert Loss(3, 10.0, 1, before, after, looks).stands == stands
