@@ -106,6 +106,12 @@ class Grid:
         """The pose of each point, (n,); -1 in turns."""
         return np.where(self.is_rest, self.before, -1)[self.segment]
 
+    def points_of(self, segments: IntArray) -> tuple[IntArray, IntArray]:
+        """Return the points of k segments, one after the other, and where each begins, (k + 1,)."""
+        number = self.last[segments] - self.first[segments]
+        first = np.append(0, np.cumsum(number))
+        return np.arange(first[-1]) + np.repeat(self.first[segments] - first[:-1], number), first
+
 
 def make_grid(
     recording: Recording, poses: Poses, *, margin: int = 3, shortest_cell: float | None = None

@@ -38,8 +38,7 @@ def orient(grid: Grid, up: FloatArray, rate: FloatArray) -> FloatArray | None:
     turns = np.flatnonzero(~grid.is_rest)
     if not np.array_equal(grid.before[turns], np.arange(grid.n_poses - 1)):
         return None
-    first = np.append(0, np.cumsum(grid.last[turns] - grid.first[turns]))
-    points = np.flatnonzero(grid.pose < 0)
+    points, first = grid.points_of(turns)
     increments = np.zeros((len(points), 3))
     increments[1:] = rate_increments(grid.time[points], rate[points])
     increments[first[:-1]] = 0.0

@@ -120,9 +120,7 @@ class _Closures:
     def __init__(self, grid: Grid, twin: Twin, turns: IntArray) -> None:
         self._grid, self._twin, self._turns = grid, twin, turns
         self._state = true_state(grid, twin)
-        own = [np.arange(grid.first[s], grid.last[s]) for s in turns]
-        first = np.append(0, np.cumsum([len(k) for k in own]))
-        state, points = self._state, np.concatenate(own)
+        state, (points, first) = self._state, grid.points_of(turns)
         signals = grid.time[points], state.force[points], state.rate[points]
         duration = signals[0][first[1:] - 1] - signals[0][first[:-1]]
         left = self._residuals(turns, integrate_turns(*signals, first), duration)

@@ -84,8 +84,7 @@ def build_rows(grid: Grid, twin: Twin, noise: FloatArray, *, spread: float | Non
     for j in (0, 1):
         nuisance[rows[0, :, :3], 2 * pose[:, None] + j] = tilt[pose, :, j]
     # Turns: rows (turns, 5).
-    points = np.flatnonzero(grid.pose < 0)
-    first = np.append(0, np.cumsum(grid.last[turns] - grid.first[turns]))
+    points, first = grid.points_of(turns)
     before, after = grid.before[turns], grid.after[turns]
     closed = close_turns(
         grid.time[points],

@@ -18,37 +18,23 @@ from .bench import problem
 NAMES = ("kx", "kz")
 
 
+def named(rows, slug: str, names: tuple[str, ...], **shape: float) -> Accepted:
+    effect = get_effect(slug)
+    found = effect_columns(effect, rows, shape, reference=False)
+    channels = tuple(f"gyro.{n[-1]}" for n in names)
+    index = np.arange(len(names))
+    candidate = Candidate(slug, index, 1.0, True, channels, parameters=names, shape=shape)
+    columns = np.stack([found[n] for n in names], axis=1)
+    typical = np.full(len(names), effect.parameters[0].typical)
+    return Accepted(candidate, columns, typical, np.zeros(len(names)), False, 1.0)
+
+
 def step(rows, moment: float) -> Accepted:
-    effect = get_effect("gyro_bias_step")
-    found = effect_columns(effect, rows, {"moment": moment}, reference=False)
-    candidate = Candidate(
-        effect.slug,
-        np.arange(1),
-        1.0,
-        True,
-        ("gyro.x",),
-        parameters=("bx",),
-        shape={"moment": moment},
-    )
-    typical = np.array([effect.parameters[0].typical])
-    return Accepted(candidate, found["bx"][:, None], typical, np.zeros(1), False, 1.0)
+    return named(rows, "gyro_bias_step", ("bx",), moment=moment)
 
 
 def warm_up(rows, tau: float) -> Accepted:
-    effect = get_effect("gyro_warm_up")
-    found = effect_columns(effect, rows, {"tau": tau}, reference=False)
-    candidate = Candidate(
-        effect.slug,
-        np.arange(2),
-        1.0,
-        True,
-        ("gyro.x", "gyro.z"),
-        parameters=NAMES,
-        shape={"tau": tau},
-    )
-    columns = np.stack([found[n] for n in NAMES], axis=1)
-    typical = np.full(2, effect.parameters[0].typical)
-    return Accepted(candidate, columns, typical, np.zeros(2), False, 1.0)
+    return named(rows, "gyro_warm_up", NAMES, tau=tau)
 
 
 @pytest.mark.parametrize(("tau", "start"), [(30.0, 60.0), (250.0, 90.0)])

@@ -10,8 +10,8 @@ from calib.effects.base import State
 from calib.mismatch import diagnose_reference
 from calib.mismatch.band import zero_phase
 from calib.mismatch.colour import WHITE, Blur, Colour, gaussian, whitening
-from calib.mismatch.rows import Kind
-from calib.mismatch.scatter import scatter
+from calib.mismatch.rows import Kind, Rows
+from calib.mismatch.scatter import Scatter, scatter
 from calib.mismatch.windowed import find_shapes, make_rows
 from calib.recording import CHANNELS, Recording
 from calib.rotation import skew
@@ -52,6 +52,27 @@ def shown(state: State) -> list[tuple[str, np.ndarray]]:
     ]
 
 
+def windows(
+    state: State,
+    left: np.ndarray,
+    columns: list[tuple[str, np.ndarray]],
+    blur: Blur,
+    rough: Scatter | None,
+) -> tuple[Rows, np.ndarray]:
+    """Return the rows of windows, and their squares relative to the variance that they state."""
+    rows = make_rows(
+        find_shapes(state.time, left, columns, blur=blur, scatter=rough),
+        state,
+        left,
+        blur=blur,
+        names=("gyro.bias.x",),
+        nuisance=[{"gyro.x": np.ones(N)}],
+        aligned=(),
+        prior=np.array([[0.0, 2.0], [0.0, 0.1]]),
+    )
+    return rows, np.square(rows.residual) / np.append(np.diag(rows.white), rows.white_diagonal)
+
+
 def test_the_variance_of_samples_is_found_beside_what_effects_explain(tumbled):
     left, variance = noisy(tumbled, np.random.default_rng(2))
     columns = shown(tumbled)
@@ -68,19 +89,8 @@ def test_rows_within_a_turn_are_as_noisy_as_they_say(tumbled, known):
     left, _ = noisy(tumbled, np.random.default_rng(3))
     blur, columns = blurred(tumbled), shown(tumbled)
     rough = scatter(tumbled, left, columns, blur=blur, resolved=False) if known else None
-    rows = make_rows(
-        find_shapes(tumbled.time, left, columns, blur=blur, scatter=rough),
-        tumbled,
-        left,
-        blur=blur,
-        names=("gyro.bias.x",),
-        nuisance=[{"gyro.x": np.ones(N)}],
-        aligned=(),
-        prior=np.array([[0.0, 2.0], [0.0, 0.1]]),
-    )
-    variance = np.append(np.diag(rows.white), rows.white_diagonal)
+    rows, ratio = windows(tumbled, left, columns, blur, rough)
     early = rows.interval[rows.segment, 1] < 280.0
-    ratio = np.square(rows.residual) / variance
     if known:
         for kind in (Kind.MEAN, Kind.CONTRAST):
             assert 0.7 < np.mean(ratio[(rows.kind == kind) & early]) < 1.4
@@ -103,19 +113,9 @@ def test_a_window_that_is_shaken_in_part_is_as_noisy_as_it_says(tumbled, colour)
     blur = whitening(time, [colour, colour], STEP, band)
     columns = shown(state)
     rough = scatter(state, left, columns, blur=blur, resolved=True)
-    rows = make_rows(
-        find_shapes(time, left, columns, blur=blur, scatter=rough),
-        state,
-        left,
-        blur=blur,
-        names=("gyro.bias.x",),
-        nuisance=[{"gyro.x": np.ones(N)}],
-        aligned=(),
-        prior=np.array([[0.0, 2.0], [0.0, 0.1]]),
-    )
-    variance = np.append(np.diag(rows.white), rows.white_diagonal)
+    rows, ratio = windows(state, left, columns, blur, rough)
     for kind in (Kind.MEAN, Kind.CONTRAST):
-        assert 0.7 < np.mean((np.square(rows.residual) / variance)[rows.kind == kind]) < 1.4
+        assert 0.7 < np.mean(ratio[rows.kind == kind]) < 1.4
 
 
 ARM = np.array([-0.0189, 0.0189, 0.0])
