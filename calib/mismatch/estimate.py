@@ -6,6 +6,10 @@ is not linearised. The likelihood is followed along it with all else refitted (t
 Standard errors are those of the mixture over it, with the profile as weights, and never less than a
 third of the longer side of the interval in which the profile stays within 4.5 of its maximum. A
 form (the order of a filter) that fits nearly as well is part of the mixture.
+
+The noise is an estimate too: of slow drift a recording shows a few modes only. Standard errors are
+as much wider as it takes for three of them to hold an error as often as three do where the noise is
+known.
 """
 
 from __future__ import annotations
@@ -14,11 +18,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.polynomial.hermite_e import hermegauss
+from scipy.special import ndtr
 
 from calib.effects import get_effect
 from calib.effects.base import ShapeParameter
 from calib.mismatch.families import candidate_columns, forms, is_moment, shape_grid
-from calib.mismatch.noise import make_whitener
+from calib.mismatch.noise import make_whitener, spread_of_variance
 from calib.mismatch.ranking import Accepted, fitted
 from calib.mismatch.refit import cut, likelihood_gain, prior_rows, scaled
 from calib.mismatch.rows import Rows
@@ -35,6 +41,9 @@ WITHIN = 4.5
 
 FINE = 9
 """Values within that reach that show the profile's form."""
+
+NODES, HALVINGS = 40, 20
+"""Values of an uncertain variance that are averaged over, and steps to where three errors end."""
 
 SWEEPS = 2
 """Each shape is settled so often, given the others."""
@@ -137,12 +146,49 @@ def estimate(
                 rows, list(accepted), i, item, levels, contrast, reference=reference
             )
     size = np.sqrt(np.diag(total))
-    wider = np.maximum(reach / 3.0, size) / np.where(size > 0, size, 1.0)
-    total *= np.outer(wider, wider)
+    unsure = _unsure(rows, accepted, levels, contrast, covariance)
+    longer = unsure * np.maximum(reach / 3.0, size) / np.where(size > 0, size, 1.0)
+    total *= np.outer(longer, longer)
     start = rows.baseline.shape[1] + rows.nuisance.shape[1]
     at = np.cumsum([start, *(a.columns.shape[1] for a in accepted)])
+    for i, name in shapes:
+        # What a shape changes is as slow as what it shapes.
+        shapes[i, name] *= float(unsure[at[i] : at[i + 1]].max())
     left = rows.residual - fitted(rows, accepted) @ best
     return Estimate(best, total, tuple(int(k) for k in at), shapes, left)
+
+
+def _unsure(
+    rows: Rows,
+    accepted: tuple[Accepted, ...],
+    levels: FloatArray,
+    contrast: FloatArray,
+    covariance: FloatArray,
+) -> FloatArray:
+    """Return how much wider errors are, as the noise is uncertain, than where it is known."""
+    mean = fitted(rows, accepted)
+    dense = slice(rows.n_dense)
+    whitener = make_whitener(rows, levels, contrast, mean[:, :0])
+    influence = whitener.unwhiten_transposed(whitener.whiten(mean) @ covariance)
+    return wider(
+        spread_of_variance(rows, mean[dense], levels, influence[dense], np.diag(covariance))
+    )
+
+
+def wider(spread: FloatArray) -> FloatArray:
+    """Return what to multiply standard errors by whose squares' logarithms have this deviation.
+
+    Normal errors of log-normal variance are then within three of them as often as normal ones.
+    """
+    node, weight = hermegauss(NODES)
+    scale = np.exp(0.5 * spread[:, None] * node)
+    low, high = np.full(len(spread), 1.0), np.exp(1.5 * spread)
+    for _ in range(HALVINGS):
+        middle = 0.5 * (low + high)
+        beyond = ndtr(-3.0 * middle[:, None] / scale) @ weight / weight.sum()
+        low = np.where(beyond > ndtr(-3.0), middle, low)
+        high = np.where(beyond > ndtr(-3.0), high, middle)
+    return 0.5 * (low + high)
 
 
 def _fit(

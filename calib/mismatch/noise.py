@@ -122,17 +122,7 @@ def estimate_levels(
         if gain < 0.02:
             break
         projector, py = _projector(factor, white, left)
-        vpy, trace = np.zeros((len(py), len(levels)), order="F"), np.empty(len(levels))
-        at = 0
-        for index, matrices in _by_rows(rows):
-            # The lower half of a symmetric matrix, as long as the rows are in order.
-            own = projector[np.ix_(index, index)]
-            middle = np.diag(own)
-            for matrix in matrices:
-                vpy[index, at] = levels[at] * (matrix @ py[index])
-                both = 2.0 * float(np.vdot(own, matrix)) - float(middle @ np.diag(matrix))
-                trace[at] = levels[at] * both
-                at += 1
+        vpy, trace = _slopes(rows, levels, projector, py)
         gradient = 0.5 * (vpy.T @ py - trace) - precision @ (logs - centre)
         information = 0.5 * vpy.T @ linalg.blas.dsymm(1.0, projector, vpy, lower=1) + precision
         log_share = -0.5 * float(np.linalg.slogdet(np.linalg.solve(precision, information))[1])
@@ -143,6 +133,70 @@ def estimate_levels(
         logs = logs + np.clip(step, -2.0, 2.0)
     assert best is not None
     return Levels(np.exp(best[1]), best[0], log_share)
+
+
+def _slopes(
+    rows: Rows, levels: FloatArray, projector: FloatArray, py: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return ``V_i P y`` (n, c) and ``tr(P V_i)`` (c,), V_i the level's part of the covariance."""
+    vpy, trace = np.zeros((len(py), len(levels)), order="F"), np.empty(len(levels))
+    at = 0
+    for index, matrices in _by_rows(rows):
+        # The lower half of a symmetric matrix, as long as the rows are in order.
+        own = projector[np.ix_(index, index)]
+        middle = np.diag(own)
+        for matrix in matrices:
+            vpy[index, at] = levels[at] * (matrix @ py[index])
+            both = 2.0 * float(np.vdot(own, matrix)) - float(middle @ np.diag(matrix))
+            trace[at] = levels[at] * both
+            at += 1
+    return vpy, trace
+
+
+def spread_of_variance(
+    rows: Rows,
+    mean: FloatArray,
+    levels: FloatArray,
+    influence: FloatArray,
+    variance: FloatArray,
+) -> FloatArray:
+    """Return how uncertain variances are: the standard deviation of the logarithm of each.
+
+    An estimate ``a' y`` has the variance ``v = a' V a``, in which the levels of V are estimates
+    themselves. With W the precision of their logarithms and ``g_i = level_i a' V_i a``, log v has
+    the variance ``g' inv(W) g / v²``.
+
+    Parameters
+    ----------
+    rows : Rows
+    mean : (n_dense, p) array
+        Columns of the mean beside which the levels were estimated.
+    levels : (c,) array
+        Their estimates.
+    influence : (n_dense, k) array
+        One a in each column, as far as it weighs rows with levels.
+    variance : (k,) array
+        What each v is.
+
+    References
+    ----------
+    .. [1] Giesbrecht, Burns, "Two-stage analysis based on a mixed model: large-sample asymptotic
+       theory and small-sample simulation results", Biometrics 41, 1985, p. 477.
+    """
+    factor = factorise(rows, levels)
+    _, white, left = _restricted(factor, range_basis(mean), rows.residual[: rows.n_dense])
+    projector, py = _projector(factor, white, left)
+    vpy, _ = _slopes(rows, levels, projector, py)
+    precision = 0.5 * vpy.T @ linalg.blas.dsymm(1.0, projector, vpy, lower=1)
+    precision += prior_precision(rows)
+    slopes, at = np.empty((len(levels), influence.shape[1])), 0
+    for index, matrices in _by_rows(rows):
+        own = influence[index]
+        for matrix in matrices:
+            slopes[at] = levels[at] * np.einsum("ik,ik->k", own, matrix @ own)
+            at += 1
+    spread = np.einsum("ik,ik->k", slopes, np.linalg.solve(precision, slopes))
+    return np.asarray(np.sqrt(spread) / np.maximum(variance, 1e-300))
 
 
 def find_levels(rows: Rows, mean: FloatArray, start: FloatArray) -> Levels:

@@ -4,11 +4,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 from calib.effects import get_effect
-from calib.mismatch.estimate import estimate, settle
+from calib.mismatch.estimate import estimate, settle, wider
 from calib.mismatch.families import effect_columns
-from calib.mismatch.noise import covariance, expected_levels, make_whitener
+from calib.mismatch.noise import (
+    covariance,
+    expected_levels,
+    find_levels,
+    make_whitener,
+)
 from calib.mismatch.ranking import Accepted
 from calib.mismatch.refit import likelihood_gain
 from calib.mismatch.score import Candidate
@@ -99,3 +105,41 @@ def test_a_moment_is_as_uncertain_as_the_rests_and_turns_beside_it_allow():
     assert np.abs(errors).max() < 3.5
     # In some draws it is another rest or turn that fits best.
     assert 0.2 < np.sqrt(np.mean(np.square(errors))) < 1.5
+
+
+@pytest.mark.parametrize("spread", [0.0, 0.3, 1.0])
+def test_three_wider_errors_hold_as_much_as_three_of_known_noise(spread):
+    factor = wider(np.array([spread]))[0]
+    z = np.linspace(-9, 9, 4001)
+    share = norm.pdf(z) / norm.pdf(z).sum()
+    outside = 2 * share @ norm.sf(3 * factor * np.exp(-0.5 * spread * z))
+    assert outside == pytest.approx(2 * norm.sf(3.0), rel=1e-3)
+    assert factor == pytest.approx(1.0) if spread == 0 else factor > 1.0
+
+
+def test_drift_of_unknown_size_is_in_the_errors_of_what_it_can_mimic():
+    _, self_mode = problem()
+    rows = self_mode.rows()
+    mean, contrast = np.hstack((rows.baseline, rows.nuisance)), rows.white_diagonal
+    slow = named(rows, "gyro_bias_temperature", NAMES)
+    beside = np.hstack((mean, slow.columns))[: rows.n_dense]
+    groups = [c.group for c in rows.components]
+    rng = np.random.default_rng(8)
+    z = []
+    for _ in range(60):
+        # Parts of one make differ in how much they drift, by a factor of 2.
+        shared = {group: rng.normal(0, 1.4) if group else 0.0 for group in sorted(set(groups))}
+        true = expected_levels(rows) * np.exp([shared[group] for group in groups])
+        dense = np.linalg.cholesky(covariance(rows, true))
+        residual = np.append(
+            dense @ rng.normal(size=rows.n_dense),
+            np.sqrt(contrast) * rng.normal(size=len(contrast)),
+        )
+        real = replace(rows, residual=residual)
+        levels = find_levels(real, beside, expected_levels(rows)).values
+        fit = estimate(real, (slow,), levels, contrast, reference=False)
+        part = slice(fit.at[0], fit.at[1])
+        z += (fit.step[part] / np.sqrt(np.diag(fit.covariance)[part])).tolist()
+    # 120 draws: 0.065 is one standard deviation.
+    assert 0.7 < np.sqrt(np.mean(np.square(z))) < 1.15
+    assert np.abs(z).max() < 3.5

@@ -16,7 +16,9 @@ from calib.mismatch.noise import (
     level_likelihood,
     make_whitener,
     range_basis,
+    spread_of_variance,
 )
+from calib.mismatch.rows import Component
 from calib.mismatch.score import SCALES, SHARES, Candidate, Stack
 from calib.mismatch.sensornoise import shrunk
 
@@ -145,6 +147,28 @@ def test_likelihood_is_averaged_over_the_prior_of_a_level(size, error):
     assert fit.log_share == pytest.approx(averaged, abs=error)
     # A level that is determined takes a smaller share of its prior than one that is not.
     assert fit.log_share < (-0.8 if size else 0.05)
+
+
+def test_a_variance_from_n_rows_is_as_uncertain_as_that_of_so_many_squares():
+    _, self_mode = problem()
+    rows = self_mode.rows()
+    n = rows.n_dense
+    part = Component("all", np.arange(n), np.eye(n), 1.0, 1.4)
+    rng = np.random.default_rng(3)
+    mean, y = rng.normal(size=(n, 4)), rng.normal(size=n)
+    basis = range_basis(mean)
+    left = y - basis @ (basis.T @ y)
+    level = float(left @ left) / (n - 4)
+    residual = np.append(y, np.zeros(len(rows.residual) - n))
+    rows = replace(rows, residual=residual, white=1e-12 * np.eye(n), components=(part,))
+    influence = mean @ np.linalg.inv(mean.T @ mean)
+    variance = level * np.square(influence).sum(axis=0)
+    found = spread_of_variance(rows, mean, np.array([level]), influence, variance)
+    # The prior knows the logarithm to 1.4.
+    assert found == pytest.approx((0.5 * (n - 4) + 1.4**-2) ** -0.5, rel=1e-6)
+    # Where other noise, that is known, is most of a variance, it is known better.
+    more = spread_of_variance(rows, mean, np.array([level]), influence, 3 * variance)
+    assert more == pytest.approx(found / 3)
 
 
 def test_levels_of_loud_rests_are_drawn_to_what_they_share_and_no_further():
