@@ -29,10 +29,11 @@ from scipy.special import logsumexp
 from calib.effects import effects, get_effect
 from calib.effects.base import Effect, Term, TransformEffect
 from calib.mismatch import diagnose_recording
+from calib.mismatch.contrast import contrast_variance
 from calib.mismatch.families import effect_columns, shape_grid
 from calib.mismatch.grid import make_grid
 from calib.mismatch.heldout import held_out
-from calib.mismatch.noise import Whitener, contrast_variance, make_whitener
+from calib.mismatch.noise import Whitener, make_whitener
 from calib.mismatch.ranking import CLAIM, fitted, make_stack
 from calib.mismatch.residuals import build_rows
 from calib.mismatch.rows import Rows

@@ -19,6 +19,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 from scipy.special import logsumexp
 
+from calib.mismatch.arrow import Factor
 from calib.mismatch.grid import make_grid
 from calib.mismatch.noise import Whitener, expected_levels, make_whitener
 from calib.mismatch.ranking import CLAIM, fitted, make_stack
@@ -67,7 +68,7 @@ def e_values(rows: Rows, stack: Stack, rng: np.random.Generator, draws: int) -> 
     plain = Stack(len(rows.residual))
     plain.add(whitener.project(stack.columns))
     plain.candidates = stack.candidates
-    unit = Whitener(np.eye(rows.n_dense), np.ones(len(variance)), whitener.basis, rows.n_dense)
+    unit = Whitener(Factor.unit(rows.n_dense), np.ones(len(variance)), whitener.basis, rows.n_dense)
     out = np.empty(draws)
     for k in range(draws):
         y = rng.normal(size=len(rows.residual))

@@ -13,8 +13,9 @@ import pytest
 
 from calib.effects import effects
 from calib.effects.base import Effect, TransformEffect
+from calib.mismatch.contrast import contrast_variance
 from calib.mismatch.grid import make_grid
-from calib.mismatch.noise import contrast_variance, expected_levels, make_whitener
+from calib.mismatch.noise import expected_levels, make_whitener
 from calib.mismatch.ranking import CLAIM, Ranking, make_stack, rank
 from calib.mismatch.rows import Rows
 from calib.mismatch.score import Stack

@@ -251,7 +251,7 @@ def changes(outcome: Outcome) -> tuple[tuple[Change, ...], tuple[float, float]]:
         fit = whitener.whiten(residual)
         coefficients = np.linalg.lstsq(whitener.whiten(mean), fit, rcond=1e-10)[0]
         left = residual - mean @ coefficients
-        floor = np.append(np.diag(whitener.factor @ whitener.factor.T), outcome.contrast)
+        floor = np.append(rows.variance(outcome.levels), outcome.contrast)
         keep = 1.0 - plain.shape[1] / len(residual)
         for label, unit, own in _row_kinds(rows):
             out.setdefault(label, []).append(float(np.sqrt(np.mean(np.square(left[own])))))

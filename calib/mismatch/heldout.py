@@ -138,6 +138,7 @@ def _leave_out(
     """Return the held-out error of each row squared, and the square that noise alone leaves."""
     whitener = make_whitener(rows, levels, contrast, mean)
     left, basis = whitener.project(residual), whitener.basis
+    factor = whitener.factor.dense()
     fold = fold_of(rows)
     square, floor = np.zeros(len(left)), np.zeros(len(left))
     for k in range(FOLDS):
@@ -148,9 +149,9 @@ def _leave_out(
         values, vectors = np.linalg.eigh(np.eye(len(own)) - basis[own] @ basis[own].T)
         good = values > 1e-4
         inverse = (vectors[:, good] / values[good]) @ vectors[:, good].T
-        error = _colour(rows, whitener.factor, whitener.scale, own, inverse @ left[own][:, None])
+        error = _colour(rows, factor, whitener.scale, own, inverse @ left[own][:, None])
         spread = _colour(
-            rows, whitener.factor, whitener.scale, own, vectors[:, good] / np.sqrt(values[good])
+            rows, factor, whitener.scale, own, vectors[:, good] / np.sqrt(values[good])
         )
         square[own] = np.square(error).sum(axis=1)
         floor[own] = np.square(spread).sum(axis=1)

@@ -13,17 +13,20 @@ References
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import product
 
 import numpy as np
 from scipy import linalg
 
-from calib.mismatch.rows import Component, Rows
-from calib.types import BoolArray, FloatArray, IntArray
+from calib.mismatch.arrow import Factor
+from calib.mismatch.rows import UNKNOWN, Rows
+from calib.types import FloatArray
 
 WITHIN = 0.7
 """How much levels of one group differ among each other: standard deviation of the logarithm of a
 level (a variance)."""
+
+INDEPENDENT = 1e-5
+"""Share of a column's length that those before it must leave for it to be clearly independent."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,26 +46,8 @@ class Levels:
 def covariance(rows: Rows, levels: FloatArray) -> FloatArray:
     """Return the covariance of the dense rows."""
     out = rows.white.copy()
-    at = 0
-    for index, matrices in _by_rows(rows):
-        part = levels[at] * matrices[0]
-        for k, matrix in enumerate(matrices[1:], start=1):
-            part += levels[at + k] * matrix
-        out[index[:, None], index] += part
-        at += len(matrices)
-    return out
-
-
-def _by_rows(rows: Rows) -> list[tuple[IntArray, list[FloatArray]]]:
-    """Return the components' matrices in their order, those on the same rows side by side.
-
-    The drift of a channel acts on its own rows, a fraction of all: so that is where to work.
-    """
-    out: list[tuple[IntArray, list[FloatArray]]] = []
-    for c in rows.components:
-        if not out or not np.array_equal(out[-1][0], c.index):
-            out.append((c.index, []))
-        out[-1][1].append(c.matrix)
+    for level, c in zip(levels, rows.components, strict=True):
+        out[np.ix_(c.index, c.index)] += level * c.matrix
     return out
 
 
@@ -107,7 +92,7 @@ def estimate_levels(
     halved, caution, log_share = 0, 0.1, 0.0
     for _ in range(iterations):
         levels = np.exp(logs)
-        factor = factorise(rows, levels)
+        factor = rows.arrow.factorise(levels)
         likelihood, white, left = _restricted(factor, basis, y)
         value = likelihood - 0.5 * float((logs - centre) @ precision @ (logs - centre))
         if best is not None and value < best[0] - 1e-6:
@@ -121,10 +106,10 @@ def estimate_levels(
         best = (value, logs)
         if gain < 0.02:
             break
-        projector, py = _projector(factor, white, left)
-        vpy, trace = _slopes(rows, levels, projector, py)
+        py, trace, vpy = rows.arrow.slopes(factor, white, left)
+        trace, vpy = trace * levels, vpy * levels
         gradient = 0.5 * (vpy.T @ py - trace) - precision @ (logs - centre)
-        information = 0.5 * vpy.T @ linalg.blas.dsymm(1.0, projector, vpy, lower=1) + precision
+        information = _information(factor, white, vpy) + precision
         log_share = -0.5 * float(np.linalg.slogdet(np.linalg.solve(precision, information))[1])
         # Average information is poor far from the optimum; near it, caution only costs steps.
         information += np.diag(caution * np.abs(trace))
@@ -135,22 +120,11 @@ def estimate_levels(
     return Levels(np.exp(best[1]), best[0], log_share)
 
 
-def _slopes(
-    rows: Rows, levels: FloatArray, projector: FloatArray, py: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Return ``V_i P y`` (n, c) and ``tr(P V_i)`` (c,), V_i the level's part of the covariance."""
-    vpy, trace = np.zeros((len(py), len(levels)), order="F"), np.empty(len(levels))
-    at = 0
-    for index, matrices in _by_rows(rows):
-        # The lower half of a symmetric matrix, as long as the rows are in order.
-        own = projector[np.ix_(index, index)]
-        middle = np.diag(own)
-        for matrix in matrices:
-            vpy[index, at] = levels[at] * (matrix @ py[index])
-            both = 2.0 * float(np.vdot(own, matrix)) - float(middle @ np.diag(matrix))
-            trace[at] = levels[at] * both
-            at += 1
-    return vpy, trace
+def _information(factor: Factor, white: FloatArray, vpy: FloatArray) -> FloatArray:
+    """Return the average information ``(V_i P y)' P (V_j P y) / 2``, (c, c)."""
+    pulled = factor.solve(vpy)
+    kept = white.T @ pulled
+    return np.asarray(0.5 * (pulled.T @ pulled - kept.T @ kept))
 
 
 def spread_of_variance(
@@ -183,18 +157,14 @@ def spread_of_variance(
     .. [1] Giesbrecht, Burns, "Two-stage analysis based on a mixed model: large-sample asymptotic
        theory and small-sample simulation results", Biometrics 41, 1985, p. 477.
     """
-    factor = factorise(rows, levels)
+    factor = rows.arrow.factorise(levels)
     _, white, left = _restricted(factor, range_basis(mean), rows.residual[: rows.n_dense])
-    projector, py = _projector(factor, white, left)
-    vpy, _ = _slopes(rows, levels, projector, py)
-    precision = 0.5 * vpy.T @ linalg.blas.dsymm(1.0, projector, vpy, lower=1)
-    precision += prior_precision(rows)
-    slopes, at = np.empty((len(levels), influence.shape[1])), 0
-    for index, matrices in _by_rows(rows):
-        own = influence[index]
-        for matrix in matrices:
-            slopes[at] = levels[at] * np.einsum("ik,ik->k", own, matrix @ own)
-            at += 1
+    vpy = rows.arrow.slopes(factor, white, left)[2] * levels
+    precision = _information(factor, white, vpy) + prior_precision(rows)
+    slopes = np.empty((len(levels), influence.shape[1]))
+    for i, c in enumerate(rows.components):
+        felt = c.response.T @ influence[c.index]
+        slopes[i] = levels[i] * np.einsum("sk,sk->k", felt, c.kernel @ felt)
     spread = np.einsum("ik,ik->k", slopes, np.linalg.solve(precision, slopes))
     return np.asarray(np.sqrt(spread) / np.maximum(variance, 1e-300))
 
@@ -212,20 +182,20 @@ def find_levels(rows: Rows, mean: FloatArray, start: FloatArray) -> Levels:
     white = np.diag(rows.white)
     worst = 0.0
     for i, component in enumerate(rows.components):
-        if component.group or component.spread < Component.spread:
+        if component.group or component.spread < UNKNOWN:
             continue  # of these more is known beforehand
-        size = np.diag(component.matrix)
+        size = component.variance
         own = size > 0
         if own.any():
             index = component.index[own]
-            above[i] = max(above[i], _typical(square[index] / size[own]))
-            worst = max(worst, _typical(square[index] / white[index]))
+            above[i] = max(above[i], typical(square[index] / size[own]))
+            worst = max(worst, typical(square[index] / white[index]))
     alone = worst < 2.0 or np.array_equal(start, above)
     found = [estimate_levels(rows, mean, at) for at in ([start] if alone else [start, above])]
     return max(found, key=lambda levels: levels.log_likelihood)
 
 
-def _typical(squares: FloatArray) -> float:
+def typical(squares: FloatArray) -> float:
     """Return the variance of normal errors by the median of their squares."""
     # The median of chi-squared with one degree of freedom is 0.4549.
     return float(np.median(squares)) / 0.4549
@@ -237,19 +207,47 @@ def range_basis(mean: FloatArray, *, tolerance: float = 1e-9) -> FloatArray:
     scaled = mean[:, size > 0] / size[size > 0]
     if not scaled.size:
         return np.asarray(scaled)
+    plain = _orthonormal(scaled)
+    if plain is not None:
+        return plain
     q, r, _ = linalg.qr(scaled, mode="economic", pivoting=True)
     rank = int((np.abs(np.diag(r)) > tolerance * abs(r[0, 0])).sum())
     return np.asarray(q[:, :rank])
 
 
+def _orthonormal(scaled: FloatArray) -> FloatArray | None:
+    """Return an orthonormal basis of clearly independent columns; None of others.
+
+    Cholesky QR, twice: the second makes up for the rounding of the first, which squares how nearly
+    dependent the columns are [1]_. It is products alone, many times faster than pivoting.
+
+    References
+    ----------
+    .. [1] Yamamoto, Nakatsukasa, Yanagisawa, Fukaya, "Roundoff error analysis of the CholeskyQR2
+       algorithm", ETNA 44, 2015, p. 306.
+    """
+    q = scaled
+    for distance in (np.inf, 0.1):
+        gram = q.T @ q
+        if np.abs(gram - np.eye(len(gram))).max() > distance:
+            return None
+        try:
+            inner = linalg.cholesky(gram, lower=True, check_finite=False)
+        except linalg.LinAlgError:
+            return None
+        if np.diag(inner).min() < INDEPENDENT:
+            return None
+        q = np.ascontiguousarray(linalg.blas.dtrsm(1.0, inner, q.T, lower=1).T)
+    return q
+
+
 def _restricted(
-    factor: FloatArray, basis: FloatArray, y: FloatArray
+    factor: Factor, basis: FloatArray, y: FloatArray
 ) -> tuple[float, FloatArray, FloatArray]:
     """Return the restricted log-likelihood, the whitened mean (orthonormal), and what it leaves."""
-    right = np.asfortranarray(np.column_stack((basis, y)))
-    both = linalg.blas.dtrsm(1.0, factor, right, lower=1, overwrite_b=1)
+    both = np.asfortranarray(factor.solve(np.column_stack((basis, y))))
     mean, left = both[:, :-1], both[:, -1]
-    log_det = 2 * np.log(np.diag(factor)).sum()
+    log_det = factor.log_det
     if basis.size:
         inner = linalg.cholesky(mean.T @ mean, lower=True, check_finite=False)
         mean = linalg.blas.dtrsm(1.0, inner, mean, side=1, lower=1, trans_a=1)
@@ -258,117 +256,30 @@ def _restricted(
     return float(-0.5 * (log_det + left @ left)), mean, left
 
 
-def _projector(
-    factor: FloatArray, mean: FloatArray, left: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Return ``P = inv(V) - inv(V) X inv(X' inv(V) X) X' inv(V)``, and P y.
-
-    Of P the lower triangle, in Fortran's order, and zeros above.
-    """
-    py = linalg.solve_triangular(factor, left, lower=True, trans="T", check_finite=False)
-    projector, _ = linalg.lapack.dpotri(factor, lower=1)
-    if mean.size:
-        half = linalg.blas.dtrsm(1.0, factor, mean, lower=1, trans_a=1)
-        projector = linalg.blas.dsyrk(-1.0, half, beta=1.0, c=projector, lower=1, overwrite_c=1)
-    return projector, py
-
-
-def contrast_variance(rows: Rows, *, apart: BoolArray | None = None) -> FloatArray:
-    """Return the variance of the contrast rows: white noise times one robust factor a channel.
-
-    Restless segments have a factor of their own, each. Rows that are marked in ``apart``, by number
-    of contrast, hold more than noise: their channel's factor is that of the others.
-
-    Drift within a rest and correlated noise lift it above white noise. What repeats in every rest
-    or goes with time (an effect) is taken out first.
-    """
-    variance = rows.white_diagonal.copy()
-    start = rows.n_dense
-    y, channel = rows.residual[start:], rows.channel[start:]
-    time = rows.interval[rows.segment[start:]].mean(axis=1)
-    order = (
-        np.tile(np.repeat([0, 1], 6), len(y) // 12) if len(y) % 12 == 0 else np.zeros(len(y), int)
-    )
-    restless = rows.restless[start:] if rows.restless.size else np.zeros(len(y), bool)
-    for c, moved in product(range(6), (False, True)):
-        mine = (channel == c) & (restless == moved)
-        squares = []
-        for k in (0, 1):
-            own = np.flatnonzero(mine & (order == k))
-            if apart is not None and (~apart[own]).sum() >= 5:
-                own = own[~apart[own]]
-            if len(own) < 5:
-                continue
-            scaled = y[own] / np.sqrt(variance[own])
-            design = np.stack((np.ones(len(own)), (time[own] - time[own].mean())), axis=1)
-            left = scaled - design @ np.linalg.lstsq(design, scaled, rcond=None)[0]
-            squares.append(np.square(left) * len(own) / (len(own) - 2))
-        if not squares:
-            continue
-        values = np.concatenate(squares)
-        level = _typical(values)
-        level = max(level, float(np.minimum(values, 9.0 * max(level, 1e-12)).mean()))
-        variance[mine] *= _inflation(len(values) * level, len(values))
-        if not moved:
-            continue
-        # A knock or a slip errs by far more than shaking does elsewhere.
-        for s in np.unique(rows.segment[start:][mine]):
-            own = mine & (rows.segment[start:] == s)
-            variance[own] *= _inflation(float(np.square(y[own]) @ (1 / variance[own])), own.sum())
-    return variance
-
-
-def contrast_likelihood(rows: Rows, variance: FloatArray) -> float:
-    """Return the log-likelihood of the contrast rows as noise of this variance."""
-    y = rows.residual[rows.n_dense :]
-    return float(-0.5 * (np.log(variance) + np.square(y) / variance).sum())
-
-
-def _inflation(total: float, count: int) -> float:
-    """Return a factor on variance from a sum of squares, shrunk to 1 as by six more; at least 1."""
-    return max(1.0, (total + 6.0) / (count + 6.0))
-
-
 @dataclass(frozen=True, eq=False)
 class Whitener:
     """Whitens rows and projects out what is always fitted (baseline and nuisances)."""
 
-    factor: FloatArray
+    factor: Factor
     scale: FloatArray
     basis: FloatArray
     n_dense: int
 
     def whiten(self, values: FloatArray) -> FloatArray:
         """Return whitened (m, ...) rows."""
-        out = np.empty_like(values, dtype=np.float64)
-        out[: self.n_dense] = linalg.solve_triangular(
-            self.factor, values[: self.n_dense], lower=True, check_finite=False
-        )
         rest = values[self.n_dense :]
-        out[self.n_dense :] = rest / (self.scale if rest.ndim == 1 else self.scale[:, None])
-        return out
+        rest = rest / (self.scale if rest.ndim == 1 else self.scale[:, None])
+        return np.concatenate((self.factor.solve(values[: self.n_dense]), rest))
 
     def unwhiten_transposed(self, values: FloatArray) -> FloatArray:
         """Return the transposed whitening applied to (m, k) rows: ``inv(L)' values``."""
-        out = np.empty_like(values)
-        out[: self.n_dense] = linalg.solve_triangular(
-            self.factor, values[: self.n_dense], lower=True, trans="T", check_finite=False
-        )
-        out[self.n_dense :] = values[self.n_dense :] / self.scale[:, None]
-        return out
+        first = self.factor.solve_transposed(values[: self.n_dense])
+        return np.concatenate((first, values[self.n_dense :] / self.scale[:, None]))
 
     def project(self, values: FloatArray) -> FloatArray:
         """Return whitened rows without what the fitted columns can reach."""
         white = self.whiten(values)
         return white - self.basis @ (self.basis.T @ white)
-
-
-def factorise(rows: Rows, levels: FloatArray) -> FloatArray:
-    """Return the lower Cholesky factor of the covariance of the dense rows."""
-    # The transpose is in Fortran's order, so that LAPACK copies nothing.
-    cov = covariance(rows, levels)
-    factor = linalg.cholesky(cov.T, lower=True, overwrite_a=True, check_finite=False)
-    return np.asarray(factor)
 
 
 def make_whitener(
@@ -377,31 +288,25 @@ def make_whitener(
     contrast: FloatArray,
     fitted: FloatArray,
     *,
-    factor: FloatArray | None = None,
+    factor: Factor | None = None,
 ) -> Whitener:
     """Return the whitener for these levels, with the (m, p) `fitted` columns projected out.
 
-    ``factor`` is what `factorise` makes of the levels, where it is known.
+    ``factor`` is what `Arrow.factorise` makes of the levels, where it is known.
     """
-    factor = factorise(rows, levels) if factor is None else factor
+    factor = rows.arrow.factorise(levels) if factor is None else factor
     plain = Whitener(factor, np.sqrt(contrast), np.zeros((len(rows.residual), 0)), rows.n_dense)
     return Whitener(factor, plain.scale, range_basis(plain.whiten(fitted)), rows.n_dense)
 
 
 def level_likelihood(
-    rows: Rows, basis: FloatArray, levels: FloatArray, *, factor: FloatArray | None = None
+    rows: Rows, basis: FloatArray, levels: FloatArray, *, factor: Factor | None = None
 ) -> float:
     """Return the penalised restricted log-likelihood of given levels.
 
     ``basis`` is the `range_basis` of the mean's dense rows; ``factor`` as in `make_whitener`.
     """
-    factor = factorise(rows, levels) if factor is None else factor
-    both = np.column_stack((basis, rows.residual[: rows.n_dense]))
-    white = linalg.solve_triangular(factor, both, lower=True, check_finite=False)
-    q, r = linalg.qr(white[:, :-1], mode="economic", check_finite=False)
-    y = white[:, -1]
-    left = float(y @ y - np.square(q.T @ y).sum())
-    log_det = 2 * np.log(np.diag(factor)).sum() + 2 * np.log(np.abs(np.diag(r))).sum()
+    factor = rows.arrow.factorise(levels) if factor is None else factor
+    likelihood, _, _ = _restricted(factor, basis, rows.residual[: rows.n_dense])
     logs = np.log(levels / expected_levels(rows))
-    prior = float(logs @ prior_precision(rows) @ logs)
-    return float(-0.5 * (log_det + left + prior))
+    return likelihood - 0.5 * float(logs @ prior_precision(rows) @ logs)

@@ -13,14 +13,13 @@ import numpy as np
 from scipy.special import logsumexp
 
 from calib.mismatch.answers import grouped, leading, nearby, physics, strongest_rivals
+from calib.mismatch.arrow import Factor
+from calib.mismatch.contrast import contrast_likelihood, contrast_variance
 from calib.mismatch.families import add_catalogue
 from calib.mismatch.noise import (
     Levels,
     Whitener,
-    contrast_likelihood,
-    contrast_variance,
     estimate_levels,
-    factorise,
     find_levels,
     level_likelihood,
     make_whitener,
@@ -182,7 +181,7 @@ class _Scores:
     base: Levels
     basis: FloatArray
     weight: FloatArray
-    _factors: dict[bytes, FloatArray] = field(default_factory=dict)
+    _factors: dict[bytes, Factor] = field(default_factory=dict)
 
     @classmethod
     def of(cls, rows: Rows, stack: Stack, accepted: list[Accepted], start: FloatArray) -> _Scores:
@@ -212,12 +211,12 @@ class _Scores:
         factors = self.stack.log_bayes_factors(whitener, y, which=which)
         return factors + (null - self.base.log_likelihood) + self.weight
 
-    def _factor(self, levels: FloatArray) -> FloatArray:
+    def _factor(self, levels: FloatArray) -> Factor:
         """Return the factor of the covariance at some levels; the last is kept."""
         key = levels.tobytes()
         if key not in self._factors:
             self._factors.clear()
-            self._factors[key] = factorise(self.rows, levels)
+            self._factors[key] = self.rows.arrow.factorise(levels)
         return self._factors[key]
 
     def _whitener(self, levels: FloatArray, contrast: FloatArray) -> Whitener:

@@ -10,7 +10,7 @@ from scipy import sparse
 from calib.effects.base import State
 from calib.mismatch.closure import Closures, across, close_turns
 from calib.mismatch.grid import Grid
-from calib.mismatch.rows import Component, Kind, Rows
+from calib.mismatch.rows import UNKNOWN, Component, Kind, Rows
 from calib.mismatch.sensornoise import (
     DRIFT,
     DRIFT_TIME,
@@ -245,7 +245,7 @@ def _components(
         size = np.ones(len(rows)) if scale is None else np.square(scale[turn_of])
         typical = float(np.median(np.diag(white)[rows]))
         expected = 0.02 * typical / max(float(np.median(size)), 1e-12)
-        out.append(Component(label, rows, np.diag(size), expected))
+        out.append(Component.alone(label, rows, size, expected=expected, spread=UNKNOWN))
     for label, which, change in (
         ("attitude by sampling", Kind.ATTITUDE, closed.unresolved[:, :2]),
         ("velocity by sampling", Kind.VELOCITY, closed.unresolved[:, 2:]),
@@ -255,5 +255,6 @@ def _components(
         size = np.square(change).mean(axis=1)
         size = np.repeat(np.where(size > UNRESOLVED * noisy, size, 0.0), change.shape[1])
         # Also where there is none: as the twin moves, a turn may come to be one, or cease to be.
-        out.append(Component(label, rows[size > 0], np.diag(size[size > 0]), HALVED, SPREAD))
+        own = size > 0
+        out.append(Component.alone(label, rows[own], size[own], expected=HALVED, spread=SPREAD))
     return tuple(out)

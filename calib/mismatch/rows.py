@@ -15,9 +15,11 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from scipy import sparse
 
 from calib.effects import get_effect
 from calib.effects.base import State
+from calib.mismatch.arrow import Arrow
 from calib.mismatch.closure import Ended, end_turns, turned_frames
 from calib.recording import CHANNELS
 from calib.types import BoolArray, FloatArray, IntArray
@@ -32,27 +34,51 @@ class Kind(IntEnum):
     VELOCITY = 3  # velocity after a turn, m/s
 
 
+UNKNOWN = 2.5
+"""Spread of the level of noise that nobody knows beforehand."""
+
+
 @dataclass(frozen=True, eq=False)
 class Component:
     """One unknown variance: ``level * matrix`` adds to the covariance of the dense rows.
 
-    ``matrix`` (k, k) covers the k dense rows ``index`` that it acts on; the drift of one channel
-    acts on few. ``expected`` is the level that the prior is centred on, ``spread`` the standard
+    It acts on the k dense rows ``index``, through their ``response`` (k, s) to what happens in each
+    of s segments, of which ``kernel`` (s, s) is the covariance: ``matrix`` is ``response @ kernel @
+    response.T``. ``expected`` is the level that the prior is centred on, ``spread`` the standard
     deviation of its logarithm. Components of one ``group`` have similar levels.
     """
 
     name: str
     index: IntArray
-    matrix: FloatArray
+    response: Any
+    kernel: FloatArray
     expected: float
-    spread: float = 2.5
+    spread: float = UNKNOWN
     group: str = ""
+
+    @classmethod
+    def alone(
+        cls, name: str, index: IntArray, variance: FloatArray, *, expected: float, spread: float
+    ) -> Component:
+        """Return a component of errors that each row has by itself, their `variance` (k,)."""
+        own = sparse.identity(len(index), format="csr")
+        return cls(name, index, own, np.diag(variance), expected, spread)
+
+    @property
+    def matrix(self) -> FloatArray:
+        """The covariance of the rows for a level of one, (k, k)."""
+        return np.asarray(self.response @ (self.response @ self.kernel).T)
+
+    @property
+    def variance(self) -> FloatArray:
+        """Its diagonal."""
+        return np.asarray(self.response.multiply(self.response @ self.kernel).sum(axis=1)).ravel()
 
     def without(self, keep: BoolArray) -> Component:
         """Return this for the dense rows in `keep`, (n_dense,) bool."""
         own = keep[self.index]
         place = np.cumsum(keep) - 1
-        return replace(self, index=place[self.index[own]], matrix=self.matrix[np.ix_(own, own)])
+        return replace(self, index=place[self.index[own]], response=self.response[own])
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,6 +181,11 @@ class Rows:
         return len(self.white)
 
     @cached_property
+    def arrow(self) -> Arrow:
+        """The covariance of the dense rows, made for factoring."""
+        return Arrow.of(self.white, self.channel[: self.n_dense], self.components)
+
+    @cached_property
     def turns(self) -> ClosedTurns:
         """The turns whose closures are among the rows."""
         index = np.flatnonzero(self.kind >= Kind.ATTITUDE).reshape(-1, 5)
@@ -172,9 +203,13 @@ class Rows:
 
     def expected_variance(self) -> FloatArray:
         """Return the variance of each dense row, every component at the level expected of it."""
+        return self.variance(np.array([c.expected for c in self.components]))
+
+    def variance(self, levels: FloatArray) -> FloatArray:
+        """Return the variance of each dense row at some levels."""
         out = np.diag(self.white).copy()
-        for c in self.components:
-            out[c.index] += c.expected * np.diag(c.matrix)
+        for level, c in zip(levels, self.components, strict=True):
+            out[c.index] += level * c.variance
         return out
 
     def column(self, signals: Mapping[str, FloatArray]) -> FloatArray:

@@ -124,13 +124,13 @@ def drift_components(
     spread : float
     """
     index = np.flatnonzero(np.diff(pieces.indptr))
-    response = pieces[index].toarray()
+    response = pieces[index]
     triad = channel.split(".")[0]
     return [
-        Component(f"{channel} {label}", index, matrix, share * drift, spread, triad)
-        for label, matrix, share in (
-            ("jitter", response @ response.T, 0.1),
-            ("flicker", response @ flicker @ response.T, 1.0),
-            ("walk", response @ walk @ response.T, 1.0),
+        Component(f"{channel} {label}", index, response, kernel, share * drift, spread, triad)
+        for label, kernel, share in (
+            ("jitter", np.eye(len(flicker)), 0.1),
+            ("flicker", flicker, 1.0),
+            ("walk", walk, 1.0),
         )
     ]

@@ -14,7 +14,7 @@ from scipy import sparse
 from calib.effects.base import State
 from calib.mismatch.colour import Blur
 from calib.mismatch.refit import scaled
-from calib.mismatch.rows import Component, Kind, Rows
+from calib.mismatch.rows import UNKNOWN, Component, Kind, Rows
 from calib.mismatch.scatter import Scatter
 from calib.mismatch.sensornoise import (
     DRIFT,
@@ -291,7 +291,8 @@ def _motion(variance: FloatArray, restless: BoolArray, channel: IntArray) -> tup
     for k, triad in enumerate(("accel", "gyro")):
         index = np.flatnonzero(restless & (channel // 3 == k))
         if index.size:
-            out.append(Component(f"{triad} motion", index, np.diag(variance[index]), 1.0))
+            name = f"{triad} motion"
+            out.append(Component.alone(name, index, variance[index], expected=1.0, spread=UNKNOWN))
     return tuple(out)
 
 

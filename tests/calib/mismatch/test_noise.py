@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
+from calib.mismatch.contrast import contrast_likelihood, contrast_variance
 from calib.mismatch.noise import (
-    contrast_likelihood,
-    contrast_variance,
     covariance,
     estimate_levels,
     expected_levels,
@@ -153,7 +152,7 @@ def test_a_variance_from_n_rows_is_as_uncertain_as_that_of_so_many_squares():
     _, self_mode = problem()
     rows = self_mode.rows()
     n = rows.n_dense
-    part = Component("all", np.arange(n), np.eye(n), 1.0, 1.4)
+    part = Component.alone("all", np.arange(n), np.ones(n), expected=1.0, spread=1.4)
     rng = np.random.default_rng(3)
     mean, y = rng.normal(size=(n, 4)), rng.normal(size=n)
     basis = range_basis(mean)

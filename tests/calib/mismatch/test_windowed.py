@@ -6,7 +6,7 @@ import pytest
 from calib.effects.base import State
 from calib.mismatch.band import limited, low_passed, widened, zero_phase
 from calib.mismatch.colour import Blur, find_colour, gaussian, whitening
-from calib.mismatch.noise import contrast_variance
+from calib.mismatch.contrast import contrast_variance
 from calib.mismatch.ranking import Accepted
 from calib.mismatch.refit import cut
 from calib.mismatch.rows import Kind, Rows
