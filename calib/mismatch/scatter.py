@@ -27,6 +27,11 @@ rest by a factor of `KNOCK` each."""
 KNOCK = 9.0
 """Square of a difference, relative to its variance, from which on it is a knock of its own."""
 
+QUIETEST, LOUD = 0.2, 2.0
+"""Share of a recording that is taken to be free of vibration, and the short-time variance relative
+to what it is there above which there is some: that of noise alone differs by less from second to
+second."""
+
 LOOSE = 30.0
 """How large, in its typical size, an effect may be that takes its part before the rest scatters."""
 
@@ -87,13 +92,25 @@ def scatter(
 def _parts(state: State, *, resolved: bool) -> FloatArray:
     """Return what the variance may go with, (n, k): the same always, vibration, rate, changes."""
     same = np.ones(len(state.time))
-    vibration = 0.0 * same if state.vibration is None else state.vibration.sum(axis=1)
+    vibration = _shaking(state)
     if resolved:
         return np.stack((same, vibration), axis=1)
     rate = np.square(state.rate).sum(axis=1)
     turning = np.square(state.rate_dot).sum(axis=1)
     bent = [np.square(_bend(values)).sum(axis=1) for values in (state.rate, state.force)]
     return np.stack((same, vibration, rate, np.square(rate), turning, *bent), axis=1)
+
+
+def _shaking(state: State) -> FloatArray:
+    """Return the variance of what shakes the sensor, (n,): more than its own noise explains.
+
+    That noise is always there. Counted as vibration it would be the part that is always the same
+    once more, and which of the two it is would be left to chance.
+    """
+    if state.vibration is None:
+        return np.zeros(len(state.time))
+    total = state.vibration.sum(axis=1)
+    return np.asarray(np.maximum(total - LOUD * np.quantile(total, QUIETEST), 0.0))
 
 
 def _bend(values: FloatArray) -> FloatArray:

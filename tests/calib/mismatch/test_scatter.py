@@ -7,6 +7,7 @@ import pytest
 from scipy.signal import butter, sosfilt
 
 from calib.effects.base import State
+from calib.effects.observed import short_time_variance
 from calib.mismatch import diagnose_reference
 from calib.mismatch.band import zero_phase
 from calib.mismatch.colour import WHITE, Blur, Colour, gaussian, whitening
@@ -116,6 +117,25 @@ def test_a_window_that_is_shaken_in_part_is_as_noisy_as_it_says(tumbled, colour)
     rows, ratio = windows(state, left, columns, blur, rough)
     for kind in (Kind.MEAN, Kind.CONTRAST):
         assert 0.7 < np.mean(ratio[rows.kind == kind]) < 1.4
+
+
+@pytest.mark.parametrize("seed", [5, 6])
+def test_what_a_sensor_that_nothing_shakes_hears_of_its_own_noise_is_no_vibration(tumbled, seed):
+    """A captured motion's noise rises with frequency; vibration would be white, and weigh more."""
+    rng = np.random.default_rng(seed)
+    band, colour = 5.0, Colour(1.0, 0.0)
+    own = np.fft.rfft(rng.normal(0, 0.1, (N, 6)), axis=0)
+    own *= np.sqrt(colour.at(np.fft.rfftfreq(N, STEP)))[:, None]
+    left = zero_phase(np.fft.irfft(own, N, axis=0), band * STEP)
+    heard = short_time_variance(tumbled.time, rng.normal(0, 0.02, (N, 3)))
+    state = replace(tumbled, vibration=heard)
+    blur = whitening(tumbled.time, [colour, colour], STEP, band)
+    columns = shown(state)
+    rough = scatter(state, left, columns, blur=blur, resolved=True)
+    rows, ratio = windows(state, left, columns, blur, rough)
+    for c in range(len(CHANNELS)):
+        for kind in (Kind.MEAN, Kind.CONTRAST):
+            assert 0.6 < np.mean(ratio[(rows.kind == kind) & (rows.channel == c)]) < 1.5
 
 
 ARM = np.array([-0.0189, 0.0189, 0.0])
