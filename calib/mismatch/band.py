@@ -237,14 +237,18 @@ def common_band(
 
 def low_passed(recording: Recording, bandwidth: float) -> Recording:
     """Return the recording through `zero_phase`; gaps are bridged by straight lines."""
-    cutoff = bandwidth * recording.interval
-    at = _places(recording.time, int(np.ceil(FELT / cutoff)))
-    signals = np.hstack((recording.accel, recording.gyro))
+    signals = smoothed(recording.time, np.hstack((recording.accel, recording.gyro)), bandwidth)
+    return replace(recording, accel=signals[:, :3], gyro=signals[:, 3:])
+
+
+def smoothed(time: FloatArray, values: FloatArray, bandwidth: float) -> FloatArray:
+    """Return (n, k) values at (n,) times through `zero_phase`, gaps bridged by straight lines."""
+    cutoff = bandwidth * float(np.median(np.diff(time)))
+    at = _places(time, int(np.ceil(FELT / cutoff)))
     if at[-1] >= len(at):
         whole = np.arange(at[-1] + 1)
-        signals = np.stack([np.interp(whole, at, column) for column in signals.T], axis=1)
-    signals = zero_phase(signals, cutoff)[at]
-    return replace(recording, accel=signals[:, :3], gyro=signals[:, 3:])
+        values = np.stack([np.interp(whole, at, column) for column in values.T], axis=1)
+    return zero_phase(values, cutoff)[at]
 
 
 def zero_phase(values: FloatArray, cutoff: float) -> FloatArray:

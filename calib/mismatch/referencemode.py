@@ -21,7 +21,7 @@ from calib.mismatch.against import (
     unfit,
 )
 from calib.mismatch.alignment import Alignment, align
-from calib.mismatch.band import Matched, low_passed, matched
+from calib.mismatch.band import Matched, limited, low_passed, matched, smoothed
 from calib.mismatch.comparison import ComparisonProblem
 from calib.mismatch.diagnosis import Diagnosis
 from calib.mismatch.samples import Samples, look_at_samples
@@ -37,6 +37,11 @@ UNTURNED = 1e-3
 
 ROUGH = 20.0
 """Hz up to which a captured motion is aligned and its frame is found, noisy as its rates are."""
+
+BEYOND = 4.0
+"""Cut-off of the first low-pass of a captured motion relative to that of what is compared, of which
+it takes 2e-5. A rate is a product of orientations, and a force of one and an acceleration: the
+noise of one times that of the other would be noise at any frequency."""
 
 BRIDGE = 8
 """Samples beside an end, or a gap, after which a spline has forgotten it to a hundredth."""
@@ -70,8 +75,11 @@ class ReferenceMotion:
             good &= np.isfinite(self.position).all(axis=1)
         return np.asarray(good)
 
-    def truth(self, *, gravity: float) -> RecordingTruth:
-        """Return what a perfect sensor at its point, in its frame, would have recorded."""
+    def truth(self, *, gravity: float, bandwidth: float | None = None) -> RecordingTruth:
+        """Return what a perfect sensor at its point, in its frame, would have recorded.
+
+        With ``bandwidth`` (Hz) orientations and positions pass a low-pass before all else.
+        """
         # A third of a second to import.
         from scipy.interpolate import PchipInterpolator, make_interp_spline
 
@@ -89,6 +97,8 @@ class ReferenceMotion:
             values = np.hstack((values, self.position[first : last + 1]))
         if not good.all():
             values[~good] = PchipInterpolator(time[good], values[good])(time[~good])
+        if bandwidth is not None:
+            values = smoothed(time, values, bandwidth)
         # A cubic spline would lose 2 % of the acceleration of a tremor.
         spline = make_interp_spline(time - time[0], values, k=DEGREE)
         slope, bend = spline(time - time[0], nu=1), spline(time - time[0], nu=2)
@@ -192,17 +202,20 @@ def _captured(
     real: Recording, reference: ReferenceMotion, gravity: float, spoilt: BoolArray
 ) -> tuple[Matched, Alignment, FloatArray]:
     """Align a captured motion, and limit both to the band that they share."""
-    found: list[tuple[float, RecordingTruth, Alignment, FloatArray]] = []
+    found: list[tuple[float, ReferenceMotion, RecordingTruth, Alignment, FloatArray]] = []
     for item in (reference, reference.inverted()):
         truth = item.truth(gravity=gravity)
         rough = replace(truth, recording=low_passed(truth.recording, ROUGH))
         known = rough.recording.time[truth.covers(truth.recording.time)]
         alignment = align(real.time, real.gyro, known, rough.state(known).rate)
         mat, error = mounting(real, rough, alignment)
-        found.append((error, truth, alignment, mat))
-    _, truth, alignment, mat = min(found, key=lambda item: item[0])
+        found.append((error, item, truth, alignment, mat))
+    _, reference, truth, alignment, mat = min(found, key=lambda item: item[0])
     forces = reference.position is not None
     common = matched(real, truth, alignment, mat, spoilt=spoilt, forces=forces)
+    if common.band and BEYOND * common.band < 0.5 / truth.recording.interval:
+        truth = reference.truth(gravity=gravity, bandwidth=BEYOND * common.band)
+        common = limited(real, truth, common.band, spoilt)
     return common, alignment, mat
 
 

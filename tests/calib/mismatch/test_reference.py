@@ -9,6 +9,7 @@ from calib.effects.base import Term
 from calib.errors import NoCommonMotionError
 from calib.mismatch import ReferenceMotion, diagnose_reference
 from calib.mismatch.band import limited
+from calib.mismatch.referencemode import BEYOND
 from calib.model import SensorModel, Triad
 from calib.recording import Recording
 from calib.rotation import mat_from_rotvec, quat_from_rotvec, quat_multiply
@@ -97,7 +98,8 @@ def test_what_a_captured_motion_predicts_is_what_a_sensor_feels(rate, other, ban
     """Without noise the differences are far below that of a consumer part, at any two rates."""
     rng = np.random.default_rng(2)
     real = simulate(motion(), SensorModel(), NoiseModel(), rng=rng, rate=rate)
-    truth = captured(start=0.0, rate=other).truth(gravity=GRAVITY)
+    first = None if bandwidth is None or BEYOND * bandwidth > 0.5 * other else BEYOND * bandwidth
+    truth = captured(start=0.0, rate=other).truth(gravity=GRAVITY, bandwidth=first)
     spoilt = np.zeros(len(real), bool)
     if bandwidth is not None:
         common = limited(real, truth, bandwidth, spoilt)
@@ -110,6 +112,29 @@ def test_what_a_captured_motion_predicts_is_what_a_sensor_feels(rate, other, ban
     assert known.mean() > 0.8
     assert np.sqrt(np.mean(accel**2)) < 0.1
     assert np.sqrt(np.mean(gyro**2)) < 0.1
+
+
+def test_noise_of_angles_makes_no_slow_force_of_the_noise_of_positions():
+    """A product of both has any frequency, and half of it a low-pass of the force lets through."""
+    rng, rate = np.random.default_rng(7), 200.0
+    exact = captured(start=0.0, rate=rate)
+    assert exact.position is not None
+    shake = quat_from_rotvec(rng.normal(0, np.radians(0.1), (len(exact.time), 3)))
+    noisy = ReferenceMotion(
+        exact.time,
+        quat_multiply(exact.quat, shake),
+        exact.position + rng.normal(0, 2e-4, exact.position.shape),
+    )
+    real = simulate(motion(), SensorModel(), NoiseModel(), rng=rng, rate=100.0)
+    slow = []
+    for first in (None, BEYOND * 5.0):
+        truth = noisy.truth(gravity=GRAVITY, bandwidth=first)
+        common = limited(real, truth, 5.0, np.zeros(len(real), bool))
+        known = common.truth.covers(common.real.time) & ~common.spoilt
+        left = (common.real.accel - common.truth.state(common.real.time).force)[known]
+        # Means over a second, as where an effect is slow.
+        slow.append(left[: len(left) // 30 * 30].reshape(-1, 30, 3).mean(axis=1).std())
+    assert slow[1] < 0.7 * slow[0]
 
 
 def test_a_sensor_with_errors_off_the_centre_of_a_table_has_an_arm_and_nothing_else():
