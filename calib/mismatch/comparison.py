@@ -20,7 +20,8 @@ from calib.effects.base import State, Term, TransformEffect
 from calib.effects.observed import observed, short_time_variance
 from calib.errors import NoCommonMotionError
 from calib.mismatch.alignment import LEAST_OVERLAP, Alignment
-from calib.mismatch.colour import WHITE, find_colour, gaussian, whitening
+from calib.mismatch.captured import Known, sensor_densities
+from calib.mismatch.colour import WHITE, Colour, find_colour, gaussian, whitening
 from calib.mismatch.grid import smooth_temperature
 from calib.mismatch.rows import Rows
 from calib.mismatch.scatter import scatter
@@ -151,11 +152,14 @@ class ComparisonProblem:
         if model is None and self.temperature is not None:
             start = replace(start, reference_temperature=float(np.median(self.temperature)))
         self.noisy = raw is not None
+        self.densities: tuple[float, float] | None = None
         shaken = real if raw is None else raw
         self.thin = max(1, round(real.interval / shaken.interval))
         self.rests = np.zeros((0, 2), np.int64)
         if raw is not None:
             poses = find_poses(raw)
+            if truth.quat is not None and band:
+                self.densities = sensor_densities(raw, np.stack((poses.start, poses.stop), axis=1))
             edges = np.stack((raw.time[poses.start], raw.time[poses.stop - 1]), axis=1)
             self.rests = np.searchsorted(self.time, edges)
         variance = short_time_variance(shaken.time, shaken.accel)
@@ -169,6 +173,7 @@ class ComparisonProblem:
         self.names = BASELINE
         self.moved = np.zeros(len(BASELINE) + len(self.aligned))
         self.shapes: Shapes | None = None
+        self.colours: list[Colour] | None = None
         self.fit()
 
     @property
@@ -244,11 +249,23 @@ class ComparisonProblem:
             ],
             aligned=self.aligned,
             prior=np.stack((self.moved, self.loose), axis=1),
+            known=self._known(self.shapes),
         )
         if felt is state:
             return rows
         plain = [rows.column(baseline_column(n, state)) for n in self.names]
         return replace(rows, plain=np.stack(plain, axis=1))
+
+    def _known(self, shapes: Shapes) -> Known | None:
+        """Return what is known of the noise of a captured motion once its colour is."""
+        if self.densities is None or self.colours is None:
+            return None
+        seen = np.median(shapes.noise, axis=0).reshape(2, 3).mean(axis=1)
+        accel, gyro = np.sqrt(2.0 * self.interval * seen)
+        # A rate is 2 pi f times an angle.
+        angle = gyro * np.sqrt(self.colours[1].square) / (2.0 * np.pi)
+        own = min(self.densities[0], accel), min(self.densities[1], gyro)
+        return Known(*own, angle, self.interval)
 
     def _stilled(self, state: State) -> State:
         force, rate = state.force.copy(), state.rate.copy()
@@ -311,6 +328,7 @@ class ComparisonProblem:
             for own in (slice(0, 3), slice(3, 6))
         ]
         self.blur = whitening(self.time, colours, self.interval, self.band)
+        self.colours = colours
 
     def _same_units(self) -> None:
         """Refuse a truth in other units, which a scale factor would take up.

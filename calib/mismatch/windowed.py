@@ -12,6 +12,7 @@ import numpy as np
 from scipy import sparse
 
 from calib.effects.base import State
+from calib.mismatch.captured import Known, mean_covariance
 from calib.mismatch.colour import Blur
 from calib.mismatch.refit import scaled
 from calib.mismatch.rows import UNKNOWN, Component, Kind, Rows
@@ -45,6 +46,13 @@ much alike take up fewer of them than there are shapes."""
 
 BEYOND = 3.0
 """Standard errors by which the noise of one window must be above that of most to be its own."""
+
+LIKE_REST = 1.5
+"""Up to so much more noise than quiet ones a window has none of its own."""
+
+SLOW = 0.1
+"""Share of the noise of samples that their means are expected to have where a captured motion's
+angles leave less: what captures the motion may err slowly, too."""
 
 RESTLESS = 4.0
 """A window whose samples scatter by this much more (in variance) than in quiet ones holds motion
@@ -200,10 +208,12 @@ def make_rows(
     nuisance: list[Mapping[str, FloatArray]],
     aligned: tuple[str, ...],
     prior: FloatArray,
+    known: Known | None = None,
 ) -> Rows:
     """Return the rows: the mean of every window and channel, and what follows the shapes there.
 
-    Each is scaled such that white samples give it the variance of a mean.
+    Each is scaled such that white samples give it the variance of a mean. What is ``known`` of the
+    noise of a captured motion says more of means than the noise of samples does.
     """
     first, last = shapes.first, shapes.last
     count = last - first
@@ -257,6 +267,17 @@ def make_rows(
         return out
 
     residual = column(dict(zip(CHANNELS, left.T, strict=True)))
+    matrix, means = np.diag(variance[:dense]), variance[:dense]
+    slow: tuple[Component, ...] = ()
+    density = np.median(
+        2 * shapes.noise * (np.ptp(interval, axis=1) / (count - 1))[:, None], axis=0
+    )
+    if known is not None:
+        share = np.maximum(1.0 - LIKE_REST * quiet / shapes.noise, 0.0)
+        matrix = mean_covariance([f[:dense] for f in functional], channel[:dense], state, known)
+        matrix += np.diag(means * share[segment[:dense], channel[:dense]])
+        slow = _besides("slow", means, np.ones(dense, bool), channel[:dense], SLOW, SPREAD)
+        density = np.square(np.repeat(known[:2], 3))
     return Rows(
         residual=residual,
         baseline=np.stack([column(baseline_column(x, state)) for x in names], axis=1),
@@ -265,10 +286,13 @@ def make_rows(
         functional=tuple(functional),
         state=state,
         point_segment=point_segment,
-        white=np.diag(variance[:dense]),
+        white=matrix,
         white_diagonal=variance[dense:],
-        components=_components(pieces, dense, interval, shapes.noise, count)
-        + _motion(variance[:dense], restless[:dense], channel[:dense]),
+        components=(
+            *_components(pieces, dense, interval, density),
+            *slow,
+            *_besides("motion", means, restless[:dense], channel[:dense], 1.0, UNKNOWN),
+        ),
         kind=kind,
         channel=channel,
         segment=segment,
@@ -282,17 +306,25 @@ def make_rows(
     )
 
 
-def _motion(variance: FloatArray, restless: BoolArray, channel: IntArray) -> tuple[Component, ...]:
-    """Return what the truth's errors, which go with the motion, add to means of such windows.
+def _besides(
+    label: str,
+    variance: FloatArray,
+    which: BoolArray,
+    channel: IntArray,
+    expected: float,
+    spread: float,
+) -> tuple[Component, ...]:
+    """Return what else those means may err by, in parts of the variance that samples say.
 
-    They are no white noise: neighbouring samples err alike, so that a mean is off by more.
+    The truth's errors, which go with the motion, are no white noise: neighbouring samples err
+    alike, so that a mean is off by more. Nor need a captured motion's be all in its angles.
     """
     out = []
     for k, triad in enumerate(("accel", "gyro")):
-        index = np.flatnonzero(restless & (channel // 3 == k))
+        index = np.flatnonzero(which & (channel // 3 == k))
         if index.size:
-            name = f"{triad} motion"
-            out.append(Component.alone(name, index, variance[index], expected=1.0, spread=UNKNOWN))
+            name, own = f"{triad} {label}", variance[index]
+            out.append(Component.alone(name, index, own, expected=expected, spread=spread))
     return tuple(out)
 
 
@@ -300,13 +332,13 @@ def _components(
     pieces: tuple[sparse.csr_matrix, ...],
     dense: int,
     interval: FloatArray,
-    noise: FloatArray,
-    count: IntArray,
+    density: FloatArray,
 ) -> tuple[Component, ...]:
-    """Return the drift of each channel: jitter, flicker and walk, as in the twin's rows."""
+    """Return the drift of each channel: jitter, flicker and walk, as in the twin's rows.
+
+    ``density`` (6,) is the square of each channel's noise density.
+    """
     length = np.ptp(interval, axis=1)
-    step = length / np.maximum(count - 1, 1)
-    density = np.median(2 * noise * step[:, None], axis=0)
     middle = interval.mean(axis=1)
     walk = np.minimum.outer(middle - middle[0], middle - middle[0]) / DRIFT_TIME
     flicker = flicker_covariance(middle, length)
