@@ -11,10 +11,11 @@ from dataclasses import replace
 import numpy as np
 
 from calib.effects import get_effect
+from calib.mismatch.candidates import Candidate
 from calib.mismatch.families import candidate_columns, neighbours
-from calib.mismatch.rivals import WINDOWED, moved_window, nearby_windows, window_columns
 from calib.mismatch.rows import Rows
-from calib.mismatch.score import Candidate, Stack
+from calib.mismatch.score import Stack
+from calib.mismatch.windows import WINDOWED, moved_window, nearby_windows, window_columns
 from calib.types import FloatArray
 
 LEADERS = (4, 3)

@@ -10,11 +10,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from calib.mismatch.candidates import Candidate
 from calib.mismatch.diagnosis import Interval
 from calib.mismatch.noise import Whitener
-from calib.mismatch.rivals import moved_window, segment_columns
 from calib.mismatch.rows import Rows
-from calib.mismatch.score import Candidate, log_bayes_factors
+from calib.mismatch.score import log_bayes_factors
+from calib.mismatch.windows import moved_window, segment_columns
 from calib.types import FloatArray
 
 UNLIKELY = 1e-3

@@ -10,9 +10,10 @@ import numpy as np
 
 from calib.effects import effects, get_effect
 from calib.effects.base import PRESENCE, Effect, ShapeParameter, TransformEffect
+from calib.mismatch.candidates import Candidate
 from calib.mismatch.restored import whole_changes
 from calib.mismatch.rows import Kind, Rows
-from calib.mismatch.score import LARGE, Candidate, Stack
+from calib.mismatch.score import LARGE, Stack
 from calib.types import FloatArray
 
 SHAPES = 7
@@ -42,20 +43,29 @@ def add_catalogue(
         Whether the rows compare with a reference, which some parameters need.
     """
     known = effects()
+    noise = np.sqrt(np.concatenate((rows.expected_variance(), rows.white_diagonal)))
     for slug, effect in known.items():
         # What acts on the readout (clipping, rounding, a unit) shows in the samples, not in rows.
         readout = isinstance(effect, TransformEffect) and effect.stage == "readout"
         if slug not in skip and (not readout or slug == "dropped_samples"):
-            _add(stack, effect, rows, reference=reference, weight=PHYSICAL / len(known))
+            weight = PHYSICAL / len(known)
+            _add(stack, effect, rows, noise, reference=reference, weight=weight)
 
 
-def _add(stack: Stack, effect: Effect, rows: Rows, *, reference: bool, weight: float) -> None:
-    """Add an effect's candidates; their weights sum to `weight`."""
+def _add(
+    stack: Stack,
+    effect: Effect,
+    rows: Rows,
+    noise: FloatArray,
+    *,
+    reference: bool,
+    weight: float,
+) -> None:
+    """Add an effect's candidates; their weights sum to `weight`. ``noise`` (m,) is each row's."""
     shapes = list(_shapes(effect, rows))
     channels = {p.name: p.channels for p in effect.parameters}
     units = {p.name: p.unit for p in effect.parameters}
     refining = tuple(p.name for p in effect.parameters if p.refining)
-    noise = np.sqrt(np.concatenate((rows.expected_variance(), rows.white_diagonal)))
     for shape in shapes:
         found = effect_columns(effect, rows, shape, reference=reference)
         if effect.kind != "setup":

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from calib.mismatch.diagnosis import Interval, Unexplained
-from calib.mismatch.rivals import WINDOWED
+from calib.mismatch.windows import WINDOWED
 from calib.recording import CHANNELS
 
 GAP = 0.25

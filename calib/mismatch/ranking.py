@@ -14,6 +14,7 @@ from scipy.special import logsumexp
 
 from calib.mismatch.answers import grouped, leading, nearby, physics, strongest_rivals
 from calib.mismatch.arrow import Factor
+from calib.mismatch.candidates import Candidate
 from calib.mismatch.contrast import contrast_likelihood, contrast_variance
 from calib.mismatch.families import add_catalogue
 from calib.mismatch.noise import (
@@ -27,9 +28,9 @@ from calib.mismatch.noise import (
 )
 from calib.mismatch.rivals import add_rivals
 from calib.mismatch.rows import Rows
-from calib.mismatch.score import Candidate, Stack, log_bayes_factor
+from calib.mismatch.score import Stack, log_bayes_factor
 from calib.recording import CHANNELS
-from calib.types import FloatArray
+from calib.types import BoolArray, FloatArray
 
 CLAIM = 5.0
 """E-value at which something is claimed to be left. Markov's inequality bounds the share of clean
@@ -100,8 +101,8 @@ class Ranking:
 def make_stack(rows: Rows, *, skip: tuple[str, ...], reference: bool) -> Stack:
     """Return every candidate: the catalogue and its rivals."""
     stack = Stack(len(rows.residual))
-    add_catalogue(stack, rows, skip=skip, reference=reference)
     add_rivals(stack, rows, skip=skip)
+    add_catalogue(stack, rows, skip=skip, reference=reference)
     return stack
 
 
@@ -165,7 +166,7 @@ class _Hidden:
 
     evidence: FloatArray
     null: float
-    which: list[int]
+    which: BoolArray
     levels: FloatArray
 
 
@@ -195,7 +196,7 @@ class _Scores:
             contrast=contrast_noise(rows, accepted),
             base=find_levels(rows, dense, start),
             basis=range_basis(dense),
-            weight=np.log(np.array([c.weight for c in stack.candidates])),
+            weight=stack.weight,
         )
 
     def at(
@@ -203,7 +204,7 @@ class _Scores:
         levels: FloatArray,
         contrast: FloatArray,
         null: float,
-        which: list[int] | None = None,
+        which: BoolArray | None = None,
     ) -> FloatArray:
         """Return the evidence at some levels, of which the null has the log-likelihood `null`."""
         whitener = self._whitener(levels, contrast)
@@ -243,12 +244,8 @@ class _Scores:
         hidden: list[_Hidden] = []
         for channels in (*((c,) for c in CHANNELS), CHANNELS[:3], CHANNELS[3:]):
             for physical, other in ((True, every), (False, free)):
-                which = [
-                    i
-                    for i, c in enumerate(stack.candidates)
-                    if c.channels == channels and c.physical == physical
-                ]
-                if not which:
+                which = stack.of_channels(channels, physical=physical)
+                if not which.any():
                     continue
                 levels = _swap(rows, base.values, other.values, channels)
                 null = self._null(levels)
@@ -278,8 +275,7 @@ class _Scores:
         null = self._null(found.values) + cost
         null += found.log_share - base.log_share
         names, code = stack.groups()
-        which = np.flatnonzero(code == names.index(leader.group)).tolist()
-        evidence = self.at(found.values, outside, null, which)
+        evidence = self.at(found.values, outside, null, code == names.index(leader.group))
         if moved.candidates:
             whitener = self._whitener(found.values, outside)
             average = moved.average(whitener, whitener.project(rows.residual))
@@ -336,7 +332,8 @@ def _pair(scores: _Scores, hidden: list[_Hidden]) -> tuple[float, Candidate] | N
     best: tuple[float, Candidate | None] = (float(np.log(CLAIM / DRIFTING)), None)
     for item in hidden:
         tried: list[str] = []
-        for i in sorted(item.which, key=lambda i: -item.evidence[i]):
+        own = np.flatnonzero(item.which)
+        for i in own[np.argsort(-item.evidence[own], kind="stable")].tolist():
             first = stack.candidates[i]
             if first.name in tried:
                 continue
@@ -347,8 +344,9 @@ def _pair(scores: _Scores, hidden: list[_Hidden]) -> tuple[float, Candidate] | N
             mean = np.hstack((scores.mean, stack.of(first)))
             whitener = make_whitener(rows, item.levels, scores.contrast, mean)
             y = whitener.project(rows.residual)
-            rest = [k for k in item.which if stack.candidates[k].name != first.name]
-            if not rest:
+            rest = np.zeros(len(item.which), bool)
+            rest[[k for k in own if stack.candidates[k].name != first.name]] = True
+            if not rest.any():
                 continue
             second = stack.log_bayes_factors(whitener, y, which=rest) + scores.weight
             value = float(item.evidence[i] + second[rest].max())

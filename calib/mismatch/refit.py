@@ -10,13 +10,14 @@ import numpy as np
 
 from calib.effects import get_effect
 from calib.effects.base import PRESENCE, Term, TransformEffect
+from calib.mismatch.candidates import Candidate
 from calib.mismatch.ends import place_window
 from calib.mismatch.families import candidate_columns, forms, neighbours
 from calib.mismatch.noise import Whitener, find_levels, make_whitener
 from calib.mismatch.ranking import Accepted, contrast_noise, fitted
-from calib.mismatch.rivals import WINDOWED, moved_window, window_columns
 from calib.mismatch.rows import Rows
-from calib.mismatch.score import LARGE, SCALES, Candidate, log_bayes_factor
+from calib.mismatch.score import LARGE, SCALES, log_bayes_factor
+from calib.mismatch.windows import WINDOWED, moved_window, window_columns
 from calib.types import BoolArray, FloatArray
 
 REFINED = 3

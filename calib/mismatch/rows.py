@@ -72,7 +72,8 @@ class Component:
     @property
     def variance(self) -> FloatArray:
         """Its diagonal."""
-        return np.asarray(self.response.multiply(self.response @ self.kernel).sum(axis=1)).ravel()
+        response = self.response.toarray()
+        return np.asarray(np.einsum("ks,ks->k", response @ self.kernel, response))
 
     def without(self, keep: BoolArray) -> Component:
         """Return this for the dense rows in `keep`, (n_dense,) bool."""

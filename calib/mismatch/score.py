@@ -17,15 +17,14 @@ References
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
-from scipy import sparse
 from scipy.special import log_ndtr
 
+from calib.mismatch.candidates import Alike, Bank, Candidate, Sums
 from calib.mismatch.noise import Whitener
-from calib.types import FloatArray, IntArray
+from calib.types import BoolArray, FloatArray, IntArray
 
 PRESENT = 0.6
 """How far from 1 the coefficient of what is there or not may be: neighbouring cut-off frequencies
@@ -50,59 +49,6 @@ PART = 256
 """Columns that are worked on at a time: whitening and summing need copies."""
 
 
-@dataclass(frozen=True, eq=False)
-class Candidate:
-    """One hypothesis, as columns of a `Stack`, and its prior weight.
-
-    Parameters
-    ----------
-    name : str
-        An effect's slug; for a rival that is no physics, what the residual follows.
-    index : array of int
-        Which columns of the stack.
-    summed : bool
-        Whether those columns make one (a window) or have a coefficient each.
-    mixing : (len(index), k) array, optional
-        The k columns of the hypothesis as combinations of those of the stack.
-    weight : float
-        Prior probability; all candidates together sum to at most one.
-    physical : bool
-        False for rivals.
-    parameters : tuple of str
-        Names of the coefficients; empty for rivals.
-    shape : mapping
-        Shape parameters (time constants, moments).
-    channels : tuple of str
-    interval : (start, stop) or None, s
-        Of a window.
-    present : bool
-        Whether its one coefficient is 1 by nature, and only its shape is unknown.
-    """
-
-    name: str
-    index: IntArray
-    weight: float
-    physical: bool
-    channels: tuple[str, ...]
-    summed: bool = False
-    parameters: tuple[str, ...] = ()
-    shape: Mapping[str, float] = field(default_factory=dict)
-    interval: tuple[float, float] | None = None
-    mixing: FloatArray | None = None
-    present: bool = False
-
-    @property
-    def is_single(self) -> bool:
-        """Whether it has one coefficient."""
-        return self.mixing is None and (self.summed or len(self.index) == 1)
-
-    @property
-    def group(self) -> str:
-        """Candidates of one group are one answer: an effect, or a rival of one channel or triad."""
-        where = self.channels[0] if len(self.channels) == 1 else self.channels[0].split(".")[0]
-        return self.name if self.physical else f"{self.name} {where}"
-
-
 class Stack:
     """Columns that candidates share, so that whitening them is one product."""
 
@@ -111,15 +57,45 @@ class Stack:
         self._parts: list[FloatArray] = []
         self._count = 0
         self.candidates: list[Candidate] = []
-        self._groups: tuple[list[str], IntArray] = ([], np.zeros(0, np.int64))
+        self._banks: list[Bank] = []
+        self._rest = Bank(())
+
+    def extend(self, bank: Bank) -> None:
+        """Add candidates that were sorted before; those that are added one by one come later."""
+        if len(self.candidates) > sum(len(known.candidates) for known in self._banks):
+            raise ValueError("`bank` must be added before single candidates")
+        self._banks.append(bank)
+        self.candidates.extend(bank.candidates)
+
+    @property
+    def banks(self) -> list[Bank]:
+        """All candidates, in their order."""
+        known = sum(len(bank.candidates) for bank in self._banks)
+        if len(self._rest.candidates) != len(self.candidates) - known:
+            self._rest = Bank(self.candidates[known:])
+        return [*self._banks, self._rest]
+
+    @property
+    def weight(self) -> FloatArray:
+        """Logarithm of the prior probability of each candidate."""
+        return np.concatenate([bank.weight for bank in self.banks])
 
     def groups(self) -> tuple[list[str], IntArray]:
         """Return the names of the groups, and which of them each candidate belongs to."""
-        if len(self._groups[1]) != len(self.candidates):
-            known: dict[str, int] = {}
-            code = [known.setdefault(c.group, len(known)) for c in self.candidates]
-            self._groups = list(known), np.array(code)
-        return self._groups
+        known: dict[str, int] = {}
+        code = []
+        for bank in self.banks:
+            number = np.array([known.setdefault(g, len(known)) for g in bank.groups], np.int64)
+            code.append(number[bank.group])
+        return list(known), np.concatenate(code)
+
+    def of_channels(self, channels: tuple[str, ...], *, physical: bool) -> BoolArray:
+        """Return which candidates are those of some channels, and physics or not."""
+        own = []
+        for bank in self.banks:
+            number = bank.channels.index(channels) if channels in bank.channels else -1
+            own.append((bank.channel == number) & (bank.physical == physical))
+        return np.concatenate(own)
 
     def add(self, columns: FloatArray) -> IntArray:
         """Add (m, k) columns and return their indices."""
@@ -151,7 +127,7 @@ class Stack:
         return own.sum(axis=1, keepdims=True) if candidate.summed else own
 
     def log_bayes_factors(
-        self, whitener: Whitener, y: FloatArray, *, which: list[int] | None = None
+        self, whitener: Whitener, y: FloatArray, *, which: BoolArray | None = None
     ) -> FloatArray:
         """Return log B of every candidate, averaged over `SCALES`.
 
@@ -162,13 +138,35 @@ class Stack:
             there cannot be told from what is fitted, and counts as nothing.
         y : (m,) array
             Whitened projected residual.
-        which : list of int, optional
+        which : array of bool, optional
             The candidates to score; the others get -inf.
         """
-        which = list(range(len(self.candidates))) if which is None else which
-        used = np.unique(np.concatenate([self.candidates[i].index for i in which]))
+        which = np.ones(len(self.candidates), bool) if which is None else which
+        out = np.full(len(which), -np.inf)
+        at, makes = 0, []
+        for bank in self.banks:
+            own = slice(at, at + len(bank.candidates))
+            makes += [(out[own], make) for make in bank.made(which[own])]
+            at = own.stop
+        used = np.unique(np.concatenate([make.columns for _, make in makes]))
         place = np.zeros(self._count, np.int64)
         place[used] = np.arange(len(used))
+        seen = self._project(whitener, y, used)
+        gram: tuple[IntArray, FloatArray] = np.zeros(0, np.int64), np.zeros((0, 0))
+        for values, make in makes:
+            columns = place[make.columns]
+            if isinstance(make, Sums):
+                values[make.which] = _sums(make, seen.of(columns))
+            elif make.mixing is not None:
+                if gram[0] is not make.columns:
+                    projected = seen.projected[:, columns]
+                    gram = make.columns, projected.T @ projected
+                values[make.which] = _mixed(make, gram[1], seen.match[columns])
+            else:
+                values[make.which] = _several(make, seen.of(columns))
+        return out
+
+    def _project(self, whitener: Whitener, y: FloatArray, used: IntArray) -> _Seen:
         projected, total = np.empty((len(used), self._rows)).T, np.empty(len(used))
         for first in range(0, len(used), PART):
             part = slice(first, first + PART)
@@ -177,33 +175,7 @@ class Stack:
             white -= whitener.basis @ (whitener.basis.T @ white)
             white[:, np.einsum("ij,ij->j", white, white) < _LOST * total[part]] = 0.0
             projected[:, part] = white
-        match = y @ projected
-        out = np.full(len(self.candidates), -np.inf)
-        single = [i for i in which if self.candidates[i].is_single]
-        if single:
-            index = [place[self.candidates[i].index] for i in single]
-            power, along = _singles(index, projected, match, total)
-            strength = np.square(SCALES)[:, None] * power
-            gain = 0.5 * np.square(along) / np.maximum(power, 1e-300) * strength / (1 + strength)
-            out[single] = _average(gain - 0.5 * np.log1p(strength) + _LOG_SHARES[:, None])
-            there = [k for k, i in enumerate(single) if self.candidates[i].present]
-            out[[single[k] for k in there]] = _present(power[there], along[there])
-        mixed: dict[tuple[str, ...], list[int]] = {}
-        several: dict[int, list[int]] = {}
-        for i in which:
-            c = self.candidates[i]
-            if c.mixing is not None:
-                mixed.setdefault(c.channels, []).append(i)
-            elif not c.is_single:
-                several.setdefault(len(c.index), []).append(i)
-        for items in several.values():
-            index = [place[self.candidates[i].index] for i in items]
-            grams = np.stack([projected[:, own].T @ projected[:, own] for own in index])
-            out[items] = log_bayes_factors(grams, match[np.stack(index)])
-        for items in mixed.values():
-            # Those of one channel mix the same columns, and share their Gram matrix.
-            out[items] = _mixed([self.candidates[i] for i in items], place, projected, match)
-        return out
+        return _Seen(projected, y @ projected, total)
 
     def average(self, whitener: Whitener, y: FloatArray) -> float:
         """Return log B of all candidates as one, each as probable as any other."""
@@ -212,50 +184,56 @@ class Stack:
         )
 
 
-def _mixed(
-    candidates: list[Candidate], place: IntArray, projected: FloatArray, match: FloatArray
-) -> FloatArray:
-    """Return log B of candidates that mix columns, those with alike mixings all at once."""
-    used = np.unique(np.concatenate([place[c.index] for c in candidates]))
-    gram = projected[:, used].T @ projected[:, used]
-    match = match[used]
-    alike: dict[tuple[int, ...], list[int]] = {}
-    for i, c in enumerate(candidates):
-        assert c.mixing is not None
-        alike.setdefault(c.mixing.shape, []).append(i)
-    out = np.empty(len(candidates))
-    for items in alike.values():
-        mixing = np.stack([np.asarray(candidates[i].mixing) for i in items])
-        own = np.searchsorted(used, np.stack([place[candidates[i].index] for i in items]))
-        if (own == own[0]).all():
-            # All at once: a product with each alone would be one with a few columns.
-            n, k, r = mixing.shape
-            flat = np.swapaxes(mixing, 0, 1).reshape(k, n * r)
-            inner = np.swapaxes((gram[np.ix_(own[0], own[0])] @ flat).reshape(k, n, r), 0, 1)
-        else:
-            inner = gram[own[:, :, None], own[:, None, :]] @ mixing
-        out[items] = log_bayes_factors(
-            np.swapaxes(mixing, 1, 2) @ inner, np.einsum("nk,nkr->nr", match[own], mixing)
-        )
-    return out
+class _Seen(NamedTuple):
+    """Projected columns (m, u), their match with the residual, and what their power had been."""
+
+    projected: FloatArray
+    match: FloatArray
+    total: FloatArray
+
+    def of(self, own: IntArray) -> _Seen:
+        return _Seen(self.projected[:, own], self.match[own], self.total[own])
 
 
-def _singles(
-    index: list[IntArray], projected: FloatArray, match: FloatArray, total: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Return the power of each single (or summed) column, and its match with the residual."""
-    column = np.repeat(np.arange(len(index)), [len(k) for k in index])
-    pick = sparse.csc_matrix(
-        (np.ones(len(column)), (np.concatenate(index), column)),
-        shape=(projected.shape[1], len(index)),
+def _several(make: Alike, seen: _Seen) -> FloatArray:
+    """Return log B of candidates that have a coefficient for each of their columns."""
+    match = seen.match[make.index]
+    if make.index.shape[1] > 1:
+        columns = [seen.projected[:, own] for own in make.index]
+        return log_bayes_factors(np.stack([c.T @ c for c in columns]), match)
+    power = np.einsum("ij,ij->j", seen.projected, seen.projected)[make.index[:, 0]]
+    return np.where(make.present, _present(power, match[:, 0]), _single(power, match[:, 0]))
+
+
+def _sums(make: Sums, seen: _Seen) -> FloatArray:
+    """Return log B of candidates that are sums of columns."""
+    gram = seen.projected.T @ seen.projected
+    power = np.einsum("un,un->n", make.pick, gram @ make.pick)
+    lost = power < _LOST * (make.pick.T @ seen.total)
+    return _single(np.where(lost, 0.0, power), np.where(lost, 0.0, make.pick.T @ seen.match))
+
+
+def _mixed(make: Alike, gram: FloatArray, match: FloatArray) -> FloatArray:
+    """Return log B of candidates that mix columns, of which the Gram matrix is known."""
+    own, mixing = make.index, make.mixing
+    assert mixing is not None
+    if (own == own[0]).all():
+        # All at once: a product with each alone would be one with a few columns.
+        n, k, r = mixing.shape
+        flat = np.swapaxes(mixing, 0, 1).reshape(k, n * r)
+        inner = np.swapaxes((gram[np.ix_(own[0], own[0])] @ flat).reshape(k, n, r), 0, 1)
+    else:
+        inner = gram[own[:, :, None], own[:, None, :]] @ mixing
+    return log_bayes_factors(
+        np.swapaxes(mixing, 1, 2) @ inner, np.einsum("nk,nkr->nr", match[own], mixing)
     )
-    power = np.empty(len(index))
-    for first in range(0, len(index), PART):
-        part = slice(first, first + PART)
-        power[part] = np.square(pick[:, part].T @ projected.T).sum(axis=1)
-    lost = power < _LOST * (pick.T @ total)
-    power[lost] = 0.0
-    return power, np.where(lost, 0.0, pick.T @ match)
+
+
+def _single(power: FloatArray, along: FloatArray) -> FloatArray:
+    """Return log B of single columns, from their power and their match with the residual."""
+    strength = np.square(SCALES)[:, None] * power
+    gain = 0.5 * np.square(along) / np.maximum(power, 1e-300) * strength / (1 + strength)
+    return _average(gain - 0.5 * np.log1p(strength) + _LOG_SHARES[:, None])
 
 
 def log_bayes_factor(columns: FloatArray, y: FloatArray) -> float:

@@ -13,6 +13,7 @@ from scipy.special import logsumexp
 
 from calib.effects import get_effect
 from calib.mismatch.answers import grouped, leading, nearby
+from calib.mismatch.candidates import Candidate
 from calib.mismatch.estimate import Estimate, estimate, settle
 from calib.mismatch.families import candidate_columns
 from calib.mismatch.noise import (
@@ -33,7 +34,7 @@ from calib.mismatch.ranking import (
 )
 from calib.mismatch.refit import Problem, refined, refit
 from calib.mismatch.rows import Rows
-from calib.mismatch.score import Candidate, Stack
+from calib.mismatch.score import Stack
 from calib.types import FloatArray
 
 TIE = 0.05
@@ -303,7 +304,7 @@ def _posterior(
     if own.in_model:
         residual = residual + own.columns @ (own.values / own.typical)
     y = whitener.project(residual)
-    weight = np.log(np.array([c.weight for c in stack.candidates]))
+    weight = stack.weight
     evidence = stack.log_bayes_factors(whitener, y) + weight
     best, groups = grouped(stack, evidence)
     for g in leading(best, groups):

@@ -20,7 +20,7 @@ from scipy.special import ndtri, pdtrc, stdtr
 from calib.faults import ROBUST, resolution, values_of
 from calib.mismatch.diagnosis import Interval, Unexplained
 from calib.mismatch.ends import expected_overlap
-from calib.mismatch.rivals import windows
+from calib.mismatch.windows import windows
 from calib.poses import Poses
 from calib.recording import CHANNELS, Recording
 from calib.types import FloatArray, IntArray

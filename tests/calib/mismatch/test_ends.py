@@ -10,7 +10,7 @@ import pytest
 from calib.mismatch.ends import place_window
 from calib.mismatch.noise import expected_levels, make_whitener
 from calib.mismatch.ranking import fitted, make_stack
-from calib.mismatch.rivals import moved_window, segment_columns, window_columns
+from calib.mismatch.windows import moved_window, segment_columns, window_columns
 
 from .bench import problem
 

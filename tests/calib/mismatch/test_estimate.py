@@ -7,6 +7,7 @@ import pytest
 from scipy.stats import norm
 
 from calib.effects import get_effect
+from calib.mismatch.candidates import Candidate
 from calib.mismatch.estimate import estimate, settle, wider
 from calib.mismatch.families import effect_columns
 from calib.mismatch.noise import (
@@ -17,7 +18,6 @@ from calib.mismatch.noise import (
 )
 from calib.mismatch.ranking import Accepted
 from calib.mismatch.refit import likelihood_gain
-from calib.mismatch.score import Candidate
 
 from .bench import problem
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
+from calib.mismatch.candidates import Candidate
 from calib.mismatch.contrast import contrast_likelihood, contrast_variance
 from calib.mismatch.noise import (
     covariance,
@@ -18,7 +19,7 @@ from calib.mismatch.noise import (
     spread_of_variance,
 )
 from calib.mismatch.rows import Component
-from calib.mismatch.score import SCALES, SHARES, Candidate, Stack
+from calib.mismatch.score import SCALES, SHARES, Stack
 from calib.mismatch.sensornoise import shrunk
 
 from .bench import problem

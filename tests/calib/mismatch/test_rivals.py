@@ -9,9 +9,11 @@ import pytest
 
 from calib.effects.base import Term
 from calib.mismatch import diagnose_recording
+from calib.mismatch.candidates import Candidate
 from calib.mismatch.ranking import make_stack
-from calib.mismatch.rivals import RIVAL, WINDOWED, moved_window, nearby_windows, window_columns
-from calib.mismatch.score import Candidate, Stack
+from calib.mismatch.rivals import RIVAL
+from calib.mismatch.score import Stack
+from calib.mismatch.windows import WINDOWED, moved_window, nearby_windows, window_columns
 from calib.recording import CHANNELS, Recording
 from calib.simulation.bench import bench_protocol
 from calib.types import FloatArray

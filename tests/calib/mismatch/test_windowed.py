@@ -5,12 +5,12 @@ import pytest
 
 from calib.effects.base import State
 from calib.mismatch.band import limited, low_passed, widened, zero_phase
+from calib.mismatch.candidates import Candidate
 from calib.mismatch.colour import Blur, find_colour, gaussian, whitening
 from calib.mismatch.contrast import contrast_variance
 from calib.mismatch.ranking import Accepted
 from calib.mismatch.refit import cut
 from calib.mismatch.rows import Kind, Rows
-from calib.mismatch.score import Candidate
 from calib.mismatch.truths import ENDS, RecordingTruth
 from calib.mismatch.windowed import find_shapes, make_rows
 from calib.recording import CHANNELS, Recording

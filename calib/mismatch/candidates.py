@@ -1,0 +1,186 @@
+"""Hypotheses one by one, and many of them as arrays, which are scored at once."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TypeVar
+
+import numpy as np
+
+from calib.types import BoolArray, FloatArray, IntArray
+
+T = TypeVar("T", bound=Hashable)
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """One hypothesis, as columns of a `Stack`, and its prior weight.
+
+    Parameters
+    ----------
+    name : str
+        An effect's slug; for a rival that is no physics, what the residual follows.
+    index : array of int
+        Which columns of the stack.
+    summed : bool
+        Whether those columns make one (a window) or have a coefficient each.
+    mixing : (len(index), k) array, optional
+        The k columns of the hypothesis as combinations of those of the stack.
+    weight : float
+        Prior probability; all candidates together sum to at most one.
+    physical : bool
+        False for rivals.
+    parameters : tuple of str
+        Names of the coefficients; empty for rivals.
+    shape : mapping
+        Shape parameters (time constants, moments).
+    channels : tuple of str
+    interval : (start, stop) or None, s
+        Of a window.
+    present : bool
+        Whether its one coefficient is 1 by nature, and only its shape is unknown.
+    """
+
+    name: str
+    index: IntArray
+    weight: float
+    physical: bool
+    channels: tuple[str, ...]
+    summed: bool = False
+    parameters: tuple[str, ...] = ()
+    shape: Mapping[str, float] = field(default_factory=dict)
+    interval: tuple[float, float] | None = None
+    mixing: FloatArray | None = None
+    present: bool = False
+
+    @property
+    def is_single(self) -> bool:
+        """Whether it has one coefficient."""
+        return self.mixing is None and (self.summed or len(self.index) == 1)
+
+    @property
+    def group(self) -> str:
+        """Candidates of one group are one answer: an effect, or a rival of one channel or triad."""
+        where = self.channels[0] if len(self.channels) == 1 else self.channels[0].split(".")[0]
+        return self.name if self.physical else f"{self.name} {where}"
+
+
+@dataclass(frozen=True, eq=False)
+class Alike:
+    """Candidates ``which`` of one make, scored at once.
+
+    Parameters
+    ----------
+    which : (n,) array of int
+        Their numbers.
+    columns : (u,) array of int
+        All columns of the stack that they use.
+    index : (n, k) array of int
+        The columns of each, as numbers within `columns`.
+    mixing : (n, k, r) array, or None
+        As `Candidate.mixing`; None where each column has a coefficient.
+    present : (n,) array of bool
+    """
+
+    which: IntArray
+    columns: IntArray
+    index: IntArray
+    mixing: FloatArray | None
+    present: BoolArray
+
+    def chosen(self, own: BoolArray) -> Alike:
+        """Return those that are marked in `own`, (n,) bool."""
+        if own.all():
+            return self
+        mixing = None if self.mixing is None else self.mixing[own]
+        columns, index = np.unique(self.index[own], return_inverse=True)
+        index = index.reshape(-1, self.index.shape[1])
+        return Alike(self.which[own], self.columns[columns], index, mixing, self.present[own])
+
+
+@dataclass(frozen=True, eq=False)
+class Sums:
+    """Candidates ``which`` of one column: the sum of those that ``pick`` (u, n) marks."""
+
+    which: IntArray
+    columns: IntArray
+    pick: FloatArray
+
+    def chosen(self, own: BoolArray) -> Sums:
+        """Return those that are marked in `own`, (n,) bool."""
+        if own.all():
+            return self
+        used = self.pick[:, own].any(axis=1)
+        return Sums(self.which[own], self.columns[used], self.pick[np.ix_(used, own)])
+
+
+class Bank:
+    """Candidates as arrays.
+
+    Parameters
+    ----------
+    candidates : sequence of Candidate
+    """
+
+    def __init__(self, candidates: Sequence[Candidate]) -> None:
+        self.candidates = tuple(candidates)
+        self.weight = np.log(np.array([c.weight for c in candidates]))
+        self.physical = np.array([c.physical for c in candidates], bool)
+        self.groups, self.group = _numbered(c.group for c in candidates)
+        self.channels, self.channel = _numbered(c.channels for c in candidates)
+        self._makes = list(_makes(self.candidates, self.group, self.channel))
+
+    def made(self, own: BoolArray) -> Iterator[Alike | Sums]:
+        """Yield the candidates that are marked in `own`, those of one make side by side."""
+        for make in self._makes:
+            marked = own[make.which]
+            if marked.any():
+                yield make.chosen(marked)
+
+
+def _numbered(values: Iterable[T]) -> tuple[list[T], IntArray]:
+    """Return distinct values in the order of their coming, and the number of each one's value."""
+    known: dict[T, int] = {}
+    code = [known.setdefault(v, len(known)) for v in values]
+    return list(known), np.array(code, np.int64)
+
+
+def _makes(
+    candidates: Sequence[Candidate], group: IntArray, channel: IntArray
+) -> Iterator[Alike | Sums]:
+    sums: dict[int, list[int]] = {}
+    alike: dict[tuple[int, ...], list[int]] = {}
+    mixed: dict[int, dict[tuple[int, ...], list[int]]] = {}
+    for i, c in enumerate(candidates):
+        if c.mixing is not None:
+            same = mixed.setdefault(int(channel[i]), {})
+            same.setdefault((int(group[i]), *c.mixing.shape), []).append(i)
+        elif c.summed:
+            sums.setdefault(int(group[i]), []).append(i)
+        else:
+            alike.setdefault((len(c.index),), []).append(i)
+    for which in sums.values():
+        columns = np.unique(np.concatenate([candidates[i].index for i in which]))
+        pick = np.zeros((len(columns), len(which)))
+        for k, i in enumerate(which):
+            pick[np.searchsorted(columns, candidates[i].index), k] = 1.0
+        yield Sums(np.array(which), columns, pick)
+    for which in alike.values():
+        own = [candidates[i] for i in which]
+        columns, index = np.unique(np.stack([c.index for c in own]), return_inverse=True)
+        present = np.array([c.present for c in own])
+        yield Alike(np.array(which), columns, index.reshape(len(own), -1), None, present)
+    known: dict[tuple[int, ...], FloatArray] = {}
+    for shapes in mixed.values():
+        # Those of the same channels share their columns, and the Gram matrix of these.
+        every = [candidates[i].index for which in shapes.values() for i in which]
+        columns = np.unique(np.concatenate(every))
+        for which in shapes.values():
+            index = np.searchsorted(columns, np.stack([candidates[i].index for i in which]))
+            mixings = [m for i in which if (m := candidates[i].mixing) is not None]
+            # And channels their mixings: what the same arrays make is kept once.
+            key = tuple(map(id, mixings))
+            if key not in known:
+                known[key] = np.stack(mixings)
+            yield Alike(np.array(which), columns, index, known[key], np.zeros(len(which), bool))
