@@ -2,7 +2,7 @@
 
 1. What a rest looks like is learnt from the recording: the levels of its stillest windows. A window
    is a candidate if rate and change of specific force are below a multiple of those, or of what a
-   hand that holds still does, and below what no rest has.
+   hand that holds still or a machine that shakes does, and below what no rest has.
 2. Each run of candidates is judged by its own noise, the scatter from block to block: blocks and
    longer stretches that are off the gyroscope's rate at rest, or where the specific force moves,
    are taken out. That finds slow turns and bumps, and lets a hand tremble.
@@ -26,6 +26,8 @@ from calib.stillness import (
     FACTOR,
     MOST_FORCE,
     MOST_RATE,
+    MOST_SHAKEN,
+    SHAKEN,
     TREMOR_FORCE,
     TREMOR_RATE,
     WIDTH,
@@ -178,10 +180,14 @@ def stillest_rate(blocks: Blocks) -> FloatArray:
 
 @dataclass(frozen=True)
 class Limits:
-    """Levels of a window up to which it may be a rest, in the recording's units."""
+    """Levels of a window up to which it may be a rest, in the recording's units.
+
+    ``shaken`` is the limit of the force where it is no more than fast shaking explains.
+    """
 
     rate: float
     force: float
+    shaken: float
 
 
 def find_limits(windows: Windows, units: Units) -> Limits:
@@ -189,7 +195,7 @@ def find_limits(windows: Windows, units: Units) -> Limits:
     use = windows.whole
     rate, force = windows.rate[use], windows.force[use]
     if not use.any():
-        return Limits(0.0, 0.0)
+        return Limits(0.0, 0.0, 0.0)
     level_rate, level_force = np.quantile(rate, 0.01), np.quantile(force, 0.01)
     for multiple in (3.5, 2.5, 2.5):
         still = (rate <= multiple * level_rate) & (force <= multiple * level_force)
@@ -200,12 +206,14 @@ def find_limits(windows: Windows, units: Units) -> Limits:
     if units.rate is not None:
         limit_rate = min(max(limit_rate, TREMOR_RATE / units.rate), MOST_RATE / units.rate)
     limit_force = min(max(limit_force, TREMOR_FORCE * units.gravity), MOST_FORCE * units.gravity)
-    return Limits(limit_rate, limit_force)
+    return Limits(limit_rate, limit_force, MOST_SHAKEN * units.gravity)
 
 
 def covered(windows: Windows, limits: Limits, n: int) -> BoolArray:
     """Return a mask of the blocks that lie in any window within the limits."""
-    still = windows.whole & (windows.rate <= limits.rate) & (windows.force <= limits.force)
+    shaken = np.minimum(SHAKEN * windows.shake, limits.shaken)
+    force = windows.force <= np.maximum(limits.force, shaken)
+    still = windows.whole & (windows.rate <= limits.rate) & force
     mask = np.zeros(n, bool)
     spill(mask, still, WIDTH)
     return mask

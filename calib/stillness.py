@@ -21,6 +21,12 @@ WIDTH = 5
 FACTOR = 4.0
 """A level this many times the recording's own at rest is no rest: 15 degrees of freedom reach twice
 their median once in 10⁹ windows of white noise; the rest is for noise that is not white."""
+SHAKEN = 2.0
+"""A machine shakes a rest faster than a block lasts: the block means then change by what the noise
+inside blocks says, and up to this many times that by chance. What moves the sensor about moves them
+by far more."""
+MOST_SHAKEN = 0.6
+"""What those changes are at most, in g: 1 g of shaking on every axis, blocks having ten samples."""
 CHUNK = 1 << 20
 
 # Physical sizes, for what is not a matter of noise.
@@ -146,12 +152,14 @@ class Windows:
     """Levels of the windows that start at each block, (n - WIDTH + 1,).
 
     ``rate`` is the root mean square of the block means of the rate about `bias`; ``force`` that of
-    the block means of the specific force about the window's own mean. ``whole`` is False where the
+    the block means of the specific force about the window's own mean, and ``shake`` what that
+    would be if all that happens inside the blocks were white noise. ``whole`` is False where the
     window has a gap in it.
     """
 
     rate: FloatArray
     force: FloatArray
+    shake: FloatArray
     whole: BoolArray
 
 
@@ -161,10 +169,12 @@ def slide(blocks: Blocks, bias: FloatArray) -> Windows:
     centred = blocks.accel - blocks.accel[len(blocks) // 2]
     mean = moving_mean(centred, WIDTH)
     force = moving_mean(np.square(centred).sum(axis=1), WIDTH) - np.square(mean).sum(axis=1)
+    inside = moving_mean(blocks.accel_power, WIDTH) / max(blocks.size - 1, 1)
     whole = moving_mean(blocks.broken.astype(np.float64), WIDTH) < 0.5 / WIDTH
     return Windows(
         np.sqrt(np.maximum(rate, 0.0)),
         np.sqrt(np.maximum(force * WIDTH / (WIDTH - 1), 0.0)),
+        np.sqrt(inside),
         whole,
     )
 

@@ -28,7 +28,7 @@ from calib.mismatch.places import joined
 from calib.mismatch.samples import lost_samples
 from calib.mismatch.search import Outcome, search
 from calib.mismatch.selfmode import SelfProblem
-from calib.mismatch.spectrum import look_at_spectrum
+from calib.mismatch.spectrum import LOUDER_THERE, look_at_spectrum
 from calib.mismatch.thin import Thinned, thin
 from calib.mismatch.within import look_within
 from calib.model import SensorModel
@@ -38,6 +38,8 @@ from calib.types import BoolArray, FloatArray
 
 UNKNOWN_DRIFT = 4.0
 """Spread of the prior of drift where seconds are not known."""
+
+_SHAKEN = "_vibration_rectification"
 
 _CLOCKED = ("_warm_up", "_bias_step", "_settling")
 
@@ -130,6 +132,9 @@ def diagnose_thinned(
         findings = [_by_sample(f, thinned.samples) if _is_rate(f.effect) else f for f in findings]
     lost = [lost_samples(recording, loss, grid.interval[loss.segment]) for loss in losses]
     findings = [*seen.findings, *lost, *findings]
+    if any(f.effect.endswith(_SHAKEN) for f in findings):
+        # What shook the sensor is the cause of the noise, too.
+        noisy = tuple(item for item in noisy if item.follows != LOUDER_THERE)
     unexplained = [*seen.unexplained, *joined([*unexplained, *noisy])]
     change, likelihood = changes(outcome)
     return Diagnosis(

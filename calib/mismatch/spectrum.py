@@ -26,6 +26,9 @@ CLAIM = 1e-4
 _HERE = 0.01
 """The same for whether one rest has a line that is known to be in the recording."""
 
+LOUDER_THERE = "the time: noise is louder there"
+"""What a burst follows."""
+
 _LOUDER = 4.0
 """A rest counts as louder only if its noise power is this many times the usual."""
 
@@ -204,7 +207,7 @@ def _bursts(
     thin = (each.min(axis=0) < CLAIM) & (extra > _SHARE) & narrow
     out = []
     for which, follows, p in (
-        (loud, "the time: noise is louder there", p_all),
+        (loud, LOUDER_THERE, p_all),
         (thin & ~loud, "the time: power at one frequency there", each.min(axis=0)),
     ):
         # What most rests have is no event of some of them.

@@ -92,6 +92,31 @@ def test_a_log_that_only_moves_has_none() -> None:
     assert len(find_poses(Recording(time, accel, gyro, "nominal"))) == 0
 
 
+@pytest.mark.parametrize("size", [0.5, 2.0, 8.0])
+@pytest.mark.parametrize("motor", [0.0, 23.0])
+def test_a_pose_on_a_bench_that_shakes_is_one(size: float, motor: float) -> None:
+    log, _ = recording(*[(1.2, 1.0, 5.0)] * 6, seed=5)
+    rng = np.random.default_rng(6)
+    shaking = rng.normal(size=(len(log), 3))
+    if motor:
+        shaking = np.sqrt(2) * np.sin(2 * np.pi * motor * log.time[:, None] + [0.0, 1.0, 2.0])
+    shaken = (log.time > 9.9) & (log.time < 22.1)  # two whole poses, and the turn between them
+    accel = log.accel + size * shaken[:, None] * shaking
+    poses = find_poses(Recording(log.time, accel, log.gyro, log.clock))
+    calm = find_poses(log)
+    assert len(poses) == len(calm)
+    assert_allclose(poses.interval, calm.interval, atol=0.6)
+
+
+def test_a_sensor_that_is_moved_about_without_turning_is_in_no_pose() -> None:
+    log, _ = recording(*[(1.2, 1.0, 5.0)] * 6, seed=5)
+    moved = (log.time > 10.0) & (log.time < 15.0)
+    swing = np.sin(2 * np.pi * 2.0 * log.time)[:, None] * [2.0, 1.0, 0.5]
+    accel = log.accel + moved[:, None] * swing
+    poses = find_poses(Recording(log.time, accel, log.gyro, log.clock))
+    assert not any(a < 14.5 and b > 10.5 for a, b in poses.interval)
+
+
 def test_poses_on_both_sides_of_a_quick_turn_are_two() -> None:
     made, turning = recording((0.5, 0.2, 4.0))
     poses = find_poses(made)

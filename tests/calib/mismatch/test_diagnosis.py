@@ -10,7 +10,11 @@ from calib.document import from_document, to_document
 from calib.effects.base import Term
 from calib.errors import InsufficientMotionError
 from calib.mismatch import diagnose_recording
+from calib.model import SensorModel
 from calib.recording import Recording
+from calib.simulate import simulate
+from calib.simulation.bench import bench_protocol
+from calib.simulation.noise import CONSUMER
 
 from .bench import GRAVITY, recording
 
@@ -59,6 +63,20 @@ def test_an_event_is_kept_apart_from_the_sensor():
     made = found.calibration(real, gravity=Gravity(GRAVITY, "given"))
     assert not made.model.terms
     assert [e.effect for e in made.events] == ["gyro_bias_step"]
+
+
+def test_what_shakes_the_bench_is_the_cause_of_noise_and_of_a_mean_that_moves():
+    rng = np.random.default_rng(31)
+    motion = bench_protocol(rng, poses=24, vibration=2.5)
+    term = Term("gyro_vibration_rectification", {"kx": 4e-5, "kz": -3e-5})
+    for terms in ((), (term,)):
+        real = simulate(motion, SensorModel(terms=terms), CONSUMER, rng=rng, rate=100.0)
+        found = diagnose_recording(real, gravity=GRAVITY)
+        assert [f.effect for f in found.findings] == [t.effect for t in terms]
+        louder = [u.follows for u in found.unexplained]
+        assert louder == ([] if terms else ["the time: noise is louder there"])
+    for name, q in found.findings[0].parameters.items():
+        assert abs(q.value - term.parameters.get(name, 0.0)) < 3.5 * q.sigma
 
 
 def test_a_window_of_interference_gets_no_physical_name():
