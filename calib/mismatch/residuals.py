@@ -11,6 +11,7 @@ from calib.effects.base import State
 from calib.mismatch.closure import Closures, across, close_turns
 from calib.mismatch.grid import Grid
 from calib.mismatch.rows import UNKNOWN, Component, Kind, Rows
+from calib.mismatch.sampling import sampling_components
 from calib.mismatch.sensornoise import (
     DRIFT,
     DRIFT_TIME,
@@ -27,14 +28,6 @@ MEANS = 1 / 3
 
 BINS = (1 / 6, 1 / 2)
 """Where a cell of a rest is cut, in its length: what a turn leaves behind fades at its start."""
-
-HALVED = 1 / 9
-"""Variance of what sampling adds to a closure, relative to what every second sample changes: a rule
-of the second order errs by a third of that."""
-
-UNRESOLVED = 3.0
-"""Square of what every second sample changes, relative to what noise does to it, from which a turn
-is too fast for its samples: noise alone reaches it in one turn of twenty."""
 
 
 def build_rows(grid: Grid, twin: Twin, noise: FloatArray, *, spread: float | None = None) -> Rows:
@@ -137,6 +130,17 @@ def build_rows(grid: Grid, twin: Twin, noise: FloatArray, *, spread: float | Non
         noise,
         closed,
         SPREAD if spread is None else spread,
+    )
+    components += tuple(
+        sampling_components(
+            closed,
+            state.force[points],
+            state.rate[points],
+            noise[points],
+            first,
+            ends,
+            np.diag(white)[ends],
+        )
     )
     blur = mean_over_interval(grid, state)
     spilt = sum(f[:dense] @ blur[:, c] for c, f in enumerate(functional))
@@ -246,15 +250,4 @@ def _components(
         typical = float(np.median(np.diag(white)[rows]))
         expected = 0.02 * typical / max(float(np.median(size)), 1e-12)
         out.append(Component.alone(label, rows, size, expected=expected, spread=UNKNOWN))
-    for label, which, change in (
-        ("attitude by sampling", Kind.ATTITUDE, closed.unresolved[:, :2]),
-        ("velocity by sampling", Kind.VELOCITY, closed.unresolved[:, 2:]),
-    ):
-        rows = np.flatnonzero(kind == which)
-        noisy = np.diag(white)[rows].reshape(change.shape).mean(axis=1)
-        size = np.square(change).mean(axis=1)
-        size = np.repeat(np.where(size > UNRESOLVED * noisy, size, 0.0), change.shape[1])
-        # Also where there is none: as the twin moves, a turn may come to be one, or cease to be.
-        own = size > 0
-        out.append(Component.alone(label, rows[own], size[own], expected=HALVED, spread=SPREAD))
     return tuple(out)

@@ -7,7 +7,7 @@ import pytest
 
 from calib.mismatch import grid
 from calib.mismatch.grid import make_grid
-from calib.mismatch.noise import covariance, expected_levels
+from calib.mismatch.noise import covariance, estimate_levels, expected_levels
 from calib.mismatch.residuals import build_rows
 from calib.mismatch.rows import Kind
 from calib.mismatch.selfmode import SelfProblem
@@ -129,7 +129,9 @@ def test_turns_too_fast_for_their_samples_close_within_what_is_allowed(rate: flo
     rows = SelfProblem(grid, None, gravity=9.80665, full_gyro=False).rows()
     own = rows.kind[: rows.n_dense] == Kind.VELOCITY
     square = np.square(rows.residual[: rows.n_dense])[own]
-    allowed = rows.expected_variance()[own]
+    mean = np.hstack((rows.baseline, rows.nuisance))[: rows.n_dense]
+    levels = estimate_levels(rows, mean, expected_levels(rows)).values
+    allowed = np.diag(covariance(rows, levels))[own]
     plain = replace(
         rows, components=tuple(c for c in rows.components if "by sampling" not in c.name)
     ).expected_variance()[own]
@@ -150,11 +152,12 @@ def test_what_is_unknown_has_a_level_wherever_the_twin_stands() -> None:
     grid = make_grid(real, find_poses(real))
     problem = SelfProblem(grid, None, gravity=9.80665, full_gyro=False)
     before = problem.rows().components
-    # With less noise, more turns are too fast for their samples.
+    # With less noise, more of what samples do is beyond it.
     problem.noise = 1e-6 * problem.noise
     after = problem.rows().components
     assert [c.name for c in before] == [c.name for c in after]
-    assert [len(c.index) for c in before] != [len(c.index) for c in after]
+    assert before[-1].name == "force by sampling"
+    assert np.trace(after[-1].matrix) > np.trace(before[-1].matrix)
 
 
 def test_settling_shows_in_the_contrasts_of_a_rest():

@@ -1,0 +1,94 @@
+"""What samples do not resolve of a turn, as a covariance of its closures."""
+
+import numpy as np
+import pytest
+from scipy import linalg
+
+from calib.mismatch.closure import Closures
+from calib.mismatch.grid import make_grid
+from calib.mismatch.noise import estimate_levels, expected_levels, make_whitener
+from calib.mismatch.rows import Component
+from calib.mismatch.sampling import HALVED, LEAST, UNFORETOLD, sampling_components, unforetold
+from calib.mismatch.selfmode import SelfProblem
+from calib.model import SensorModel
+from calib.recording import Recording
+from calib.simulate import simulate
+from calib.simulation.bench import bench_protocol
+from calib.simulation.noise import CONSUMER
+from calib.statics import find_poses
+from calib.types import FloatArray
+
+from .test_closure import close, turn
+
+
+def components(closed: Closures, force: FloatArray, rate: FloatArray) -> list[Component]:
+    n = len(rate)
+    rows, first = np.arange(5)[None], np.array([0, n])
+    return sampling_components(
+        closed, force, rate, np.full((n, 6), 1e-12), first, rows, np.full((1, 5), 1e-12)
+    )
+
+
+def test_what_is_cubic_is_foretold_and_of_noise_a_known_share_is_not() -> None:
+    at = np.arange(200.0)
+    cubic = ((at / 100) ** 3 - at / 50)[:, None]
+    assert np.abs(unforetold(cubic, np.array([0, 80, 200]))).max() < 1e-12
+    noise = np.random.default_rng(1).normal(size=(20000, 3))
+    left = unforetold(noise, np.array([0, 20000]))
+    assert np.square(left).mean() == pytest.approx(UNFORETOLD, rel=0.05)
+    assert not left[[0, 1, -2, -1]].any()
+
+
+def test_of_a_turn_that_its_samples_resolve_nothing_is_added() -> None:
+    time, force, rate, up = turn(0.01, 2.0)
+    found = components(close(time, force, rate, up), force, rate)
+    assert [c.name for c in found] == ["rate by sampling", "force by sampling"]
+    assert [c.expected for c in found] == [HALVED * LEAST] * 2
+
+
+def test_jolts_move_the_rows_of_a_turn_together() -> None:
+    rng = np.random.default_rng(2)
+    time, force, rate, up = turn(0.016, 2.0)
+    inside = ((time > 0.05) & (time < 0.95))[:, None]
+    still = close(time, force, rate, up).residual[0]
+    errors, allowed = [], np.zeros((5, 5))
+    for _ in range(300):
+        # What a sample has of a jolt that its neighbours do not see, and the turn did not go by.
+        jolts = 0.3 * inside * rng.normal(size=(len(time), 3)) * (rng.random((len(time), 1)) < 0.3)
+        closed = close(time, force, rate + jolts, up)
+        errors.append(closed.residual[0] - still)
+        allowed += components(closed, force, rate + jolts)[0].matrix / 300
+    seen = np.cov(np.array(errors).T)
+    # Of one size or another, but of that form: a sum of errors of its own each row is not.
+    ratio = linalg.eigvalsh(seen, allowed)
+    assert ratio[-1] / ratio[0] < 4.0
+    apart = linalg.eigvalsh(seen, np.diag(np.diag(allowed)))
+    assert apart[-1] / apart[0] > 10.0
+
+
+@pytest.mark.parametrize("seed", [4, 5])
+def test_a_misalignment_is_within_its_errors_where_turns_have_jolts(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    hands = bench_protocol(rng, poses=24, first_pose=2.0, pose_duration=(2.0, 3.0))
+    real = simulate(hands, SensorModel(), CONSUMER, rng=rng, rate=62.5)
+    moving = np.linalg.norm(real.gyro, axis=1) > 0.3
+    hit = moving & (rng.random(len(moving)) < 0.2)
+    gyro = real.gyro + 0.5 * hit[:, None] * rng.normal(size=real.gyro.shape)
+    real = Recording(real.time, real.accel, gyro, "device", temperature=real.temperature)
+    problem = SelfProblem(make_grid(real, find_poses(real)), None, gravity=9.80665, full_gyro=True)
+    rows = problem.rows()
+    mean = np.hstack((rows.baseline, rows.nuisance))
+    levels = estimate_levels(rows, mean[: rows.n_dense], expected_levels(rows)).values
+    whitener = make_whitener(rows, levels, rows.white_diagonal, mean[:, :0])
+    design = whitener.whiten(mean)
+    inverse = np.linalg.pinv(design, rcond=1e-9)
+    step = inverse @ whitener.whiten(rows.residual)
+    sigma = np.sqrt(np.diag(inverse @ inverse.T))
+    now = problem.twin.model.gyro.parameters("gyro")
+    names = [n for n in rows.names if n in now and "bias" not in n]
+    at = [rows.names.index(n) for n in names]
+    # The gyroscope has neither a scale factor error nor a misalignment.
+    off = (np.array([now[n] for n in names]) + step[at]) / sigma[at]
+    assert len(names) == 9
+    assert np.sqrt(np.square(off).mean()) < 1.6
+    assert sigma[at].max() > 5e-4
