@@ -34,8 +34,9 @@ SHARP = 0.5
 NEAR = 3.0
 """The same of a turn that closes."""
 
-SHARE = 0.05
-"""Of a closure, what may be left of it: samples between fast ones are only interpolated."""
+SHARE = 0.1
+"""Of a closure, what may be left of it: samples between fast ones are only interpolated. At a
+thousand looks it is what the odds ask for."""
 
 MOST = 5
 """Samples lost at once, at most."""
