@@ -26,7 +26,6 @@ def test_a_window_is_found_from_one_that_only_touches_it(name):
     rows = made.rows()
     stack = make_stack(rows, skip=(), reference=False)
     start, stop = float(rows.interval[9, 0]), float(rows.interval[20, 1])
-    rng = np.random.default_rng(7)
     whitener = make_whitener(rows, expected_levels(rows), rows.white_diagonal, fitted(rows, []))
     found = [c for c in stack.candidates if c.name == name and c.channels == ("accel.y",)]
     near = [c for c in found if c.interval is not None and overlap(c.interval, (start, stop)) > 0]
@@ -38,11 +37,14 @@ def test_a_window_is_found_from_one_that_only_touches_it(name):
         inside = slice(9, 21)
         true = segment_columns(rows, candidate)[:, inside].sum(axis=(1, 2))
     size = 15.0 / np.linalg.norm(whitener.project(true))
-    noise = rng.normal(size=len(true))
-    y = whitener.project(size * true) + noise - whitener.basis @ (whitener.basis.T @ noise)
-    placed = place_window(rows, candidate, whitener, y)
-    assert placed.interval is not None
-    assert overlap(placed.interval, (start, stop)) > 0.6
+    overlaps = []
+    for seed in range(5):
+        noise = np.random.default_rng(seed).normal(size=len(true))
+        y = whitener.project(size * true) + noise - whitener.basis @ (whitener.basis.T @ noise)
+        placed = place_window(rows, candidate, whitener, y)
+        assert placed.interval is not None
+        overlaps.append(overlap(placed.interval, (start, stop)))
+    assert np.median(overlaps) > 0.6
 
 
 def test_columns_of_a_window_are_sums_over_its_segments():
