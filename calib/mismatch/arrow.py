@@ -277,10 +277,9 @@ def _inverse(lower: FloatArray) -> FloatArray:
 
 
 def _solve(lower: FloatArray, values: FloatArray, *, transposed: bool = False) -> FloatArray:
+    """Return ``L^-1 values`` or ``L'^-1 values``, without the checks of SciPy's own."""
     if not lower.size:
         return values
-    return np.asarray(
-        linalg.solve_triangular(
-            lower, values, lower=True, trans=int(transposed), check_finite=False
-        )
-    )
+    columns = values if values.ndim > 1 else values[:, None]
+    found = linalg.blas.dtrsm(1.0, lower, columns, lower=1, trans_a=int(transposed))
+    return np.asarray(found if values.ndim > 1 else found[:, 0])

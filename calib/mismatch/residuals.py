@@ -33,6 +33,10 @@ BINS = (1 / 6, 1 / 2)
 def build_rows(grid: Grid, twin: Twin, noise: FloatArray, *, spread: float | None = None) -> Rows:
     """Return recording minus twin as rows, linearised at the twin.
 
+    But turns are linearised where the rests beside them have the gyro's bias. In a day it walks by
+    a tenth of a degree a second, and what an attitude that is off by ``d`` does to the velocity,
+    ``g d²/2`` a second, is no longer linear in it.
+
     Parameters
     ----------
     grid, twin : Grid, Twin
@@ -61,7 +65,8 @@ def build_rows(grid: Grid, twin: Twin, noise: FloatArray, *, spread: float | Non
     left = measured - explained - predicted
     # At rest: rows (3, cells, 6) of the means, and of two contrasts.
     still = np.flatnonzero(grid.pose >= 0)
-    cell = (np.cumsum(grid.is_rest) - 1)[grid.segment[still]]
+    cell_of = np.cumsum(grid.is_rest) - 1
+    cell = cell_of[grid.segment[still]]
     weights = _cell_weights(grid.count[still], cell)
     at = np.arange(6 * n_cell).reshape(n_cell, 6)
     later = n_mean + n_close + 12 * np.arange(n_cell)[:, None] + np.arange(6)
@@ -78,6 +83,11 @@ def build_rows(grid: Grid, twin: Twin, noise: FloatArray, *, spread: float | Non
         nuisance[rows[0, :, :3], 2 * pose[:, None] + j] = tilt[pose, :, j]
     # Turns: rows (turns, 5).
     points, first = grid.points_of(turns)
+    drift = 0.5 * (residual[at[cell_of[turns - 1], 3:]] + residual[at[cell_of[turns + 1], 3:]])
+    drift = np.repeat(drift, np.diff(first), axis=0)
+    rate = state.rate.copy()
+    rate[points] -= drift @ inverse[1].T
+    state = replace(state, rate=rate)
     before, after = grid.before[turns], grid.after[turns]
     closed = close_turns(
         grid.time[points],
@@ -89,14 +99,15 @@ def build_rows(grid: Grid, twin: Twin, noise: FloatArray, *, spread: float | Non
         gravity=twin.gravity,
     )
     ends = n_mean + np.arange(n_close).reshape(n_turn, 5)
-    residual[ends] = closed.residual
+    moved = (closed.accel_weights @ inverse[0], closed.gyro_weights @ inverse[1])
+    undone = np.add.reduceat(np.einsum("rni,ni->rn", moved[1], drift), first[:-1], axis=1)
+    residual[ends] = closed.residual + undone.T
     kind[ends] = [Kind.ATTITUDE] * 2 + [Kind.VELOCITY] * 3
     segment[ends] = turns[:, None]
     for j in (0, 1):
         nuisance[ends, 2 * before[:, None] + j] += closed.before[:, :, j]
         nuisance[ends, 2 * after[:, None] + j] += closed.after[:, :, j]
     row_of = np.repeat(ends, np.diff(first), axis=0).T
-    moved = (closed.accel_weights @ inverse[0], closed.gyro_weights @ inverse[1])
     functional = []
     for c in range(6):
         # Of the attitude, accelerometers know nothing.

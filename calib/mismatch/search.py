@@ -47,6 +47,13 @@ TWIN = 0.01
 """The same for another effect of the catalogue: what sizes are typical is a weak argument between
 two that a recording cannot tell apart."""
 
+SHOWN = 1e-3
+"""Posterior probability below which nothing is said of a group."""
+
+BETWEEN = 20.0
+"""Log evidence that a place between two of the grid may add, or as much again as it has there: they
+are near enough for the larger part of an effect to show at one of them."""
+
 MIMICKED = 9.0
 """Power of a finding, in units of the noise, that a twin does not mimic, below which the two are a
 tie: the likelihood then favours the wrong one in 1 of 15."""
@@ -307,14 +314,17 @@ def _posterior(
     weight = stack.weight
     evidence = stack.log_bayes_factors(whitener, y) + weight
     best, groups = grouped(stack, evidence)
+    least = logsumexp(list(groups.values())) + np.log(SHOWN)
     for g in leading(best, groups):
+        if groups[g] + max(groups[g], BETWEEN) < least:
+            continue
         near = nearby(rows, best[g])
         if near.candidates:
             i = stack.candidates.index(best[g])
             evidence[i] = max(evidence[i], near.average(whitener, y) + weight[i])
     best, groups = grouped(stack, evidence)
     total = logsumexp(list(groups.values()))
-    out = {g: float(np.exp(v - total)) for g, v in groups.items() if v - total > np.log(1e-3)}
+    out = {g: float(np.exp(v - total)) for g, v in groups.items() if v - total > np.log(SHOWN)}
     if own.candidate.physical:
         explained = _fit(whitener.project(own.columns), y)
         for g, candidate in best.items():

@@ -176,3 +176,16 @@ def test_settling_shows_in_the_contrasts_of_a_rest():
     own = np.bincount(rows.segment[contrast], np.square(seen[contrast]), len(varies))
     settled = varies > 0.1 * varies.max()
     assert np.median((own * number)[settled] / varies[settled]) > 0.8
+
+
+def test_rows_stay_linear_in_a_bias_that_the_rests_show():
+    grid, self_mode = problem()
+    rows = self_mode.rows()
+    names = [f"gyro.bias.{a}" for a in "xyz"]
+    shift = np.array([0.02, -0.03, 0.01])  # thousands of times what rests tell
+    still = np.zeros((grid.n_poses, 2))
+    twin = self_mode.twin.moved(dict(zip(names, shift, strict=True)), still)
+    seen = build_rows(grid, twin, self_mode.noise).residual - rows.residual
+    columns = rows.baseline[:, [rows.names.index(n) for n in names]]
+    scale = np.abs(columns @ shift)[rows.kind == Kind.VELOCITY].max()
+    np.testing.assert_allclose(seen, -columns @ shift, atol=1e-4 * scale)
