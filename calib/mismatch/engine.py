@@ -99,7 +99,7 @@ def diagnose_thinned(
         # Without a clock no motion can be integrated, and here there was none.
         poses = one_rest(poses)
     shortest = 0.0 if recording.clock == "invalid" else SHORTEST_CELL
-    grid = make_grid(recording, poses, shortest_cell=shortest)
+    grid = make_grid(recording, poses, shortest_cell=shortest, began=thinned.start)
     full = model is not None and bool(model.gyro.misalignment.any())
     timeless = recording.clock == "invalid"
     problem = SelfProblem(

@@ -70,6 +70,8 @@ class Grid:
     interval : (s, 2) array, s
     temperature_slope : (n,) array or None
         Rate of temperature, only where no seconds are known: as if all had taken `UNCLOCKED`.
+    began : float, s
+        When the recording did, be its first pose used or not: warm-up is counted from there.
     before, after : (s,) arrays of int
         Pose at either end of a segment: the same for a cell of a rest, neighbours for a turn.
     """
@@ -88,6 +90,7 @@ class Grid:
     before: IntArray
     after: IntArray
     n_poses: int
+    began: float
     temperature_slope: FloatArray | None = None
 
     @property
@@ -114,7 +117,12 @@ class Grid:
 
 
 def make_grid(
-    recording: Recording, poses: Poses, *, margin: int = 3, shortest_cell: float | None = None
+    recording: Recording,
+    poses: Poses,
+    *,
+    margin: int = 3,
+    shortest_cell: float | None = None,
+    began: float | None = None,
 ) -> Grid:
     """Cut a recording into cells of rests and turns between them.
 
@@ -128,6 +136,8 @@ def make_grid(
         integrated from rest to rest.
     shortest_cell : float, s
         Shortest part that a long rest is cut into.
+    began : float, s
+        When the recording did, if its first samples were left out.
     """
     step = max(recording.interval, 1e-9)
     width = max(1, round(REST_STEP / step))
@@ -158,7 +168,8 @@ def make_grid(
                 add(np.arange(a, b, dtype=np.int64), b, k, k + 1)
     bounds = np.concatenate(starts)
     table = np.array(segments, np.int64)
-    return _fill(recording, poses, bounds, table)
+    began = float(recording.time[0]) if began is None else began
+    return _fill(recording, poses, bounds, table, began)
 
 
 def untouched(recording: Recording, poses: Poses) -> Poses:
@@ -245,7 +256,9 @@ def _cell_counts(poses: Poses, shortest: float) -> IntArray:
     return np.asarray(np.maximum(cells, 1))
 
 
-def _fill(recording: Recording, poses: Poses, bounds: IntArray, table: IntArray) -> Grid:
+def _fill(
+    recording: Recording, poses: Poses, bounds: IntArray, table: IntArray, began: float
+) -> Grid:
     count = bounds[:, 1] - bounds[:, 0]
 
     def mean(values: FloatArray) -> FloatArray:
@@ -294,6 +307,7 @@ def _fill(recording: Recording, poses: Poses, bounds: IntArray, table: IntArray)
         before=before,
         after=after,
         n_poses=len(poses),
+        began=began,
         temperature_slope=slope,
     )
 

@@ -65,14 +65,15 @@ class Thinned:
         Of that recording.
     seen : Samples
         ``spoilt`` is of that recording.
-    samples, duration, found : int, float (s), int
-        Samples, duration and poses before anything was left out.
+    samples, start, duration, found : int, float (s), float (s), int
+        Samples, first moment, duration and poses before anything was left out.
     """
 
     recording: Recording
     poses: Poses
     seen: Samples
     samples: int
+    start: float
     duration: float
     found: int
 
@@ -117,7 +118,7 @@ def thin(
         recording = join(head)
         poses = find_poses(recording)
         seen = look_at_samples(recording, poses)
-        return Thinned(recording, poses, seen, samples, recording.duration, len(poses))
+        return Thinned(recording, poses, seen, samples, first, recording.duration, len(poses))
     start, stop = finder.find()
     which = choose_poses(finder.accel(start, stop), start, stop, interval=finder.interval)
     keep = _kept(start[which], stop[which], finder.interval, resting)
@@ -129,7 +130,7 @@ def thin(
     wrong = look_at_units(recording, poses)
     if wrong:
         seen = seen._replace(findings=wrong, unexplained=(), fatal=True)
-    return Thinned(recording, poses, seen, samples, last - first, len(start))
+    return Thinned(recording, poses, seen, samples, first, last - first, len(start))
 
 
 def sections(batches: Iterable[Recording], size: int) -> Iterator[Recording]:

@@ -61,7 +61,7 @@ def true_state(grid: Grid, twin: Twin) -> State:
         rate=grid.gyro,
         temperature=grid.temperature,
         reference_temperature=twin.model.reference_temperature,
-        power_on=float(grid.time[0]),
+        power_on=grid.began,
         since_turn=grid.since_turn,
         vibration=grid.vibration,
         temperature_slope=grid.temperature_slope,

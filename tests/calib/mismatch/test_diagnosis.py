@@ -183,3 +183,21 @@ def test_a_low_pass_is_there_or_not_and_its_cutoff_is_right(cutoff: float, known
     # By its delay alone it may be of second order, with a cut-off 1.4 times as high.
     assert (found.sigma < 0.03 * cutoff) == known
     assert (found.sigma > 0.3 / 3 * cutoff) == (not known)
+
+
+def test_a_warm_up_is_counted_from_where_the_recording_begins() -> None:
+    real = recording(Term("gyro_warm_up", {"kx": 0.02, "tau": 30.0}), seed=4)
+    early = real.time < real.time[0] + 12.0
+    # Whoever switched it on had it in the hand for a while.
+    rng = np.random.default_rng(4)
+    hand = 0.3 * early[:, None] * np.sin(9.0 * real.time[:, None] + rng.uniform(0, 6, 3))
+    held = Recording(
+        real.time, real.accel + hand, real.gyro + hand, real.clock, temperature=real.temperature
+    )
+    found = diagnose_recording(held, gravity=GRAVITY)
+    warm = next(f for f in found.findings if f.effect == "gyro_warm_up")
+    size, tau = warm.parameters["kx"], warm.parameters["tau"]
+    assert size.sigma is not None
+    assert abs(size.value - 0.02) < 3 * size.sigma
+    assert size.sigma < 0.003
+    assert abs(tau.value - 30.0) < 10.0
