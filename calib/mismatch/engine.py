@@ -24,7 +24,7 @@ from calib.mismatch.grid import (
     untouched,
 )
 from calib.mismatch.losses import find_losses
-from calib.mismatch.places import joined
+from calib.mismatch.places import gathered, joined
 from calib.mismatch.samples import lost_samples
 from calib.mismatch.search import Outcome, search
 from calib.mismatch.selfmode import SelfProblem
@@ -135,7 +135,7 @@ def diagnose_thinned(
     if any(f.effect.endswith(_SHAKEN) for f in findings):
         # What shook the sensor is the cause of the noise, too.
         noisy = tuple(item for item in noisy if item.follows != LOUDER_THERE)
-    unexplained = [*seen.unexplained, *joined([*unexplained, *noisy])]
+    unexplained = [*seen.unexplained, *gathered(joined([*unexplained, *noisy]))]
     change, likelihood = changes(outcome)
     return Diagnosis(
         verdict=verdict(

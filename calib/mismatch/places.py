@@ -41,6 +41,40 @@ def joined(items: list[Unexplained]) -> list[Unexplained]:
     return out if len(out) == len(items) else joined(out)
 
 
+def gathered(items: list[Unexplained]) -> list[Unexplained]:
+    """Return the items with what some rests show of the same triads as one, in several places."""
+    out: list[Unexplained] = []
+    for item in items:
+        alike = [i for i, other in enumerate(out) if _kind(other) == _kind(item)]
+        if not alike or not item.follows.endswith(SEEN):
+            out.append(item)
+            continue
+        other = out[alike[0]]
+        channels = {*other.channels, *item.channels}
+        out[alike[0]] = replace(
+            other,
+            channels=tuple(c for c in CHANNELS if c in channels),
+            intervals=_apart((*other.intervals, *item.intervals)),
+            p_value=min(other.p_value, item.p_value),
+        )
+    return out
+
+
+def _kind(item: Unexplained) -> tuple[str, frozenset[str]]:
+    return item.follows, frozenset(c.split(".")[0] for c in item.channels)
+
+
+def _apart(intervals: tuple[Interval, ...]) -> tuple[Interval, ...]:
+    """Return intervals in their order, those that overlap as one."""
+    out: list[Interval] = []
+    for here in sorted(intervals):
+        if out and here[0] <= out[-1][1]:
+            out[-1] = _hull(out[-1], here)
+        else:
+            out.append(here)
+    return tuple(out)
+
+
 def _are_one(one: Unexplained, other: Unexplained) -> bool:
     if not (_is_local(one) and _is_local(other)):
         return False

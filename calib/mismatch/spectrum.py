@@ -10,6 +10,7 @@ import numpy as np
 from scipy.special import chdtrc, chdtri, fdtrc, stdtr
 
 from calib.mismatch.diagnosis import Unexplained
+from calib.mismatch.places import SEEN, joined
 from calib.poses import Poses
 from calib.recording import CHANNELS, Recording
 from calib.types import BoolArray, FloatArray, IntArray
@@ -89,11 +90,12 @@ def look_at_spectrum(recording: Recording, poses: Poses) -> tuple[Unexplained, .
 
 
 def _merged(found: list[Unexplained]) -> list[Unexplained]:
-    """Return one entry for all channels of one kind."""
+    """Return one entry for all channels of one kind, or in one place."""
+    out = joined([item for item in found if item.follows.endswith(SEEN)])
     kinds: dict[str, list[Unexplained]] = {}
     for item in found:
-        kinds.setdefault(item.follows.split(" at ")[0], []).append(item)
-    out = []
+        if not item.follows.endswith(SEEN):
+            kinds.setdefault(item.follows.split(" at ")[0], []).append(item)
     for items in kinds.values():
         best = min(items, key=lambda item: item.p_value)
         start = min(item.intervals[0][0] for item in items)
@@ -213,12 +215,12 @@ def _bursts(
         # What most rests have is no event of some of them.
         if not which.any() or which.mean() > 0.5:
             continue
-        rest = found[which]
-        interval = (
-            float(poses.interval[rest[0], 0]),
-            float(poses.interval[rest[-1], 1]),
-        )
-        out.append(Unexplained((channel,), (interval,), follows, float(p[which].min())))
+        # Each run of rests that have it is a place of its own.
+        at = np.flatnonzero(which)
+        for run in np.split(at, np.flatnonzero(np.diff(at) > 1) + 1):
+            rest = found[run]
+            interval = (float(poses.interval[rest[0], 0]), float(poses.interval[rest[-1], 1]))
+            out.append(Unexplained((channel,), (interval,), follows, float(p[run].min())))
     return out
 
 

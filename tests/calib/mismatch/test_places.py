@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from calib.mismatch.diagnosis import Unexplained
-from calib.mismatch.places import joined
+from calib.mismatch.places import gathered, joined
 
 
 def piece(
@@ -36,3 +36,23 @@ def test_pieces_of_one_disturbance_are_joined(pieces, expected):
 def test_what_goes_with_the_direction_everywhere_is_no_piece_of_a_window():
     items = [piece("gyro.x", 10, 20), piece("gyro.x", 0, 100, "direction of gravity")]
     assert joined(items) == items
+
+
+def test_what_rests_far_apart_show_of_a_triad_is_one_item_in_several_places():
+    loud, narrow = "the time: noise is louder there", "the time: power at one frequency there"
+    items = [
+        piece("gyro.x", 0, 10, narrow),
+        piece("gyro.y", 50, 60, narrow),
+        piece("gyro.z", 55, 70, narrow),
+        piece("accel.x", 20, 30, loud),
+        piece("gyro.x", 80, 90),
+        piece("gyro.x", 20, 30),
+    ]
+    found = gathered(items)
+    assert [item.channels for item in found[:2]] == [
+        ("gyro.x", "gyro.y", "gyro.z"),
+        ("accel.x",),
+    ]
+    assert found[0].intervals == ((0, 10), (50, 70))
+    # What has an end of its own, in the rows, is a disturbance of its own.
+    assert found[2:] == items[4:]

@@ -64,6 +64,18 @@ def test_a_rest_that_rounding_leaves_constant_hides_no_burst_in_another() -> Non
     assert burst.intervals == (tuple(poses.interval[7]),)
 
 
+def test_rests_far_apart_that_are_shaken_are_two_places() -> None:
+    loud = np.ones(POSES)
+    loud[[2, 15, 16]] = 4.0
+    recording, poses = rests(3, loud)
+    found = look_at_spectrum(recording, poses)
+    assert [item.channels for item in found] == [("accel.x", "accel.y", "accel.z")] * 2
+    assert [item.intervals for item in found] == [
+        (tuple(poses.interval[2]),),
+        ((poses.interval[15, 0], poses.interval[16, 1]),),
+    ]
+
+
 def test_a_line_in_some_rests_is_said_to_be_there() -> None:
     recording, poses = rests(7, np.ones(POSES))
     start, stop = poses.interval[8, 0], poses.interval[13, 1]
