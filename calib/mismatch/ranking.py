@@ -38,8 +38,9 @@ recordings that reach it by 20 %, but only evidence that is all or nothing attai
 errors under as many looks as here, ``benchmarks/evidence.py`` counts 1 in 450."""
 
 DRIFTING = 0.1
-"""What evidence counts where a drift can mimic it: it stands or falls with the slow end of the
-noise, of which a recording shows a few modes only."""
+"""What evidence counts where a drift can mimic it and rests alone show that: it stands or falls
+with the slow end of the noise, of which a recording's rests show a few modes only. Beside a truth
+every moment shows it."""
 
 SLOW_MODES = 8
 """Half waves over the recording in the fastest drift that is meant by that."""
@@ -308,8 +309,11 @@ class _Scores:
 def _drifting(
     rows: Rows, stack: Stack, whitener: Whitener, candidates: list[Candidate]
 ) -> frozenset[str]:
-    """Return the groups of those candidates of which a drift can mimic more than half."""
-    if not candidates:
+    """Return the groups of those candidates of which a drift can mimic more than half.
+
+    None where windows that follow one another without a gap show how a bias goes on.
+    """
+    if not candidates or not rows.is_rest.any():
         return frozenset()
     time = rows.state.time - rows.state.time[0]
     phase = np.pi * time[:, None] / max(float(time[-1]), 1e-9) * np.arange(1, SLOW_MODES + 1)

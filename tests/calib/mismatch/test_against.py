@@ -9,9 +9,13 @@ import pytest
 from calib.effects.base import Term
 from calib.errors import NoCommonMotionError
 from calib.mismatch import diagnose_against
+from calib.mismatch.against import compare_simulation
 from calib.mismatch.alignment import Alignment, align
 from calib.mismatch.band import between, follows_noise
 from calib.mismatch.comparison import ComparisonProblem
+from calib.mismatch.noise import expected_levels
+from calib.mismatch.ranking import make_stack, rank
+from calib.mismatch.samples import look_at_samples
 from calib.mismatch.truths import RecordingTruth
 from calib.model import SensorModel, Triad
 from calib.recording import Recording
@@ -89,6 +93,17 @@ def test_one_effect_is_found_and_nothing_else(slug, values):
     for name, value in values.items():
         q = found.findings[0].parameters[name]
         assert q.value == pytest.approx(value, abs=5 * q.sigma + 0.02 * abs(value))
+
+
+def test_evidence_that_drift_can_mimic_counts_in_full_where_every_moment_shows_the_drift():
+    real = recorded(Term("gyro_bias_step", {"bx": 0.0006, "moment": 14.0}))
+    seen = look_at_samples(real, find_poses(real))
+    problem, skip = compare_simulation(real, simulation(), seen, gravity=GRAVITY)
+    rows = problem.rows()
+    stack = make_stack(rows, skip=skip, reference=True)
+    ranking = rank(rows, stack, [], expected_levels(rows))
+    assert ranking.groups["gyro_bias_step"] > 0
+    assert ranking.discounted == ranking.groups
 
 
 def test_a_clock_that_runs_fast_is_found_beside_another_start():
