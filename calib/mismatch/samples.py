@@ -33,6 +33,9 @@ _COARSE = 0.5
 GAP = 2.5
 """Sample intervals without a sample, from which on a turn is not integrated across them."""
 
+CERTAIN = 0.1
+"""Standard error of a number of samples below which it is no other: one in a hundred is off."""
+
 STUCK = 0.2
 """Share of the recording for which a channel that is stuck leaves nothing to compare with."""
 
@@ -227,9 +230,10 @@ def _repeats(recording: Recording, repeats: IntArray) -> Finding:
 
 def lost_samples(recording: Recording, loss: Loss, turn: FloatArray) -> Finding:
     """Return the finding of a loss that the closure of its own turn shows."""
+    late, number = loss.spread
     values = {
-        "count": Quantity(float(loss.number), None, "samples"),
-        "moment": Quantity(loss.moment, recording.interval, "s"),
+        "count": Quantity(float(loss.number), number if number > CERTAIN else None, "samples"),
+        "moment": Quantity(loss.moment, float(np.hypot(recording.interval, late)), "s"),
     }
     found = _finding(
         "dropped_samples",

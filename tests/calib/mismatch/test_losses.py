@@ -46,6 +46,28 @@ def test_where_and_how_many_are_found_to_the_sample() -> None:
         assert loss.after < 0.05 * loss.before
 
 
+def test_where_and_how_many_are_found_among_the_jolts_of_a_hand() -> None:
+    found = 0
+    for seed in range(2, 8):
+        rng = np.random.default_rng(seed)
+        whole = recording(rate=100.0, seed=seed)
+        poses = find_poses(whole)
+        moving = np.linalg.norm(whole.gyro, axis=1) > 0.3
+        jolts = 0.05 * (moving & (rng.random(len(whole)) < 0.2))[:, None]
+        shaken = replace(
+            whole,
+            gyro=whole.gyro + jolts * rng.normal(size=(len(whole), 3)),
+            accel=whole.accel + 5.0 * jolts * rng.normal(size=(len(whole), 3)),
+        )
+        at = int(poses.stop[5] + poses.start[6]) // 2
+        for loss in find_losses(problem_of(without(shaken, at, 2))):
+            found += 1
+            assert abs(loss.number - 2) <= 3.0 * loss.spread[1]
+            late = np.hypot(whole.interval, loss.spread[0])
+            assert abs(loss.moment - whole.time[at]) < 3.0 * late
+    assert found >= 3
+
+
 def test_a_loss_stands_out_of_a_misaligned_gyroscope() -> None:
     """Of a few samples in a turn that is no brisker than others."""
     term = Term("gyro_misalignment", {"mxy": 8e-3, "myz": -7e-3, "mzx": 6e-3, "mzy": 7e-3})
