@@ -33,7 +33,8 @@ class Blur(NamedTuple):
     ``matrices`` (m, n) are those of accelerometer and gyroscope, ``power`` how many of the m points
     are independent, as a share. Where the noise of the n points is white, it is not afterwards; if
     the blur ``whitens``, it is the other way round: of white noise that comes on top (shaking) the
-    shares ``white`` are seen on accelerometer and gyroscope, and slow noise whole.
+    shares ``white`` are seen on accelerometer and gyroscope, and slow noise whole. What shakes at
+    one moment is ``heard`` around it, through the low-pass too: so its variance is spread.
     """
 
     matrices: tuple[sparse.csr_matrix, sparse.csr_matrix]
@@ -41,6 +42,7 @@ class Blur(NamedTuple):
     power: float
     whitens: bool = False
     white: tuple[float, float] = (1.0, 1.0)
+    heard: tuple[FloatArray, FloatArray] = (np.ones(1), np.ones(1))
 
 
 class Colour(NamedTuple):
@@ -91,10 +93,13 @@ def whitening(time: FloatArray, colours: list[Colour], interval: float, band: fl
         Cut-off of the low-pass.
     """
     size = 2 * int(np.ceil(PART / interval))
-    taps = []
+    taps, heard = [], []
+    frequency = fft.rfftfreq(size, interval)
     for colour in colours:
-        response = 1.0 / np.sqrt(colour.at(fft.rfftfreq(size, interval)))
+        response = 1.0 / np.sqrt(colour.at(frequency))
         taps.append(fft.irfft(response, size)[: size // 2])
+        both = np.square(fft.irfft(response / (1.0 + (frequency / band) ** 8), size))
+        heard.append(np.roll(both, size // 2)[1:] / both.sum())
     # As far as anything of it is left.
     left = np.max([np.abs(t) / np.abs(t).max() for t in taps], axis=0)
     reach = int(np.flatnonzero(left > 3e-3)[-1])
@@ -106,7 +111,14 @@ def whitening(time: FloatArray, colours: list[Colour], interval: float, band: fl
     power = min(1.0, 2.0 * PASSED * band * interval)
     inside = np.linspace(0.0, PASSED * band, 50)
     accel, gyro = (float(np.mean(1.0 / colour.at(inside))) for colour in colours)
-    return Blur((matrices[0], matrices[1]), seen, power, whitens=True, white=(accel, gyro))
+    return Blur(
+        (matrices[0], matrices[1]),
+        seen,
+        power,
+        whitens=True,
+        white=(accel, gyro),
+        heard=(heard[0], heard[1]),
+    )
 
 
 def find_colour(

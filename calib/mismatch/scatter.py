@@ -80,11 +80,12 @@ def scatter(
         own = [values for channel, values in columns if channel == name]
         design = matrix @ np.stack([*own, np.ones(len(parts))], axis=1)
         y = matrix @ left[:, c]
-        seen = parts[blur.seen] if blur.whitens else matrix.power(2) @ parts
+        heard = np.stack([_spread(part, blur.heard[c // 3]) for part in parts.T], axis=1)
+        seen = heard[blur.seen] if blur.whitens else matrix.power(2) @ heard
         share = _of_parts(seen, y, design, blur.power)
         known = seen @ share
         share[1:] /= blur.white[c // 3]
-        variance[:, c] = parts @ share
+        variance[:, c] = heard @ share
         shown[:, c] = known / (seen @ share)
     return Scatter(variance, shown)
 
@@ -111,6 +112,15 @@ def _shaking(state: State) -> FloatArray:
         return np.zeros(len(state.time))
     total = state.vibration.sum(axis=1)
     return np.asarray(np.maximum(total - LOUD * np.quantile(total, QUIETEST), 0.0))
+
+
+def _spread(values: FloatArray, heard: FloatArray) -> FloatArray:
+    """Return (n,) variances as they are heard, what is before the first and after the last alike.
+
+    What shakes is a thousand times louder than what does not: its echo is heard beside it.
+    """
+    reach = len(heard) // 2
+    return np.convolve(np.pad(values, reach, mode="edge"), heard, mode="valid")
 
 
 def _bend(values: FloatArray) -> FloatArray:

@@ -138,6 +138,22 @@ def test_what_a_sensor_that_nothing_shakes_hears_of_its_own_noise_is_no_vibratio
             assert 0.6 < np.mean(ratio[(rows.kind == kind) & (rows.channel == c)]) < 1.5
 
 
+def test_what_shakes_is_heard_beside_it_as_the_low_pass_spreads_it(tumbled):
+    rng = np.random.default_rng(8)
+    band, colour = 5.0, Colour(0.2, 0.0)
+    loud = 100.0 * ((tumbled.time % 8.0 > 2.0) & (tumbled.time % 8.0 < 5.0))
+    own = np.fft.rfft(rng.normal(0, 0.1, (N, 6)), axis=0)
+    own *= np.sqrt(colour.at(np.fft.rfftfreq(N, STEP)))[:, None]
+    left = np.fft.irfft(own, N, axis=0) + loud[:, None] * rng.normal(size=(N, 6))
+    state = replace(tumbled, vibration=np.tile(np.square(loud)[:, None] / 3.0, (1, 3)))
+    blur = whitening(tumbled.time, [colour, colour], STEP, band)
+    left, columns = zero_phase(left, band * STEP), shown(state)
+    rough = scatter(state, left, columns, blur=blur, resolved=True)
+    _, ratio = windows(state, left, columns, blur, rough)
+    # Of 2000 rows; beside what shakes, noise would be a thousand times what it is elsewhere.
+    assert np.sqrt(ratio.max()) < 6.0
+
+
 ARM = np.array([-0.0189, 0.0189, 0.0])
 
 
