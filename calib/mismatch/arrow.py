@@ -92,7 +92,7 @@ class Factor:
 
     def solve(self, values: FloatArray) -> FloatArray:
         """Return ``L^-1 values`` for (n, ...) values."""
-        out = np.empty(values.shape)
+        out = np.empty(values.shape, order="F")
         rest = values[self.border]
         for rows, lower, told, response in self.blocks:
             white = _solve(lower, values[rows])
@@ -104,7 +104,7 @@ class Factor:
 
     def solve_transposed(self, values: FloatArray) -> FloatArray:
         """Return ``L'^-1 values`` for (n, ...) values."""
-        out = np.empty(values.shape)
+        out = np.empty(values.shape, order="F")
         last = _solve(self.lower, values[self.border], transposed=True)
         out[self.border] = last
         for rows, lower, told, response in self.blocks:
@@ -167,7 +167,7 @@ class Arrow:
         known, last = [], self.white.copy()
         for block in self.blocks:
             own, cross, far = (
-                np.tensordot(levels[block.which], part, 1)
+                (levels[block.which] @ _flat(part)).reshape(part.shape[1:])
                 for part in (block.own, block.cross, block.far)
             )
             lower = _factor(block.white + own)
@@ -207,9 +207,9 @@ class Arrow:
             own = whole.T @ whole + told.T @ inner @ told - here @ here.T
             cross = -inner @ told - there @ here.T
             trace[block.which] += (
-                np.tensordot(block.own, own, 2)
-                + 2.0 * np.tensordot(block.cross, cross, 2)
-                + np.tensordot(block.far, inner - there @ there.T, 2)
+                _flat(block.own) @ own.ravel()
+                + 2.0 * _flat(block.cross) @ cross.ravel()
+                + _flat(block.far) @ (inner - there @ there.T).ravel()
             )
             y, y_far = py[block.rows], felt @ py[self.border]
             pull[np.ix_(block.rows, block.which)] = (block.own @ y + y_far @ block.cross).T
@@ -262,6 +262,11 @@ def _placed(part: Part, rows: IntArray) -> sparse.csr_matrix:
     own = row >= 0
     shape = (len(rows), found.shape[1])
     return sparse.csr_matrix((found.data[own], (row[own], found.col[own])), shape=shape)
+
+
+def _flat(parts: FloatArray) -> FloatArray:
+    """Return each of the k matrices as a row: a product with them is then one of a matrix."""
+    return parts.reshape(len(parts), int(np.prod(parts.shape[1:])))
 
 
 def _factor(matrix: FloatArray) -> FloatArray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy import sparse
@@ -30,20 +31,33 @@ BINS = (1 / 6, 1 / 2)
 """Where a cell of a rest is cut, in its length: what a turn leaves behind fades at its start."""
 
 
-def build_rows(grid: Grid, twin: Twin, noise: FloatArray, *, spread: float | None = None) -> Rows:
-    """Return recording minus twin as rows, linearised at the twin.
+class Linear(NamedTuple):
+    """Recording minus twin, and its derivatives, as `Rows` have them; without what noise does.
+
+    ``closed`` are the closures of the turns, of which `points` and `first` are the points, and
+    ``ends`` (k, 5) their rows.
+    """
+
+    residual: FloatArray
+    baseline: FloatArray
+    nuisance: FloatArray
+    functional: tuple[sparse.csr_matrix, ...]
+    state: State
+    kind: IntArray
+    channel: IntArray
+    segment: IntArray
+    closed: Closures
+    points: IntArray
+    first: IntArray
+    ends: IntArray
+
+
+def linearise(grid: Grid, twin: Twin) -> Linear:
+    """Return recording minus twin, linearised at the twin.
 
     But turns are linearised where the rests beside them have the gyro's bias. In a day it walks by
     a tenth of a degree a second, and what an attitude that is off by ``d`` does to the velocity,
     ``g d²/2`` a second, is no longer linear in it.
-
-    Parameters
-    ----------
-    grid, twin : Grid, Twin
-    noise : (n, 6) array
-        Variance of each point's mean on each channel, white part.
-    spread : float, optional
-        How uncertain the size of drift is beforehand, in place of `SPREAD`.
     """
     state = true_state(grid, twin)
     measured = np.hstack((grid.accel, grid.gyro))
@@ -121,22 +135,52 @@ def build_rows(grid: Grid, twin: Twin, noise: FloatArray, *, spread: float | Non
     for j, name in enumerate(twin.names):
         for key, values in baseline_column(name, state).items():
             baseline[:, j] += functional[CHANNELS.index(key)] @ values
-    dense = n_mean + n_close
+    return Linear(
+        residual,
+        baseline,
+        nuisance,
+        tuple(functional),
+        state,
+        kind,
+        channel,
+        segment,
+        closed,
+        points,
+        first,
+        ends,
+    )
+
+
+def build_rows(grid: Grid, twin: Twin, noise: FloatArray, *, spread: float | None = None) -> Rows:
+    """Return recording minus twin as rows, linearised at the twin.
+
+    Parameters
+    ----------
+    grid, twin : Grid, Twin
+    noise : (n, 6) array
+        Variance of each point's mean on each channel, white part.
+    spread : float, optional
+        How uncertain the size of drift is beforehand, in place of `SPREAD`.
+    """
+    linear = linearise(grid, twin)
+    state, closed, points, ends = linear.state, linear.closed, linear.points, linear.ends
+    n, m = len(grid.time), len(linear.residual)
+    dense = int((linear.kind != Kind.CONTRAST).sum())
     member = sparse.csr_matrix(
         (np.ones(n), (np.arange(n), grid.segment)), shape=(n, len(grid.first))
     )
     white = np.zeros((dense, dense))
     diagonal = np.zeros(m - dense)
-    for c, f in enumerate(functional):
+    for c, f in enumerate(linear.functional):
         top = f[:dense]
         white += (top.multiply(noise[:, c]) @ top.T).toarray()
         diagonal += np.asarray(f[dense:].power(2) @ noise[:, c]).ravel()
-    pieces = tuple((f @ member).tocsr() for f in functional)
+    pieces = tuple((f @ member).tocsr() for f in linear.functional)
     components = _components(
         grid,
         pieces,
-        kind[:dense],
-        segment[:dense],
+        linear.kind[:dense],
+        linear.segment[:dense],
         white,
         noise,
         closed,
@@ -148,29 +192,29 @@ def build_rows(grid: Grid, twin: Twin, noise: FloatArray, *, spread: float | Non
             state.force[points],
             state.rate[points],
             noise[points],
-            first,
+            linear.first,
             ends,
             np.diag(white)[ends],
         )
     )
     blur = mean_over_interval(grid, state)
-    spilt = sum(f[:dense] @ blur[:, c] for c, f in enumerate(functional))
+    spilt = sum(f[:dense] @ blur[:, c] for c, f in enumerate(linear.functional))
     white += MEANS * np.outer(spilt, spilt)
     return Rows(
-        residual=residual,
-        baseline=baseline,
+        residual=linear.residual,
+        baseline=linear.baseline,
         names=twin.names,
-        nuisance=nuisance,
-        functional=tuple(functional),
+        nuisance=linear.nuisance,
+        functional=linear.functional,
         state=state,
         point_segment=grid.segment,
         white=white,
         white_diagonal=diagonal,
         components=components,
-        kind=kind,
-        channel=channel,
-        segment=segment,
-        block=grid.before[segment],
+        kind=linear.kind,
+        channel=linear.channel,
+        segment=linear.segment,
+        block=grid.before[linear.segment],
         interval=grid.interval,
         is_rest=grid.is_rest,
         pieces=pieces,

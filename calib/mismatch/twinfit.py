@@ -5,11 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from scipy import linalg
 
 from calib.effects.base import State
 from calib.mismatch.closure import across
 from calib.mismatch.grid import Grid
-from calib.mismatch.residuals import build_rows
+from calib.mismatch.residuals import Linear, build_rows, linearise
 from calib.mismatch.rows import Rows
 from calib.mismatch.twin import Twin, baseline_column
 from calib.model import SensorModel, Triad
@@ -91,24 +92,28 @@ def fit_twin(
     Closures that disagree with the rest by far (a bumped turn, lost samples) are down-weighted.
     Segments in `drop` (s,) are left out.
     """
-    loose = np.array([_LOOSE[n.split(".")[1]] for n in twin.names])
-    for _ in range(iterations):
-        rows = build_rows(grid, twin, noise)
-        own = np.arange(rows.n_dense)
+    # What noise does to the rows hardly changes as the twin moves a little.
+    linear: Rows | Linear = (rows := build_rows(grid, twin, noise))
+    sigma = np.sqrt(rows.expected_variance())
+    for k in range(iterations):
+        linear = linearise(grid, twin) if k else linear
+        own = np.arange(len(sigma))
         if drop is not None:
-            own = own[~drop[rows.segment[own]]]
-        twin, size = _step(rows, own, twin, loose)
+            own = own[~drop[linear.segment[own]]]
+        twin, size = _step(linear, own, sigma[own], twin)
         if size < 1e-7:
             break
     return twin
 
 
-def _step(rows: Rows, dense: IntArray, twin: Twin, loose: FloatArray) -> tuple[Twin, float]:
+def _step(
+    linear: Rows | Linear, dense: IntArray, sigma: FloatArray, twin: Twin
+) -> tuple[Twin, float]:
     """Return the twin after a step that fits some of the dense rows, and how large a step it is."""
     p = len(twin.names)
-    sigma = np.sqrt(rows.expected_variance()[dense])
-    design = np.hstack((rows.baseline[dense], rows.nuisance[dense])) / sigma[:, None]
-    y, kinds = rows.residual[dense] / sigma, rows.kind[dense]
+    loose = np.array([_LOOSE[n.split(".")[1]] for n in twin.names])
+    design = np.hstack((linear.baseline[dense], linear.nuisance[dense])) / sigma[:, None]
+    y, kinds = linear.residual[dense] / sigma, linear.kind[dense]
     now = {**twin.model.accel.parameters("accel"), **twin.model.gyro.parameters("gyro")}
     ridge = np.zeros((p, design.shape[1]))
     ridge[:, :p] = np.diag(1.0 / loose)
@@ -117,8 +122,12 @@ def _step(rows: Rows, dense: IntArray, twin: Twin, loose: FloatArray) -> tuple[T
     step = np.zeros(design.shape[1])
     for _ in range(4):
         root = np.sqrt(weight)
-        step = np.linalg.lstsq(
-            np.vstack((design * root[:, None], ridge)), np.append(y * root, pull), rcond=None
+        # Pivoted QR: the rank may be short, but nobody needs singular values.
+        step = linalg.lstsq(
+            np.vstack((design * root[:, None], ridge)),
+            np.append(y * root, pull),
+            lapack_driver="gelsy",
+            check_finite=False,
         )[0]
         left = np.abs(y - design @ step)
         # Each kind has its own scale: what the closures leave is not known beforehand.
