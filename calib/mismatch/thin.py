@@ -40,7 +40,7 @@ from calib.types import BoolArray, IntArray
 WHOLE = 1 << 19
 """Samples up to which a recording stays whole: 87 minutes at 100 Hz, 40 MB."""
 
-SECTION = 1 << 18
+SECTION = 1 << 17
 """Samples that are read and looked at together."""
 
 RESTING = 1 << 18

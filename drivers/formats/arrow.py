@@ -98,6 +98,8 @@ class Arrow(Format):
             recording = add_table(assembler, table)
             if recording is not None:
                 yield recording
+        # What Arrow keeps for a batch to come would be memory that others lack.
+        pa.default_memory_pool().release_unused()
         if not assembler.rows:
             raise no_samples(name)
 
