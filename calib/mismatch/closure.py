@@ -74,20 +74,50 @@ def across(up: FloatArray) -> FloatArray:
 def turned_frames(time: FloatArray, rate: FloatArray, first: IntArray) -> FloatArray:
     """Return the frame at each time seen from that at the start of its turn, (n, 3, 3).
 
-    A trapezoid is off by ``dt²/12 dw/dt`` in between, and right again where the sensor rests: at
-    50 Hz a velocity of 2 mm/s after a brisk turn. So its next term is taken along
-    (Euler-Maclaurin). Points ``[first[i], first[i + 1])`` are turn i's, two or more.
+    Points ``[first[i], first[i + 1])`` are turn i's, two or more.
     """
     if len(first) < 2:
         return np.zeros((0, 3, 3))
-    start, last = first[:-1], first[1:] - 1
-    slope = np.gradient(rate, time, axis=0)
-    slope[start] = slope[last] = 0.0  # at rest; their noise would count twice
     increments = np.zeros_like(rate)
     increments[1:] = rate_increments(time, rate)
-    increments[1:] -= np.square(np.diff(time))[:, None] / 12 * np.diff(slope, axis=0)
-    increments[start] = 0.0
+    increments -= _bent(time, rate, first)
+    increments[first[:-1]] = 0.0
     return mat_from_quat(cumulative_quat_segments(quat_from_rotvec(increments), first))
+
+
+def _bent(time: FloatArray, values: FloatArray, first: IntArray) -> FloatArray:
+    """Return what trapezoids from the point before are too large by, (n, 3) in units times s.
+
+    A trapezoid is off by ``dt²/12 dx/dt`` in between, and right again where the sensor rests: at
+    50 Hz a velocity of 2 mm/s after a brisk turn; where samples are uneven, it stays off. So the
+    next term is taken along (Euler-Maclaurin), with slopes of the order that uneven samples need.
+    """
+    out = np.zeros_like(values)
+    if len(first) > 1:
+        slope = _slopes(time, values, first)
+        out[1:] = np.square(np.diff(time))[:, None] / 12 * np.diff(slope, axis=0)
+        out[first[:-1]] = 0.0
+    return out
+
+
+def _slopes(time: FloatArray, values: FloatArray, first: IntArray) -> FloatArray:
+    """Return the slopes of polynomials through two points on either side; none where turns end."""
+    near = np.gradient(values, time, axis=0)
+    slope, middle = near.copy(), slice(2, len(time) - 2)
+    places = (0, 1, 3, 4)
+    off = [time[k : len(time) - 4 + k] - time[middle] for k in places]
+    slope[middle] = 0.0
+    for k, own in zip(places, off, strict=True):
+        weight = -1.0 / own
+        for other in off:
+            if other is not own:
+                weight = weight * other / (own - other)
+        slope[middle] += weight[:, None] * (values[k : len(time) - 4 + k] - values[middle])
+    start, last = first[:-1], first[1:] - 1
+    beside = np.concatenate((np.minimum(start + 1, last), np.maximum(last - 1, start)))
+    slope[beside] = near[beside]
+    slope[start] = slope[last] = 0.0  # at rest; their noise would count twice
+    return slope
 
 
 def integrate_turns(
@@ -103,15 +133,17 @@ def integrate_turns(
 
 def end_turns(time: FloatArray, force: FloatArray, mat: FloatArray, first: IntArray) -> Ended:
     """Return where turns end whose `turned_frames` are known."""
-    weighted = _weights(_steps(time, first))[:, None] * np.einsum("nij,nj->ni", mat, force)
-    return Ended(mat[first[1:] - 1], np.add.reduceat(weighted, first[:-1], axis=0))
+    turned = np.einsum("nij,nj->ni", mat, force)
+    passed = _weights(_steps(time, first))[:, None] * turned - _bent(time, turned, first)
+    return Ended(mat[first[1:] - 1], np.add.reduceat(passed, first[:-1], axis=0))
 
 
 def follow_turns(time: FloatArray, force: FloatArray, rate: FloatArray, first: IntArray) -> Ended:
     """Return where turns are at each of their points, (n, ...): at the last, where they end."""
     mat = turned_frames(time, rate, first)
     turned = np.einsum("nij,nj->ni", mat, force)
-    passed = np.cumsum(0.5 * _steps(time, first)[:, None] * (turned + np.roll(turned, 1, 0)), 0)
+    gained = 0.5 * _steps(time, first)[:, None] * (turned + np.roll(turned, 1, 0))
+    passed = np.cumsum(gained - _bent(time, turned, first), axis=0)
     return Ended(mat, passed - np.repeat(passed[first[:-1]], np.diff(first), axis=0))
 
 

@@ -59,6 +59,14 @@ FREEDOM = 3.0
 CONTEXT = 6
 """Samples on either side that those put back are interpolated from."""
 
+EDGE = 4
+"""Samples at the ends of a part of a turn that are not integrated as in the whole: slopes take two
+on either side, and those of velocity take the frames there, which took slopes themselves. A turn's
+own ends rest."""
+
+PART = 2 * EDGE + 1
+"""Samples on either side that are integrated anew."""
+
 Signals = tuple[FloatArray, FloatArray, FloatArray]
 """Time, force and rate of one turn."""
 
@@ -224,12 +232,11 @@ def _mended(
     Beside it, how much longer it takes.
     """
     n = len(signals[0])
-    low, high = np.maximum(at - CONTEXT, 0), np.minimum(at + CONTEXT, n)
+    low, high = np.maximum(at - PART, 0), np.minimum(at + PART, n)
     near, first, longer = _put_back(signals, low, high, at, count)
     frame, velocity = follow_turns(*near, first)
-    # The rate's slope at the ends of a part is not that of the whole; it rests at those of a turn.
-    a, b = low + (low > 0), high - 1 - (high < n)
-    start, stop = first[:-1] + (low > 0), first[1:] - 1 - (high < n)
+    a, b = low + EDGE * (low > 0), high - 1 - EDGE * (high < n)
+    start, stop = first[:-1] + EDGE * (low > 0), first[1:] - 1 - EDGE * (high < n)
     leading = path.frame[a] @ np.swapaxes(frame[start], 1, 2)
     through = leading @ frame[stop] @ np.swapaxes(path.frame[b], 1, 2)
     gained = np.einsum("kij,kj->ki", leading, velocity[stop] - velocity[start])

@@ -152,6 +152,12 @@ def choose(rows: Rows, ranking: Ranking, accepted: list[Accepted]) -> Candidate 
     if ranking.total < np.log(CLAIM / DRIFTING):
         # Not enough for what a drift can mimic by itself.
         groups = ranking.discounted
+        others = [v for g, v in groups.items() if g not in ranking.drifting]
+        if max(groups, key=lambda g: groups[g]) not in ranking.drifting and (
+            logsumexp(others) < np.log(CLAIM)
+        ):
+            # Nor does it lend its weight to a name that is less probable.
+            return None
     physical = [g for g in groups if best[g].physical]
     rival = [g for g in groups if not best[g].physical]
     top = max(physical, key=lambda g: groups[g], default=None)

@@ -10,6 +10,7 @@ import numpy as np
 from scipy.special import chdtrc, chdtri, fdtrc, stdtr
 
 from calib.mismatch.diagnosis import Unexplained
+from calib.mismatch.knocks import knocked
 from calib.mismatch.places import SEEN, joined
 from calib.poses import Poses
 from calib.recording import CHANNELS, Recording
@@ -61,6 +62,11 @@ def look_at_spectrum(recording: Recording, poses: Poses) -> tuple[Unexplained, .
     if len(pose) < 8:
         return ()
     start = np.concatenate(starts)
+    count = np.append(0, np.cumsum(knocked(recording, poses)))
+    still = count[start + LENGTH] == count[start]
+    start, pose = start[still], pose[still]
+    if len(pose) < 8:
+        return ()
     # Enough for any line; a day at rest is not read whole.
     if len(start) > 2000:
         keep = np.linspace(0, len(start) - 1, 2000).astype(np.int64)

@@ -111,3 +111,23 @@ def test_half_of_the_samples_tell_which_turns_are_too_fast_for_them() -> None:
     assert errors[0] < errors[1] < errors[2]
     assert changes[0] < changes[1] < changes[2]
     assert all(e < c for e, c in zip(errors, changes, strict=True))
+
+
+def test_a_trembling_turn_closes_where_samples_are_uneven() -> None:
+    rng = np.random.default_rng(8)
+    time, _, rate, _ = turn(0.001, 2.0)
+    axis = rate[500] / np.linalg.norm(rate[500])
+    u = np.clip(time, 0, 1)
+    angle = 2.0 * u**3 * (10 - 15 * u + 6 * u**2)
+    angle += 0.01 * np.sin(np.pi * u) ** 2 * np.sin(18 * np.pi * u)
+    rate = np.gradient(angle, time, edge_order=2)[:, None] * axis
+    up = mat_from_rotvec(-angle[:, None] * axis) @ [0.0, 0.0, 1.0]
+    errors = []
+    for _ in range(20):
+        kept = 10 * np.arange(1, len(time) // 10)
+        kept = np.concatenate(([0], kept + rng.integers(-2, 3, len(kept)), [len(time) - 1]))
+        errors.append(close(time[kept], G * up[kept], rate[kept], up[kept]).residual[0])
+    off = np.sqrt(np.square(errors).mean(axis=0))
+    # Slopes of the second order, and trapezoids of velocity, leave twice as much.
+    assert off[:2].max() < 7e-6
+    assert off[2:].max() < 3.5e-5

@@ -10,7 +10,7 @@ from calib.effects.base import Term
 from calib.mismatch import diagnose_recording
 from calib.mismatch.closure import follow_turns, integrate_turns
 from calib.mismatch.grid import make_grid
-from calib.mismatch.losses import Loss, _mended, _put_back, find_losses
+from calib.mismatch.losses import PART, Loss, _mended, _put_back, find_losses
 from calib.mismatch.selfmode import SelfProblem
 from calib.recording import Recording
 from calib.statics import find_poses
@@ -142,13 +142,15 @@ def test_a_mended_turn_ends_where_it_does_when_all_of_it_is_integrated() -> None
     at, count = np.array([2, 5, 8, 30, 52, 57]), np.array([1, 4, 5, 3, 2, 1])
     found, _ = _mended(signals, path, at, count)
     everywhere = np.zeros(len(at), int), np.full(len(at), 60)
-    near = _put_back(signals, np.maximum(at - 6, 0), np.minimum(at + 6, 60), at, count)[0]
+    near = _put_back(signals, np.maximum(at - PART, 0), np.minimum(at + PART, 60), at, count)[0]
     whole, first, _ = _put_back(signals, *everywhere, at, count)
     # The same samples: only those near a loss are interpolated from.
     for i, (k, n) in enumerate(zip(at, count, strict=True)):
         part = first[i] + k + np.arange(n)
-        own = np.cumsum(np.append(0, np.minimum(at + 6, 60) - np.maximum(at - 6, 0) + count))[i]
-        own += k - max(k - 6, 0) + np.arange(n)
+        own = np.cumsum(np.append(0, np.minimum(at + PART, 60) - np.maximum(at - PART, 0) + count))[
+            i
+        ]
+        own += k - max(k - PART, 0) + np.arange(n)
         for there, here in zip(whole[1:], near[1:], strict=True):
             there[part] = here[own]
     ended = integrate_turns(*whole, first)

@@ -65,6 +65,8 @@ def test_what_a_drift_can_mimic_is_not_passed_over_for_a_poorer_rival(stacked):
     assert chosen(2.0, -0.2) is None
     assert chosen(2.0, 2.0) is wave
     assert chosen(6.0, 2.0) is step
+    # Both together are enough, but neither is by itself.
+    assert chosen(2.7, 1.3) is None
 
 
 def test_low_passes_of_unlike_channels_stay_apart(stacked):

@@ -133,3 +133,23 @@ def test_rests_of_one_periodogram_have_no_line_by_chance() -> None:
     # The floor is that of the noise: squares of the window, in every bin.
     np.testing.assert_allclose(floor.mean(), np.square(window).sum(), rtol=0.1)
     assert np.mean(np.array(least) < 0.1) < 0.1
+
+
+def test_a_knock_at_the_bench_is_no_burst_and_no_line() -> None:
+    recording, poses = rests(5, np.ones(POSES))
+    rng = np.random.default_rng(6)
+    accel, gyro = recording.accel.copy(), recording.gyro.copy()
+    for k in (4, 11):
+        at = int(rng.integers(poses.start[k] + 100, poses.stop[k] - 100))
+        since = np.arange(80) / RATE
+        ring = np.exp(-since / 0.1) * np.sin(2 * np.pi * 22.0 * since)
+        accel[at : at + 80] += 2.0 * ring[:, None] * rng.normal(size=3)
+        gyro[at : at + 80] += 0.1 * ring[:, None] * rng.normal(size=3)
+    shaken = replace(recording, accel=accel, gyro=gyro)
+    assert look_at_spectrum(shaken, poses) == ()
+    # On one channel it may be a disturbance, and a rest that is loud throughout is one.
+    alone = np.column_stack((accel[:, 0], recording.accel[:, 1:]))
+    assert look_at_spectrum(replace(recording, accel=alone), poses)
+    loud = np.ones(POSES)
+    loud[4] = 4.0
+    assert look_at_spectrum(*rests(5, loud))
