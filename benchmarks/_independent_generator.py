@@ -68,6 +68,7 @@ class Setting:
     wobble: float = 0.0  # rad, of a hand that holds the poses
     knock: bool = False
     shaken: bool = False
+    late: float = 0.0  # s, by which stamps scatter that a host makes; the samples are even
     exact: bool = False
     """Printed to 9 digits without rounding to counts."""
 
@@ -728,7 +729,9 @@ def read_out(
     if order is not None:
         signs = np.sign(np.array(order))
         out[:, 3:] = out[:, 3:][:, np.abs(order) - 1] * signs
-    return setting.start + np.arange(len(out)) / setting.rate, out, temperature
+    time = np.arange(len(out)) / setting.rate
+    late = np.random.default_rng(len(out)).uniform(-setting.late, setting.late, len(out))
+    return setting.start + time + late, out, temperature
 
 
 def write_csv(

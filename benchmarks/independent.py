@@ -62,6 +62,7 @@ STRESS: dict[str, dict[str, object]] = {
     "knock": {"knock": True},
     "held": {"wobble": 3e-4},
     "shaken": {"shaken": True},
+    "late": {"late": 5e-4},
     "real": {"misaligned": True, "earth": True},
 }
 
