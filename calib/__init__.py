@@ -41,7 +41,9 @@ Time
 ``time`` is seconds on the recording's own clock, strictly increasing, not necessarily even. Sample
 ``k`` is the signal at ``time[k]``; integrals are trapezoidal in the measured rate over true time,
 so nothing assumes an even rate. ``lost[k]`` counts samples known to be missing just before sample
-``k``. Intervals are ``[t0, t1]`` in recording seconds, index ranges ``[start, stop)``.
+``k``. Intervals are ``[t0, t1]`` in recording seconds, index ranges ``[start, stop)``. Stamps that
+scatter are evened out before anything is integrated, if the samples show that they were taken evenly
+(`calib.timing`).
 
 Noise
 -----

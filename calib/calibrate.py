@@ -26,6 +26,7 @@ from calib.poses import Poses
 from calib.recording import Recording
 from calib.solvers import accel_solvers, gyro_solvers
 from calib.statics import find_poses
+from calib.timing import evened
 from calib.turns import Turns, find_turns
 from calib.types import FloatArray, IntArray
 from calib.units import check_units
@@ -93,6 +94,7 @@ def calibrate(
         )
     _choose(accel_solvers(), "accel_method", accel_method)
     solve_gyro = _choose(gyro_solvers(), "gyro_method", gyro_method).solve
+    recording = evened(recording)
     poses = find_poses(recording) if poses is None else poses
     check_units(recording, poses)
     _check_poses(recording, poses, enough=1 if gyro_method == "rate_table" else 2)

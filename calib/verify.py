@@ -33,6 +33,7 @@ from calib.poses import Poses, average_poses
 from calib.recording import AXES, Recording
 from calib.solvers.quadric import COLUMNS, NAMES, ROWS
 from calib.statics import find_poses
+from calib.timing import evened
 from calib.turns import Turns, find_turns
 from calib.types import FloatArray, IntArray
 from calib.units import check_units
@@ -122,6 +123,7 @@ def verify(
     """
     if not 0 < significance < 1:
         raise ValueError(f"`significance` must be between 0 and 1, got {significance}")
+    recording = evened(recording)
     poses = find_poses(recording)
     check_units(recording, poses)
     if not len(poses):

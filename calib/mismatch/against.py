@@ -25,6 +25,7 @@ from calib.mismatch.truths import RecordingTruth
 from calib.model import SensorModel
 from calib.recording import CHANNELS, Recording
 from calib.statics import find_poses
+from calib.timing import evened
 from calib.types import FloatArray
 
 _OPEN = {"bias": 0.1, "scale_factor_error": 0.02, "misalignment": 0.02}
@@ -61,6 +62,7 @@ def diagnose_against(
     NoCommonMotionError
         If the simulation is of another motion.
     """
+    real, simulated = evened(real), evened(simulated)
     seen = look_at_samples(real, find_poses(real))
     summary = summarise(real)
     if seen.fatal:

@@ -30,6 +30,7 @@ from calib.model import SensorModel
 from calib.recording import Recording
 from calib.rotation import mat_from_quat, quat_multiply
 from calib.statics import find_poses
+from calib.timing import even_times, evened
 from calib.types import BoolArray, FloatArray
 
 UNTURNED = 1e-3
@@ -74,6 +75,11 @@ class ReferenceMotion:
         if self.position is not None:
             good &= np.isfinite(self.position).all(axis=1)
         return np.asarray(good)
+
+    def evened(self) -> ReferenceMotion:
+        """Return it with times of a steady clock, if what it saw was taken evenly."""
+        time = even_times(self.time, self.quat * _one_sign(self.quat, self.known))
+        return self if time is None else replace(self, time=time)
 
     def truth(self, *, gravity: float, bandwidth: float | None = None) -> RecordingTruth:
         """Return what a perfect sensor at its point, in its frame, would have recorded.
@@ -144,6 +150,8 @@ def diagnose_reference(
     NoCommonMotionError
         If the two do not show the same motion.
     """
+    real = evened(real)
+    reference = evened(reference) if isinstance(reference, Recording) else reference.evened()
     seen = look_at_samples(real, find_poses(real))
     summary = summarise(real)
     if seen.fatal:

@@ -35,6 +35,7 @@ from calib.mismatch.samples import (
 from calib.poses import Poses, average_poses
 from calib.recording import Recording, join
 from calib.statics import RestFinder, find_poses
+from calib.timing import evened
 from calib.types import BoolArray, IntArray
 
 WHOLE = 1 << 19
@@ -115,7 +116,7 @@ def thin(
         elif finder is not None:
             finder.add(part)
     if finder is None:
-        recording = join(head)
+        recording = evened(join(head))
         poses = find_poses(recording)
         seen = look_at_samples(recording, poses)
         return Thinned(recording, poses, seen, samples, first, recording.duration, len(poses))
@@ -200,7 +201,7 @@ def _gather(
     seen: list[Samples] = []
     spoilt: list[BoolArray] = []
     offset, before = 0, None
-    for part in sections(batches(), section):
+    for part in map(evened, sections(batches(), section)):
         progress(len(part))
         # One sample more, so that no step from sample to sample is missed.
         whole = part if before is None else join((before, part))

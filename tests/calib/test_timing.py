@@ -1,0 +1,126 @@
+"""Stamps that scatter are evened out where the samples were taken evenly, and only there."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from calib.calibrate import calibrate
+from calib.mismatch import diagnose_recording
+from calib.model import SensorModel
+from calib.recording import Recording
+from calib.simulate import simulate
+from calib.simulation.bench import bench_protocol
+from calib.simulation.noise import CONSUMER
+from calib.timing import even_times, evened, sample_numbers
+
+GRAVITY = 9.80665
+
+
+def bench(rate: float = 100.0, *, time=None, poses: int = 10) -> Recording:
+    motion = bench_protocol(np.random.default_rng(3), poses=poses)
+    if time is not None:
+        time = time[time < motion.duration]
+    rng = np.random.default_rng(4)
+    sampled = {"rate": rate} if time is None else {"time": time}
+    return simulate(motion, SensorModel(), CONSUMER, rng=rng, **sampled)
+
+
+def stamps(kind: str, time: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Return what a computer writes down for samples that are taken at even times."""
+    n, interval = len(time), time[1] - time[0]
+    if kind == "jitter":
+        return time + np.clip(rng.normal(0, 0.2 * interval, n), -0.4 * interval, 0.4 * interval)
+    if kind == "rounded":
+        return np.round(time, 3)
+    if kind == "held up":
+        late = rng.exponential(0.1 * interval, n)
+        # Whether a computer catches up, or has lost what came, is seen in what follows.
+        late[: -round(0.5 / interval)][rng.random(n - round(0.5 / interval)) < 3e-4] += 0.15
+        return np.maximum.accumulate(time + late) + 1e-9 * np.arange(n)
+    if kind == "in bursts":
+        last = np.minimum(np.arange(n) // 4 * 4 + 3, n - 1)
+        return time[last] + 1e-5 * (np.arange(n) % 4)
+    assert kind == "drifting"
+    return time * (1 + 3e-5) + 2e-3 * np.sin(time / 30) + rng.normal(0, 3e-4, n)
+
+
+@pytest.mark.parametrize("kind", ["jitter", "rounded", "held up", "in bursts", "drifting"])
+@pytest.mark.parametrize("rate", [64.0, 104.0, 416.0])
+def test_even_times_come_back(kind: str, rate: float) -> None:
+    true = bench(rate)
+    shown = replace(true, time=stamps(kind, true.time, np.random.default_rng(5)))
+    found = evened(shown)
+    assert found is not shown
+    rates = np.diff(found.time) * rate
+    # A turn of 180 degrees is then right to hundredths of a degree, whatever the clock does.
+    assert np.abs(rates - 1.0).max() < 1.5e-4
+    late = found.time - true.time
+    assert np.ptp(late) < 1.5 * np.ptp(shown.time - true.time)
+    # In turns the median distance from the stamps stays what a constant delay is.
+    assert np.abs(np.median(found.time - shown.time)) < 0.5 / rate + 1e-3
+
+
+def test_samples_taken_unevenly_keep_their_times() -> None:
+    rng = np.random.default_rng(6)
+    time = np.arange(0, 60, 0.01)
+    time = time + np.clip(rng.normal(0, 1.5e-3, len(time)), -4e-3, 4e-3) + 4e-3
+    uneven = bench(time=time)
+    assert evened(uneven) is uneven
+
+
+def test_even_stamps_and_wrong_clocks_are_left_alone() -> None:
+    even = bench()
+    assert evened(even) is even
+    shown = stamps("jitter", even.time, np.random.default_rng(7))
+    wrong = replace(even, time=shown, clock="invalid")
+    assert evened(wrong) is wrong
+    assert evened(shown_few := replace(even, time=shown).slice(0, 40)) is shown_few
+
+
+def test_a_pause_parts_two_clocks() -> None:
+    true = bench()
+    n = len(true) // 2
+    time = stamps("jitter", true.time, np.random.default_rng(8))
+    time[n:] += 3.1234
+    found = evened(replace(true, time=time))
+    step = np.diff(found.time)
+    assert step[n - 1] == pytest.approx(3.1334, abs=2e-3)
+    assert np.abs(np.delete(step, n - 1) - 0.01).max() < 1e-5
+
+
+@given(st.lists(st.tuples(st.integers(90, 300), st.integers(1, 5)), max_size=8), st.integers(0, 99))
+def test_lost_samples_are_counted_however_stamps_scatter(holes, seed) -> None:
+    rng = np.random.default_rng(seed)
+    missing = np.zeros(200 + sum(apart for apart, _ in holes), np.int64)
+    at = 0
+    for apart, lost in holes:
+        at += apart
+        missing[at] = lost
+    number = np.arange(len(missing)) + np.cumsum(missing)
+    time = 0.005 * (number + rng.uniform(-0.2, 0.2, len(number)))
+    assert np.array_equal(sample_numbers(time), number)
+    assert np.array_equal(sample_numbers(time, missing), number)
+
+
+def test_rows_that_are_not_finite_do_not_count() -> None:
+    true = bench()
+    time = stamps("jitter", true.time, np.random.default_rng(9))
+    values = true.gyro.copy()
+    values[500:600] = np.nan
+    found = even_times(time, values)
+    assert found is not None
+    assert np.abs(np.diff(found) - 0.01).max() < 1e-5
+    assert even_times(time, np.full_like(values, np.nan)) is None
+
+
+def test_what_is_fitted_is_what_even_stamps_give() -> None:
+    true = bench(poses=16)
+    shown = replace(true, time=stamps("jitter", true.time, np.random.default_rng(10)))
+    one, other = (calibrate(r, gravity=GRAVITY) for r in (true, shown))
+    for c, sigma in zip(one.names, np.sqrt(np.diag(one.covariance)), strict=True):
+        assert abs(one.values[c] - other.values[c]) < 0.5 * sigma, c
+    found = diagnose_recording(shown, gravity=GRAVITY)
+    assert found.verdict == "consistent"
