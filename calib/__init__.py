@@ -42,7 +42,7 @@ Time
 ``k`` is the signal at ``time[k]``; integrals are trapezoidal in the measured rate over true time,
 so nothing assumes an even rate. ``lost[k]`` counts samples known to be missing just before sample
 ``k``. Intervals are ``[t0, t1]`` in recording seconds, index ranges ``[start, stop)``. Stamps that
-scatter are evened out before anything is integrated, if the samples show that they were taken evenly
+scatter are evened out before anything is integrated, if samples show that they were taken evenly
 (`calib.timing`).
 
 Noise

@@ -16,6 +16,9 @@ import numpy as np
 from calib.recording import Recording
 from calib.types import BoolArray, FloatArray, IntArray
 
+EVENED = "stamps evened out"
+"""Key of a note: by how much they scattered."""
+
 FEWEST = 64
 """Samples below which stamps stay as they are."""
 
@@ -41,12 +44,17 @@ STEADY = 20.0
 def evened(recording: Recording) -> Recording:
     """Return the recording with times of a steady clock, if its samples were taken evenly.
 
-    Otherwise, and where there is nothing to even out, the recording itself is returned.
+    Its note `EVENED` then says by how much the stamps scattered. Otherwise, and where there is
+    nothing to even out, the recording itself is returned.
     """
     if recording.clock == "invalid":
         return recording
     time = even_times(recording.time, recording.gyro, recording.lost)
-    return recording if time is None else replace(recording, time=time)
+    if time is None:
+        return recording
+    off = recording.time - time
+    notes = {**recording.notes, EVENED: f"{1e3 * np.std(off):.2g} ms rms"}
+    return replace(recording, time=time, notes=notes)
 
 
 def even_times(

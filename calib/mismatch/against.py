@@ -25,7 +25,7 @@ from calib.mismatch.truths import RecordingTruth
 from calib.model import SensorModel
 from calib.recording import CHANNELS, Recording
 from calib.statics import find_poses
-from calib.timing import evened
+from calib.timing import EVENED, evened
 from calib.types import FloatArray
 
 _OPEN = {"bias": 0.1, "scale_factor_error": 0.02, "misalignment": 0.02}
@@ -341,6 +341,7 @@ def summarise(recording: Recording) -> dict[str, object]:
         "samples": len(recording),
         "rate": 1.0 / recording.interval if recording.interval else 0.0,
         "clock": recording.clock,
+        **({"stamps": recording.notes[EVENED]} if EVENED in recording.notes else {}),
     }
 
 

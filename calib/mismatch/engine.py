@@ -35,6 +35,7 @@ from calib.mismatch.within import look_within
 from calib.model import SensorModel
 from calib.poses import Poses
 from calib.recording import CHANNELS, Recording
+from calib.timing import EVENED
 from calib.types import BoolArray, FloatArray
 
 UNKNOWN_DRIFT = 4.0
@@ -235,6 +236,7 @@ def _summary(thinned: Thinned, poses: Poses) -> dict[str, object]:
         "poses": thinned.found,
         "poses_used": len(poses),
         "turns": max(len(poses) - 1, 0),
+        **({"stamps": recording.notes[EVENED]} if EVENED in recording.notes else {}),
     }
 
 

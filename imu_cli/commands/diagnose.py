@@ -187,6 +187,12 @@ def _show(found: Diagnosis) -> None:
     known, used = found.summary.get("poses", 0), found.summary.get("poses_used", 0)
     if used < known:
         out.print(f"\n{used} of {known} poses were looked at.", soft_wrap=True)
+    if "stamps" in found.summary:
+        out.print(
+            f"\nTime stamps scatter by {found.summary['stamps']}, but samples were taken evenly: "
+            "even times were used.",
+            soft_wrap=True,
+        )
     for text in found.missing:
         warn(f"the recording lacks {text}")
 

@@ -124,3 +124,4 @@ def test_what_is_fitted_is_what_even_stamps_give() -> None:
         assert abs(one.values[c] - other.values[c]) < 0.5 * sigma, c
     found = diagnose_recording(shown, gravity=GRAVITY)
     assert found.verdict == "consistent"
+    assert found.summary["stamps"].endswith("ms rms")
