@@ -177,11 +177,13 @@ def _show(found: Diagnosis) -> None:
     if found.findings or found.unexplained:
         from rich.table import Table
 
+        from imu_cli.report.units import people_unit
+
         table = Table("residual", "unit", "before", "after", "noise floor", box=None)
         for c in found.changes:
-            table.add_row(
-                c.rows, c.unit, f"{c.before:.4g}", f"{c.after:.4g}", f"{c.noise_floor:.4g}"
-            )
+            unit, factor = people_unit(c.unit)
+            values = (c.before, c.after, c.noise_floor)
+            table.add_row(c.rows, unit, *(f"{value * factor:.4g}" for value in values))
         out.print()
         out.print(table)
     known, used = found.summary.get("poses", 0), found.summary.get("poses_used", 0)
@@ -221,15 +223,15 @@ def _show_finding(number: int, item: Finding) -> None:
         out.print(f"   {name} = {_quantity(q)}")
     for a in item.absorbed_by[:4]:
         out.print(
-            f"   {a.parameter} had absorbed {a.shift:.3g} {a.unit} of it "
+            f"   {a.parameter} had absorbed {_in_unit(a.unit, a.shift)} of it "
             f"({a.standard_errors:.1f} standard errors).",
             soft_wrap=True,
         )
     if item.held_out is not None:
         h = item.held_out
         out.print(
-            f"   On held-out blocks, {h.rows}: {h.before:.3g} -> {h.after:.3g} {h.unit} "
-            f"(noise floor {h.noise_floor:.3g}).",
+            f"   On held-out blocks, {h.rows}: {_in_unit(h.unit, h.before, h.after)} "
+            f"(noise floor {_in_unit(h.unit, h.noise_floor)}).",
             soft_wrap=True,
         )
     elif item.held_out_reason:
@@ -246,6 +248,16 @@ def _chance(p_value: float) -> str:
     return f"p = {p_value:.2g}"
 
 
+def _in_unit(unit: str, *values: float) -> str:
+    """Return values in the unit that people use, one after the other."""
+    from imu_cli.report.units import people_unit
+
+    name, factor = people_unit(unit)
+    return " -> ".join(f"{value * factor:.3g}" for value in values) + f" {name}"
+
+
 def _quantity(q: Quantity) -> str:
-    sigma = "" if q.sigma is None else f" ± {q.sigma:.2g}"
-    return f"{q.value:.4g}{sigma} {q.unit}"
+    from imu_cli.report.units import with_error
+
+    value, error, unit = with_error(q.value, q.sigma, q.unit)
+    return f"{value} {unit}" if error == "-" else f"{value} ± {error} {unit}"

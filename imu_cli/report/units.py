@@ -7,16 +7,23 @@ import math
 from calib.calibration import parameter_unit
 from calib.gravity import STANDARD_GRAVITY
 
+_BASE = {"m/s²": ("mg", 1e3 / STANDARD_GRAVITY), "rad/s": ("dps", 180 / math.pi)}
+
 _PEOPLE = {
-    "m/s²": ("mg", 1e3 / STANDARD_GRAVITY),
-    "rad/s": ("dps", 180 / math.pi),
+    **_BASE,
     "rad": ("°", 180 / math.pi),
     "1": ("%", 100.0),
-    "(rad/s)/(m/s²)": ("dps/g", 180 / math.pi * STANDARD_GRAVITY),
-    "(m/s²)/K": ("mg/K", 1e3 / STANDARD_GRAVITY),
-    "(rad/s)/K": ("dps/K", 180 / math.pi),
     "1/K": ("%/K", 100.0),
     "m": ("mm", 1e3),
+    "(rad/s)/(m/s²)": ("dps/g", 180 / math.pi * STANDARD_GRAVITY),
+    "(rad/s)/(m/s²)²": ("dps/g²", 180 / math.pi * STANDARD_GRAVITY**2),
+    "(m/s²)/(m/s²)²": ("mg/g²", 1e3 * STANDARD_GRAVITY),
+    "(m/s²)/(m/s²)³": ("mg/g³", 1e3 * STANDARD_GRAVITY**2),
+    **{
+        f"({unit})/{per}": (f"{name}/{per}", factor)
+        for unit, (name, factor) in _BASE.items()
+        for per in ("K", "K²", "K³", "(K/s)", "(K/sample)")
+    },
 }
 
 
