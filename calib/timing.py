@@ -92,7 +92,7 @@ def even_times(
     usual = (number[4:] - number[:-4] == 4) & (np.convolve(good, np.ones(5), "valid") == 5)
     if np.diff(even).min() <= 0 or not usual.any():
         return None
-    rough = [roughness(at, values, usual) for at in (even, time)]
+    rough = [float(roughness(at, values)[usual].mean()) for at in (even, time)]
     return even if rough[0] < rough[1] else None
 
 
@@ -176,17 +176,16 @@ def _level(off: FloatArray) -> float:
     return float(np.clip(off, middle - usual, middle + usual).mean())
 
 
-def roughness(time: FloatArray, values: FloatArray, usual: BoolArray) -> float:
-    """Return the mean square by which samples are off the cubics through their neighbours.
+def roughness(time: FloatArray, values: FloatArray) -> FloatArray:
+    """Return the squares by which samples are off the cubics through their neighbours, (n - 4,).
 
-    In units in which white noise comes out as its variance, however the times are spaced.
+    In units in which white noise comes out as its variance, however the times are spaced; of all
+    samples but two at each end.
 
     Parameters
     ----------
     time : (n,) array
     values : (n, c) array
-    usual : (n - 4,) bool
-        Which samples count.
     """
     n = len(time) - 4
     offset = [time[k : k + n] - time[2 : 2 + n] for k in (0, 1, 3, 4)]
@@ -198,4 +197,4 @@ def roughness(time: FloatArray, values: FloatArray, usual: BoolArray) -> float:
         start = (0, 1, 3, 4)[j]
         left -= weight[:, None] * values[start : start + n]
         gain += np.square(weight)
-    return float((np.square(left).sum(axis=1) / gain)[usual].mean())
+    return np.asarray(np.square(left).sum(axis=1) / gain)

@@ -29,7 +29,6 @@ from calib.mismatch.samples import lost_samples
 from calib.mismatch.search import Outcome, search
 from calib.mismatch.selfmode import SelfProblem
 from calib.mismatch.spectrum import LOUDER_THERE, look_at_spectrum
-from calib.mismatch.stamps import with_even_stamps
 from calib.mismatch.thin import Thinned, thin
 from calib.mismatch.within import look_within
 from calib.model import SensorModel
@@ -84,8 +83,6 @@ def diagnose_thinned(
 ) -> Diagnosis:
     """Do what `diagnose_recording` does, to a recording that `calib.mismatch.thin` has read."""
     recording, poses, seen = thinned.recording, thinned.poses, thinned.seen
-    if recording.clock != "invalid":
-        recording = with_even_stamps(recording)
     if not len(poses):
         raise InsufficientMotionError(
             "the recording has no moment of rest: without gravity to compare with, only a "

@@ -15,8 +15,10 @@ from calib.simulate import simulate
 from calib.simulation.bench import bench_protocol
 from calib.simulation.noise import CONSUMER
 from calib.timing import even_times, evened, sample_numbers
+from calib.types import FloatArray
 
 GRAVITY = 9.80665
+TURNING = 100.0
 
 
 def bench(rate: float = 100.0, *, time=None, poses: int = 10) -> Recording:
@@ -125,3 +127,50 @@ def test_what_is_fitted_is_what_even_stamps_give() -> None:
     found = diagnose_recording(shown, gravity=GRAVITY)
     assert found.verdict == "consistent"
     assert found.summary["stamps"].endswith("ms rms")
+
+
+def turning(taken: FloatArray, stamps: FloatArray) -> Recording:
+    """Return turns of two seconds, and rests as long between them, seen when they were taken."""
+    rng = np.random.default_rng(4)
+    part = np.clip(np.mod(taken, 4.0) / 2.0, 0, 1)
+    rate = np.outer(np.sin(np.pi * part) ** 2, [1.5, -1.0, 0.5])
+    turned = np.floor(taken / 4.0) + part - np.sin(2 * np.pi * part) / (2 * np.pi)
+    tilt = turned[:, None]
+    force = 9.8 * np.hstack((np.sin(tilt), np.cos(tilt), 0.1 * np.sin(tilt)))
+    return Recording(
+        stamps,
+        force + 0.01 * rng.normal(size=force.shape),
+        rate + 1e-3 * rng.normal(size=rate.shape),
+        "device",
+    )
+
+
+def scatter(stamps: FloatArray, taken: FloatArray) -> float:
+    return float(np.std(np.diff(stamps - taken)))
+
+
+@pytest.mark.parametrize("epoch", [0.0, 1.7e9])
+def test_scatter_that_signals_do_not_follow_goes(epoch: float) -> None:
+    taken = np.arange(6000) / TURNING
+    late = 1e-3 * np.random.default_rng(1).uniform(-1, 1, len(taken))
+    stamps = epoch + taken + late
+    mended = evened(turning(taken, stamps)).time - epoch
+    assert scatter(mended, taken) < 0.1 * scatter(stamps - epoch, taken)
+
+
+def test_scatter_that_signals_follow_stays() -> None:
+    taken = np.arange(6000) / TURNING
+    taken += 1e-3 * np.random.default_rng(1).uniform(-1, 1, len(taken))
+    uneven = turning(taken, taken)
+    assert evened(uneven) is uneven
+
+
+def test_a_gap_and_the_rate_of_a_clock_stay() -> None:
+    taken = np.delete(np.arange(6000) / TURNING, [700, 701, 702])
+    late = 1e-3 * np.random.default_rng(2).uniform(-1, 1, len(taken))
+    stamps = 1.001 * taken + late
+    mended = evened(turning(taken, stamps)).time
+    assert np.abs(mended - 1.001 * taken).max() < 1.1e-3
+    assert scatter(
+        np.delete(mended, slice(690, 710)), np.delete(1.001 * taken, slice(690, 710))
+    ) < (0.2 * scatter(stamps, 1.001 * taken))
