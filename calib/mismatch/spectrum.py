@@ -48,6 +48,10 @@ and benches have many small ones, which matter to nobody."""
 HAND = (3.0, 14.0)
 """Hz that a hand trembles at (physiological tremor, 4 to 12 Hz), and what a window spreads."""
 
+SEVERAL = 3
+"""Bins from the lowest to the highest frequency of a motion from which it has more than one: a
+window spreads one over three."""
+
 SWING = 1 / 3
 """Share of the swing of gravity, as the gyroscopes' angle would have it, that accelerometers must
 show for both to be one motion: about the vertical it makes none. A hand also moves it further."""
@@ -147,6 +151,10 @@ def _trembling(power: FloatArray, interval: float, gravity: float) -> BoolArray:
             seen[:, c // 3] |= p < CLAIM
     swing = gravity**2 * excess[:, 1] / np.square(2 * np.pi * frequency)
     moves = hand & seen.all(axis=1) & (excess[:, 0] > SWING * swing)
+    at = np.flatnonzero(moves)
+    if len(at) and np.ptp(at) >= SEVERAL:
+        # No single machine: a hand, which trembles at other frequencies about other axes.
+        return hand
     # A window spreads each over its neighbours, and a hand has several.
     near = np.convolve(moves, np.ones(5), mode="same") > 0
     return np.asarray(hand & near)

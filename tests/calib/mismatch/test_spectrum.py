@@ -3,11 +3,16 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from calib.mismatch import spectrum
 from calib.mismatch.spectrum import look_at_spectrum
+from calib.model import SensorModel
 from calib.poses import Poses
 from calib.recording import Recording
+from calib.simulate import simulate
+from calib.simulation.bench import bench_protocol
+from calib.simulation.noise import CONSUMER
 from calib.statics import find_poses
 from calib.types import FloatArray
 
@@ -115,6 +120,15 @@ def test_a_tremor_that_both_triads_follow_is_motion_and_what_one_has_alone_is_no
     accel[:, 2] -= recording.accel[:, 1] * angle
     held = Recording(recording.time, accel, gyro, "device")
     assert not look_at_spectrum(held, poses)
+
+
+@pytest.mark.parametrize("seed", [12, 13])
+def test_a_hand_trembles_at_other_frequencies_about_each_axis(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    motion = bench_protocol(rng, poses=30, hold_tremor=0.1)
+    held = simulate(motion, SensorModel(), CONSUMER, rng=rng, rate=RATE)
+    found = look_at_spectrum(held, find_poses(held))
+    assert not any("line" in item.follows for item in found)
 
 
 def test_rests_of_one_periodogram_have_no_line_by_chance() -> None:
