@@ -17,7 +17,7 @@ from calib.mismatch.estimate import Estimate
 from calib.mismatch.explain import changes, explain, verdict
 from calib.mismatch.families import PHYSICAL
 from calib.mismatch.heldout import HeldOut, held_out
-from calib.mismatch.ranking import CLAIM
+from calib.mismatch.ranking import CLAIM, chance
 from calib.mismatch.samples import Samples, look_at_samples
 from calib.mismatch.score import SCALES, SHARES
 from calib.mismatch.search import Outcome, search
@@ -317,7 +317,7 @@ def _setup(
             n: Quantity(float(v), float(s), units[n])
             for n, v, s in zip(names, value, sigma, strict=True)
         },
-        p_value=min(1.0, 1.0 / e_value),
+        p_value=chance(e_value),
         absorbed_by=(),
         held_out=proof,
         held_out_reason=reason,

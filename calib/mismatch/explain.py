@@ -25,7 +25,7 @@ from calib.mismatch.families import is_moment
 from calib.mismatch.heldout import HeldOut, held_out
 from calib.mismatch.noise import make_whitener, range_basis
 from calib.mismatch.places import joined
-from calib.mismatch.ranking import Accepted, fitted
+from calib.mismatch.ranking import Accepted, chance, fitted
 from calib.mismatch.rows import Kind, Rows
 from calib.mismatch.search import TIE, TWIN, Outcome
 from calib.recording import CHANNELS
@@ -108,7 +108,7 @@ def explain(
                 intervals=_intervals(rows, a),
                 regime=effect.follows,
                 parameters=parameters,
-                p_value=min(1.0, 1.0 / a.e_value),
+                p_value=chance(a.e_value),
                 absorbed_by=absorbed,
                 held_out=None if reason else proof,
                 held_out_reason=reason,
@@ -153,7 +153,7 @@ def _unexplained(rows: Rows, a: Accepted, rivals: tuple[Rival, ...]) -> Unexplai
         channels=c.channels,
         intervals=(c.interval or whole,),
         follows=c.name,
-        p_value=min(1.0, 1.0 / a.e_value),
+        p_value=chance(a.e_value),
         rivals=rivals,
     )
 

@@ -299,7 +299,8 @@ def _fill(
         temperature=temperature,
         count=count,
         vibration=_vibration(recording, poses, near),
-        since_turn=since,
+        # Nobody knows what there is of it while the turn lasts that disturbs it.
+        since_turn=np.where(near >= 0, since, np.inf),
         near=near,
         first=first,
         last=last,

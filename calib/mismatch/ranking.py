@@ -45,6 +45,10 @@ every moment shows it."""
 SLOW_MODES = 8
 """Half waves over the recording in the fastest drift that is meant by that."""
 
+RARE = 0.02
+"""Share of recordings of nothing but noise that reach an e-value of e, times e: at most, where
+``benchmarks/evidence.py`` counts them (Markov's inequality has 1 for any noise at all)."""
+
 PAIRS = 3
 """How many effects of one channel are tried as the first of a pair."""
 
@@ -93,10 +97,20 @@ class Ranking:
         return {g: v + np.log(DRIFTING) * (g in self.drifting) for g, v in self.groups.items()}
 
     @property
+    def worth(self) -> float:
+        """Log e-value that anything is left, where what a drift can mimic counts for less."""
+        less = list(self.discounted.values())
+        return float(logsumexp(less)) if less else -np.inf
+
+    @property
     def claims(self) -> bool:
         """Whether that is enough to say that anything is left."""
-        less = list(self.discounted.values())
-        return bool(less) and float(logsumexp(less)) >= np.log(CLAIM)
+        return bool(self.worth >= np.log(CLAIM))
+
+
+def chance(e_value: float) -> float:
+    """Return the p-value of evidence, all looks counted: how rarely noise alone reaches it."""
+    return min(1.0, RARE / e_value)
 
 
 def make_stack(rows: Rows, *, skip: tuple[str, ...], reference: bool) -> Stack:

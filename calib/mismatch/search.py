@@ -88,7 +88,7 @@ def search(problem: Problem, *, skip: tuple[str, ...] = ()) -> Outcome:
     ranking = _ranked(problem, rows, accepted, expected_levels(rows), skip)
     if not ranking.claims and ranking.pair is not None:
         value, first = ranking.pair
-        accepted.append(_accept(rows, ranking.stack, first, float(np.exp(value))))
+        accepted.append(_accept(rows, ranking.stack, first, float(DRIFTING * np.exp(value))))
         levels = ranking.levels
         del ranking  # its columns are most of the memory that is used
         rows, accepted = refit(problem, rows, accepted, levels)
@@ -99,7 +99,7 @@ def search(problem: Problem, *, skip: tuple[str, ...] = ()) -> Outcome:
         chosen = choose(rows, ranking, accepted)
         if chosen is None:
             break
-        new = _accept(rows, ranking.stack, chosen, float(np.exp(min(ranking.total, 700))))
+        new = _accept(rows, ranking.stack, chosen, float(np.exp(min(ranking.worth, 700))))
         accepted = _with(rows, accepted, new, reference=problem.reference)
         levels = ranking.levels
         del ranking

@@ -39,6 +39,15 @@ def test_near_is_the_rest_that_is_not_left_yet():
     np.testing.assert_array_equal(grid.near[pose >= 0], pose[pose >= 0])
 
 
+def test_time_since_a_turn_is_known_at_rest_only():
+    real = plain()
+    grid = make_grid(real, find_poses(real))
+    known = np.isfinite(grid.since_turn)
+    assert not known[grid.near < 0].any()
+    assert known[grid.near > 0].all()
+    assert grid.since_turn[known].min() >= 0
+
+
 def test_vibration_is_that_of_the_rest_to_its_very_end():
     motion, recording = shaken()
     grid = make_grid(recording, find_poses(recording))
