@@ -35,7 +35,7 @@ from calib.types import BoolArray, FloatArray
 CLAIM = 5.0
 """E-value at which something is claimed to be left. Markov's inequality bounds the share of clean
 recordings that reach it by 20 %, but only evidence that is all or nothing attains that: of normal
-errors under as many looks as here, ``benchmarks/evidence.py`` counts 1 in 450."""
+errors under as many looks as here, ``benchmarks/evidence.py`` counts 1 in 600."""
 
 DRIFTING = 0.1
 """What evidence counts where a drift can mimic it and rests alone show that: it stands or falls
