@@ -165,8 +165,10 @@ def spread_of_variance(
     for i, c in enumerate(rows.components):
         felt = c.response.T @ influence[c.index]
         slopes[i] = levels[i] * np.einsum("sk,sk->k", felt, c.kernel @ felt)
-    spread = np.einsum("ik,ik->k", slopes, np.linalg.solve(precision, slopes))
-    return np.asarray(np.sqrt(spread) / np.maximum(variance, 1e-300))
+    # Beside priors a variance is less than its parts would make: they are shares of it.
+    share = slopes / np.maximum(np.maximum(variance, slopes.sum(axis=0)), 1e-300)
+    spread = np.einsum("ik,ik->k", share, np.linalg.solve(precision, share))
+    return np.asarray(np.sqrt(np.maximum(spread, 0.0)))
 
 
 def find_levels(rows: Rows, mean: FloatArray, start: FloatArray) -> Levels:

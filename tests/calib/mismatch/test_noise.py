@@ -169,6 +169,9 @@ def test_a_variance_from_n_rows_is_as_uncertain_as_that_of_so_many_squares():
     # Where other noise, that is known, is most of a variance, it is known better.
     more = spread_of_variance(rows, mean, np.array([level]), influence, 3 * variance)
     assert more == pytest.approx(found / 3)
+    # Beside a prior the variance is smaller than its parts: its spread is bounded by theirs.
+    held = spread_of_variance(rows, mean, np.array([level]), influence, 1e-6 * variance)
+    assert held == pytest.approx(found)
 
 
 def test_levels_of_loud_rests_are_drawn_to_what_they_share_and_no_further():
