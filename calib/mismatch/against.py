@@ -12,7 +12,7 @@ from calib.effects import effects, get_effect
 from calib.mismatch.alignment import LEAST_OVERLAP, Alignment, align
 from calib.mismatch.band import follows_noise, matched, too_few
 from calib.mismatch.comparison import ComparisonProblem
-from calib.mismatch.diagnosis import Diagnosis, Finding
+from calib.mismatch.diagnosis import Diagnosis, Finding, summarise
 from calib.mismatch.estimate import Estimate
 from calib.mismatch.explain import changes, explain, verdict
 from calib.mismatch.families import PHYSICAL
@@ -25,7 +25,7 @@ from calib.mismatch.truths import RecordingTruth
 from calib.model import SensorModel
 from calib.recording import CHANNELS, Recording
 from calib.statics import find_poses
-from calib.timing import EVENED, evened
+from calib.timing import evened
 from calib.types import FloatArray
 
 _OPEN = {"bias": 0.1, "scale_factor_error": 0.02, "misalignment": 0.02}
@@ -332,17 +332,6 @@ def _rotvec(mat: FloatArray) -> FloatArray:
 
     out: FloatArray = Rotation.from_matrix(mat).as_rotvec()
     return out
-
-
-def summarise(recording: Recording) -> dict[str, object]:
-    """Return what the diagnosis says of the recording."""
-    return {
-        "duration": recording.duration,
-        "samples": len(recording),
-        "rate": 1.0 / recording.interval if recording.interval else 0.0,
-        "clock": recording.clock,
-        **({"stamps": recording.notes[EVENED]} if EVENED in recording.notes else {}),
-    }
 
 
 def undetermined(missing: str, summary: Mapping[str, object]) -> Diagnosis:

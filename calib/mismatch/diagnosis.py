@@ -22,6 +22,7 @@ from calib.mismatch.evidence import Evidence
 from calib.mismatch.heldout import HeldOut
 from calib.model import SensorModel
 from calib.recording import Recording
+from calib.timing import EVENED
 from calib.types import FloatArray
 
 Verdict = Literal["consistent", "explained", "partly_explained", "unexplained", "undetermined"]
@@ -238,3 +239,14 @@ class Diagnosis:
             },
             "recording": dict(self.summary),
         }
+
+
+def summarise(recording: Recording) -> dict[str, object]:
+    """Return what a diagnosis says of any recording."""
+    return {
+        "duration": recording.duration,
+        "samples": len(recording),
+        "rate": 1.0 / recording.interval if recording.interval else 0.0,
+        "clock": recording.clock,
+        **({"stamps": recording.notes[EVENED]} if EVENED in recording.notes else {}),
+    }

@@ -11,7 +11,7 @@ from calib.effects import effects
 from calib.effects.base import TransformEffect
 from calib.errors import InsufficientMotionError
 from calib.mismatch.choice import choose_poses, distinct_directions
-from calib.mismatch.diagnosis import Diagnosis, Finding
+from calib.mismatch.diagnosis import Diagnosis, Finding, summarise
 from calib.mismatch.explain import changes, explain, verdict
 from calib.mismatch.grid import (
     SHORTEST_CELL,
@@ -34,7 +34,6 @@ from calib.mismatch.within import look_within
 from calib.model import SensorModel
 from calib.poses import Poses
 from calib.recording import CHANNELS, Recording
-from calib.timing import EVENED
 from calib.types import BoolArray, FloatArray
 
 UNKNOWN_DRIFT = 4.0
@@ -224,16 +223,13 @@ def _unfit(thinned: Thinned, missing: tuple[str, ...]) -> Diagnosis:
 
 
 def _summary(thinned: Thinned, poses: Poses) -> dict[str, object]:
-    recording = thinned.recording
     return {
+        **summarise(thinned.recording),
         "duration": thinned.duration,
         "samples": thinned.samples,
-        "rate": 1.0 / recording.interval if recording.interval else 0.0,
-        "clock": recording.clock,
         "poses": thinned.found,
         "poses_used": len(poses),
         "turns": max(len(poses) - 1, 0),
-        **({"stamps": recording.notes[EVENED]} if EVENED in recording.notes else {}),
     }
 
 

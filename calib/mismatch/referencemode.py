@@ -16,14 +16,13 @@ from calib.errors import NoCommonMotionError
 from calib.mismatch.against import (
     at_rest,
     conclude,
-    summarise,
     undetermined,
     unfit,
 )
 from calib.mismatch.alignment import Alignment, align
 from calib.mismatch.band import Matched, limited, low_passed, matched, smoothed
 from calib.mismatch.comparison import ComparisonProblem
-from calib.mismatch.diagnosis import Diagnosis
+from calib.mismatch.diagnosis import Diagnosis, summarise
 from calib.mismatch.samples import Samples, look_at_samples
 from calib.mismatch.truths import DEGREE, RecordingTruth
 from calib.model import SensorModel
