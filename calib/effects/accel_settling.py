@@ -18,9 +18,19 @@ from calib.effects.base import (
 )
 from calib.effects.observed import PAUSE
 
+FADING, WHOLE, NONE = range(3)
+"""What there is of it while the next turn lasts: it fades on from the last, it is all there (that
+is what disturbs it), or nothing. No physics says which."""
+
+_WORDS = (
+    "It goes on fading through the next turn.",
+    "All of it is there while the sensor turns.",
+    "Nothing of it is there while the sensor turns.",
+)
+
 
 class AccelSettling(Effect):
-    """``f_m,i += k_i exp(-t/tau), t since the last turn ended``."""
+    """``f_m,i += k_i exp(-t/tau), t since the last turn ended``; in turns as ``in_turns`` says."""
 
     slug = "accel_settling"
     title = "accel settling after a turn"
@@ -30,7 +40,10 @@ class AccelSettling(Effect):
         "recovery); 1 mg over seconds is an estimate"
     )
     parameters = per_axis("accel", "k", "m/s²", 1e-3 * G)
-    shape = (ShapeParameter("tau", "s", 0.2, 15.0),)
+    shape = (
+        ShapeParameter("tau", "s", 0.2, 15.0),
+        ShapeParameter("in_turns", "1", 0, 2, "integer", optional=True),
+    )
     follows = "time since the last turn"
     needs = "short moves, and statics several times longer than the settling"
     sentence = (
@@ -39,7 +52,7 @@ class AccelSettling(Effect):
     )
     absorbed_by = ("accel.bias",)
     rivals = ("bandwidth",)
-    reads = ("since_turn",)
+    reads = ("since_turn", "turning")
 
     def reach(self, parameters: Mapping[str, float], *, interval: float) -> int:
         # The last turn must be in sight as long as its settling is.
@@ -47,9 +60,16 @@ class AccelSettling(Effect):
 
     def columns(self, state: State, shape: Mapping[str, float]) -> dict[str, Column]:
         """Return the exponential of the time since the last turn; nothing without turns."""
-        if state.since_turn is None:
+        if state.since_turn is None or state.turning is None:
             return {}
-        return axis_columns("accel", "k", np.exp(-state.since_turn / shape["tau"]))
+        there = np.exp(-state.since_turn / shape["tau"])
+        form = shape.get("in_turns", FADING)
+        if form != FADING:
+            there[state.turning] = float(form == WHOLE)
+        return axis_columns("accel", "k", there)
+
+    def in_words(self, shape: Mapping[str, float]) -> str:
+        return _WORDS[int(shape.get("in_turns", FADING))]
 
 
 EFFECT = AccelSettling()

@@ -56,14 +56,6 @@ class AxisError(TransformEffect):
         """Return the whole change of each triad whose order is given."""
         return presence_columns(state, shape, "axes", _lay)
 
-    def check(self, parameters: Mapping[str, float]) -> None:
-        """Check the parameters as every effect does, and that orders are numbers of `ORDERS`."""
-        super().check(parameters)
-        for item in self.shape:
-            value = parameters.get(item.name, 0)
-            if value not in range(len(ORDERS)):
-                raise ValueError(f"`{item.name}` of axis_error must be 0 to 47, got {value}")
-
     def transform(
         self, time: FloatArray, signals: Signals, parameters: Mapping[str, float]
     ) -> Signals:

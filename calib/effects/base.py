@@ -24,7 +24,7 @@ import numpy as np
 
 from calib.recording import AXES
 from calib.spline import spline_slopes
-from calib.types import FloatArray
+from calib.types import BoolArray, FloatArray
 
 EffectKind = Literal["sensor", "event", "setup"]
 """A ``sensor`` term belongs in the calibration; an ``event`` happened once in this recording; a
@@ -92,6 +92,11 @@ class ShapeParameter:
     spacing: Literal["log", "linear", "integer"] = "log"
     optional: bool = False
 
+    @property
+    def codes(self) -> range:
+        """The values of an integer."""
+        return range(int(self.low or 0), int(self.high or 0) + 1)
+
 
 @dataclass(frozen=True, eq=False)
 class State:
@@ -110,6 +115,8 @@ class State:
         The moment that warm-up is counted from.
     since_turn : (n,) array, s, or None
         Time since the last turn ended, on through the next turn; infinite before the first.
+    turning : (n,) array of bool, or None
+        Whether a turn is under way.
     mat_ns : (n, 3, 3) array or None
         Orientation, where it is known.
     vibration : (n, 3) array, (m/s²)², or None
@@ -128,6 +135,7 @@ class State:
     reference_temperature: float = 25.0
     power_on: float = 0.0
     since_turn: FloatArray | None = None
+    turning: BoolArray | None = None
     mat_ns: FloatArray | None = None
     vibration: FloatArray | None = None
     angular_acceleration: FloatArray | None = None
@@ -241,6 +249,10 @@ class Effect(ABC):
         """
         return 0
 
+    def in_words(self, shape: Mapping[str, float]) -> str:
+        """Return the sentence that states its form (the values of its integers); empty for none."""
+        return ""
+
     def contribution(self, state: State, parameters: Mapping[str, float]) -> dict[str, FloatArray]:
         """Return what the effect adds to each channel that it touches, with these parameters."""
         out: dict[str, FloatArray] = {}
@@ -297,6 +309,12 @@ class Effect(ABC):
                 raise ValueError(f"`{name}` is no parameter of {self.slug}: it has {known}")
             if not np.isfinite(value):
                 raise ValueError(f"`{name}` of {self.slug} must be finite, got {value}")
+        for item in self.shape:
+            if item.spacing == "integer" and item.name in parameters:
+                codes, value = item.codes, parameters[item.name]
+                if value not in codes:
+                    span = f"{codes[0]} to {codes[-1]}"
+                    raise ValueError(f"`{item.name}` of {self.slug} must be {span}, got {value}")
         missing = [p.name for p in self.shape if not p.optional and p.name not in parameters]
         if missing:
             raise ValueError(f"{self.slug} needs `{missing[0]}` as well")

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from calib.effects.base import State
-from calib.types import FloatArray
+from calib.types import BoolArray, FloatArray
 
 VIBRATION_WINDOW = 1.0
 """s over which the variance of vibration is averaged."""
@@ -21,14 +21,15 @@ PAUSE = 0.4
 
 
 def observed(state: State, reads: Collection[str]) -> State:
-    """Return the state with ``vibration`` and ``since_turn`` filled in where `reads` names them.
+    """Return the state with ``vibration`` and the turns filled in where `reads` names them.
 
     What the state already has stays. ``rate`` must be free of bias to much less than 0.1 rad/s.
     """
     if "vibration" in reads and state.vibration is None:
         state = replace(state, vibration=short_time_variance(state.time, state.force))
-    if "since_turn" in reads and state.since_turn is None:
-        state = replace(state, since_turn=time_since_turn(state.time, state.rate))
+    if {"since_turn", "turning"} & set(reads) and state.since_turn is None:
+        since, turning = observed_turns(state.time, state.rate)
+        state = replace(state, since_turn=since, turning=turning)
     return state
 
 
@@ -51,15 +52,23 @@ def short_time_variance(time: FloatArray, force: FloatArray) -> FloatArray:
     return mean
 
 
-def time_since_turn(time: FloatArray, rate: FloatArray) -> FloatArray:
-    """Return the time since the last turn ended, (n,) s; infinite before the first end.
+def observed_turns(time: FloatArray, rate: FloatArray) -> tuple[FloatArray, BoolArray]:
+    """Return the time since the last turn ended, (n,) s, and whether one is under way, (n,) bool.
 
-    It goes on through the next turn. A turn ends where the rate stays below `TURNING` for `PAUSE`.
+    The time goes on through the next turn, and is infinite before the first end. A turn ends where
+    the rate stays below `TURNING` for `PAUSE`.
     """
     turning = np.flatnonzero(np.linalg.norm(rate, axis=1) > TURNING)
     at = time[turning]
+    starts = at[np.diff(at, prepend=-np.inf) > PAUSE]
     ends = at[np.diff(at, append=np.inf) > PAUSE]
-    last = np.searchsorted(ends, time, side="right") - 1
-    if not len(ends):
-        return np.full(len(time), np.inf)
-    return np.asarray(np.where(last >= 0, time - ends[np.maximum(last, 0)], np.inf))
+    return since_and_during(time, starts, ends)
+
+
+def since_and_during(
+    time: FloatArray, starts: FloatArray, ends: FloatArray
+) -> tuple[FloatArray, BoolArray]:
+    """Return `State.since_turn` and `State.turning` of turns, in their order, at (n,) times."""
+    ended = np.searchsorted(ends, time, side="right")
+    since = time - np.append(-np.inf, ends)[ended]
+    return since, np.searchsorted(starts, time, side="right") > ended

@@ -200,9 +200,10 @@ class ComparisonProblem:
             power_on=self.power_on,
             gravity=self.gravity,
             since_turn=None,
+            turning=None,
             vibration=self.vibration,
         )
-        return observed(state, ("since_turn",))
+        return observed(state, ("since_turn", "turning"))
 
     def move(
         self, baseline: Mapping[str, float], nuisance: FloatArray, terms: tuple[Term, ...]

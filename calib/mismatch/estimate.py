@@ -61,6 +61,9 @@ class Estimate:
         Where the coefficients of each finding start, and where the last ones end.
     shapes : mapping
         Standard error of a shape parameter, by number of the finding and name.
+    forms : mapping
+        Probability of the form that a finding has (the order of a filter), by number of the
+        finding, where there are several.
     left : (m,) array
         Residual of the fit.
     """
@@ -69,6 +72,7 @@ class Estimate:
     covariance: FloatArray
     at: tuple[int, ...]
     shapes: Mapping[tuple[int, str], float]
+    forms: Mapping[int, float]
     left: FloatArray
 
 
@@ -108,7 +112,7 @@ def estimate(
 ) -> Estimate:
     """Fit baseline, nuisances and all findings jointly, over all shapes that the rows allow."""
     best, covariance = _fit(rows, accepted, levels, contrast)
-    total, shapes = covariance.copy(), {}
+    total, shapes, of_form = covariance.copy(), {}, {}
     reach = 3.0 * np.sqrt(np.diag(covariance))
     for i, a in enumerate(accepted):
         for item in _shapes(a):
@@ -124,6 +128,9 @@ def estimate(
             gains, spacing = np.hstack(found)
             drop = gains.max() - gains
             weights = np.exp(-drop) * spacing / (np.exp(-drop) @ spacing)
+            if len(found) > 1:
+                # Its own form comes first.
+                of_form[i] = float(weights[: found[0].shape[1]].sum())
             for shape, weight, lost in zip(tried, weights, drop, strict=True):
                 if lost > REACH:
                     continue
@@ -155,7 +162,7 @@ def estimate(
         # What a shape changes is as slow as what it shapes.
         shapes[i, name] *= float(unsure[at[i] : at[i + 1]].max())
     left = rows.residual - fitted(rows, accepted) @ best
-    return Estimate(best, total, tuple(int(k) for k in at), shapes, left)
+    return Estimate(best, total, tuple(int(k) for k in at), shapes, of_form, left)
 
 
 def _unsure(
@@ -283,7 +290,9 @@ def _profile(
         if len(near) >= FINE or values[1] < 1.001 * values[0]:
             return values, gains
         low, high = max(near[0] - 1, 0), min(near[-1] + 1, len(values) - 1)
-        values = np.geomspace(values[low], values[high], POINTS)
+        # Two tops far apart: what lies between them is taken along.
+        number = POINTS if high - low < len(values) - 1 else 2 * len(values)
+        values = np.geomspace(values[low], values[high], number)
 
 
 def _of_moment(

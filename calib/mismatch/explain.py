@@ -76,6 +76,9 @@ def explain(
             if item.spacing == "log" or is_moment(item):
                 spread = fit.shapes[i, item.name]
             parameters[item.name] = Quantity(float(here), spread, item.unit)
+        sentence = effect.sentence
+        if fit.forms.get(i, 0.0) > 1.0 - TIE:
+            sentence = f"{sentence} {effect.in_words(a.candidate.shape)}".rstrip()
         absorbed, proof, before = _proof(outcome, fit, i, names)
         predicted = a.columns @ fit.step[part]
         reason = ""
@@ -114,7 +117,7 @@ def explain(
                 held_out_reason=reason,
                 rivals=rivals,
                 to_separate=_to_separate(effect, rivals),
-                sentence=effect.sentence,
+                sentence=sentence,
                 evidence=gather(rows, effect, predicted, before, fit.left),
             )
         )

@@ -181,7 +181,7 @@ def shape_grid(item: ShapeParameter, rows: Rows, count: int) -> FloatArray:
     time = rows.state.time
     start, stop = float(time[0]), float(time[-1])
     if item.spacing == "integer":
-        return np.arange(item.low or 0, (item.high or 0) + 1, dtype=np.float64)
+        return np.array(item.codes, np.float64)
     if is_moment(item):
         return np.asarray(rows.interval.mean(axis=1)[1:])
     low = item.low if item.low is not None else (stop - start) / 100
@@ -198,8 +198,7 @@ def forms(effect: Effect, shape: Mapping[str, float]) -> list[dict[str, float]]:
     out = [dict(shape)]
     for item in effect.shape:
         if item.spacing == "integer" and item.name in shape:
-            values = np.arange(item.low or 0, (item.high or 0) + 1, dtype=np.float64)
-            others = [float(v) for v in values if v != shape[item.name]]
+            others = [float(v) for v in item.codes if v != shape[item.name]]
             out += [{**known, item.name: v} for known in out for v in others]
     return out
 

@@ -62,6 +62,8 @@ class Grid:
         Samples in each point.
     vibration : (n, 3) array, (m/s²)²
         Short-time variance of the specific force above its level at rest.
+    since_turn, turning : (n,) arrays
+        Time since motion last ended, s, and whether there is some.
     near : (n,) array of int
         The pose whose noise and vibration a point shares: its own at rest; in a turn the one that
         has not been left yet, or is reached already; -1 while the sensor moves.
@@ -83,6 +85,7 @@ class Grid:
     count: IntArray
     vibration: FloatArray
     since_turn: FloatArray
+    turning: BoolArray
     near: IntArray
     first: IntArray
     last: IntArray
@@ -299,8 +302,8 @@ def _fill(
         temperature=temperature,
         count=count,
         vibration=_vibration(recording, poses, near),
-        # Nobody knows what there is of it while the turn lasts that disturbs it.
-        since_turn=np.where(near >= 0, since, np.inf),
+        since_turn=since,
+        turning=near < 0,
         near=near,
         first=first,
         last=last,

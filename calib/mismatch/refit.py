@@ -228,8 +228,9 @@ def refined(
             best, value = (replace(candidate, shape=shape), tried), new
         return new
 
-    for shape in neighbours(effect, rows, candidate.shape):
-        try_shape(shape)
+    for form in forms(effect, candidate.shape):
+        for shape in neighbours(effect, rows, form):
+            try_shape(shape)
     if candidate.present:
         # How strong it is is in its shape alone, whatever its form.
         sizes = [i for i in effect.shape if i.spacing == "log" and i.name in candidate.shape]

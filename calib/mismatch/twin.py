@@ -63,6 +63,7 @@ def true_state(grid: Grid, twin: Twin) -> State:
         reference_temperature=twin.model.reference_temperature,
         power_on=grid.began,
         since_turn=grid.since_turn,
+        turning=grid.turning,
         vibration=grid.vibration,
         temperature_slope=grid.temperature_slope,
         gravity=twin.gravity,

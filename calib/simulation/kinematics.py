@@ -17,6 +17,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from calib.effects.base import State
+from calib.effects.observed import since_and_during
 from calib.rotation import mat_from_quat, quat_from_rotvec, quat_multiply
 from calib.types import FloatArray
 
@@ -150,34 +151,29 @@ class Motion:
     def state(self, time: FloatArray) -> State:
         """Return the true state at (n,) times, s."""
         time = np.asarray(time, np.float64)
-        turning, path = self.kinematics(time)
-        mat_ns = mat_from_quat(turning.quat)
+        rotation, path = self.kinematics(time)
+        mat_ns = mat_from_quat(rotation.quat)
         if path is None:
             force = self.gravity * mat_ns[:, 2, :]
         else:
             total = path.acceleration + np.array([0.0, 0.0, self.gravity])
             force = np.einsum("nij,ni->nj", mat_ns, total)
+        turns = self.turns
+        since, turning = since_and_during(time, *turns.T) if len(turns) else (None, None)
         return State(
             time,
             force,
-            turning.rate,
+            rotation.rate,
             temperature=None if self.temperature is None else self.temperature(time),
             power_on=self.power_on,
-            since_turn=self._since_turn(time),
+            since_turn=since,
+            turning=turning,
             mat_ns=mat_ns,
             vibration=None if self.vibration is None else self.vibration(time) ** 2,
-            angular_acceleration=turning.rate_dot,
+            angular_acceleration=rotation.rate_dot,
             temperature_slope=self._temperature_slope(time),
             gravity=self.gravity,
         )
-
-    def _since_turn(self, time: FloatArray) -> FloatArray | None:
-        turns = self.turns
-        if not len(turns):
-            return None
-        last = np.searchsorted(turns[:, 1], time, side="right") - 1
-        since: FloatArray = np.where(last >= 0, time - turns[np.maximum(last, 0), 1], np.inf)
-        return since
 
     def _temperature_slope(self, time: FloatArray) -> FloatArray | None:
         if self.temperature is None:

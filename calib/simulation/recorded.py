@@ -20,6 +20,7 @@ from scipy.signal import butter, sosfiltfilt
 from scipy.spatial.transform import Rotation, RotationSpline
 
 from calib.effects.base import State
+from calib.effects.observed import since_and_during
 from calib.model import SensorModel
 from calib.poses import Poses
 from calib.recording import Recording
@@ -31,7 +32,7 @@ from calib.rotation import (
 )
 from calib.simulation.kinematics import Kinematics, Motion, Path, Segment, Turning
 from calib.turns import find_turns
-from calib.types import FloatArray
+from calib.types import BoolArray, FloatArray
 
 UP = np.array([0.0, 0.0, 1.0])
 
@@ -69,13 +70,15 @@ def motion_of(
         Its time 0 is the recording's first sample.
     """
     time = recording.time - recording.time[0]
+    since, turning = _turns(recording, poses)
     measured = State(
         recording.time,
         recording.accel,
         recording.gyro,
         temperature=recording.temperature,
         power_on=float(recording.time[0]),
-        since_turn=_since_turn(recording, poses),
+        since_turn=since,
+        turning=turning,
         gravity=gravity,
     )
     true = model.correct(measured)
@@ -347,12 +350,9 @@ def _rest_bias(time: FloatArray, rate: FloatArray, poses: Poses) -> FloatArray:
     return np.stack([np.interp(time, at, means[:, i]) for i in range(3)], axis=1)
 
 
-def _since_turn(recording: Recording, poses: Poses) -> FloatArray:
-    if len(poses) < 2:
-        return np.full(len(recording), np.inf)
-    ends = recording.time[poses.start[1:]]
-    last = np.searchsorted(ends, recording.time, side="right") - 1
-    return np.where(last >= 0, recording.time - ends[np.maximum(last, 0)], np.inf)
+def _turns(recording: Recording, poses: Poses) -> tuple[FloatArray, BoolArray]:
+    time = recording.time
+    return since_and_during(time, time[poses.stop[:-1] - 1], time[poses.start[1:]])
 
 
 def _temperature(recording: Recording) -> Callable[[FloatArray], FloatArray] | None:

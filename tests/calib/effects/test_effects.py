@@ -7,9 +7,10 @@ import pytest
 from scipy import signal
 
 from calib.effects import effects, get_effect
+from calib.effects.accel_settling import FADING, NONE, WHOLE
 from calib.effects.bandwidth import low_pass
 from calib.effects.base import PRESENCE, Effect, Signals, State, Term, TransformEffect
-from calib.effects.observed import short_time_variance, time_since_turn
+from calib.effects.observed import observed_turns, short_time_variance
 from calib.model import SensorModel, Triad
 from calib.recording import AXES, CHANNELS
 from calib.simulate import simulate
@@ -197,6 +198,7 @@ def test_needs_what_it_is_a_function_of(slug: str, state: State) -> None:
         vibration=None,
         mat_ns=None,
         since_turn=None,
+        turning=None,
     )
     columns = effect.columns(bare, shape_of(effect))
     lacking = {
@@ -422,7 +424,7 @@ def test_unit_mistakes_are_named() -> None:
 def test_says_what_it_reads(slug: str, state: State) -> None:
     """Without a field that it reads it has no columns; without the others it has."""
     effect = get_effect(slug)
-    optional = ("temperature", "vibration", "since_turn", "mat_ns")
+    optional = ("temperature", "vibration", "since_turn", "turning", "mat_ns")
     assert set(effect.reads) <= set(optional)
     for name in optional:
         lacking = replace(state, temperature_slope=None, **{name: None})
@@ -447,19 +449,59 @@ def test_turns_are_observed() -> None:
     rate[200:300, 1] = 1.0
     rate[240:250, 1] = 0.0  # on the way
     rate[600:700, 2] = -1.0
-    since = time_since_turn(time, rate)
+    since, turning = observed_turns(time, rate)
     assert np.isinf(since[:299]).all()
     np.testing.assert_allclose(since[[299, 399, 650, 799]], [0.0, 1.0, 3.51, 1.0], atol=1e-9)
-    assert np.isinf(time_since_turn(time, 0 * rate)).all()
+    expected = np.zeros(len(time), bool)
+    expected[200:299], expected[600:699] = True, True
+    np.testing.assert_array_equal(turning, expected)
+    since, turning = observed_turns(time, 0 * rate)
+    assert np.isinf(since).all()
+    assert not turning.any()
 
 
-@pytest.mark.parametrize("slug", ["accel_settling", "gyro_vibration_rectification"])
-def test_correct_finds_what_nobody_states(slug: str) -> None:
+def test_settling_has_a_form_for_what_there_is_in_turns(state: State) -> None:
+    effect = get_effect("accel_settling")
+    of = {
+        form: effect.columns(state, {"tau": 2.0, "in_turns": form})["kx"]["accel.x"]
+        for form in (FADING, WHOLE, NONE)
+    }
+    rest = ~state.turning
+    assert rest.any()
+    assert not rest.all()
+    for column in of.values():
+        np.testing.assert_array_equal(column[rest], np.exp(-state.since_turn[rest] / 2.0))
+    np.testing.assert_array_equal(of[WHOLE][state.turning], 1.0)
+    np.testing.assert_array_equal(of[NONE][state.turning], 0.0)
+    fading = np.exp(-state.since_turn[state.turning] / 2.0)
+    np.testing.assert_array_equal(of[FADING][state.turning], fading)
+    # As it was before there were forms.
+    plain = effect.columns(state, {"tau": 2.0})["kx"]["accel.x"]
+    np.testing.assert_array_equal(plain, of[FADING])
+    words = {effect.in_words({"tau": 2.0, "in_turns": form}) for form in of}
+    assert len(words) == 3
+
+
+@pytest.mark.parametrize("value", [-1, 3, 1.5])
+def test_a_form_is_one_of_those_that_there_are(value: float) -> None:
+    with pytest.raises(ValueError, match="`in_turns` of accel_settling must be 0 to 2"):
+        SensorModel(terms=(Term("accel_settling", {"tau": 1.0, "in_turns": value}),))
+
+
+@pytest.mark.parametrize(
+    ("slug", "form"),
+    [
+        *(("accel_settling", {"in_turns": form}) for form in (FADING, WHOLE, NONE)),
+        ("gyro_vibration_rectification", {}),
+    ],
+)
+def test_correct_finds_what_nobody_states(slug: str, form: dict[str, float]) -> None:
     """`apply` knows only the signals: the correction must still take most of the effect away."""
     motion = bench_protocol(np.random.default_rng(6), poses=10, vibration=3.0)
     effect = get_effect(slug)
     values = {p.name: 20 * p.typical for p in effect.parameters}
-    model = SensorModel(terms=(Term(slug, values | {p.name: 2.0 for p in effect.shape}),))
+    values |= {p.name: 2.0 for p in effect.shape} | form
+    model = SensorModel(terms=(Term(slug, values),))
     quiet = NoiseModel()
     with_effect, without = (
         simulate(motion, m, quiet, rng=np.random.default_rng(0), rate=100.0)

@@ -7,7 +7,9 @@ import pytest
 
 from calib.calibration import Gravity
 from calib.document import from_document, to_document
-from calib.effects.base import Term
+from calib.effects import get_effect
+from calib.effects.accel_settling import NONE, WHOLE
+from calib.effects.base import State, Term
 from calib.errors import InsufficientMotionError
 from calib.mismatch import diagnose_recording
 from calib.model import SensorModel
@@ -201,3 +203,25 @@ def test_a_warm_up_is_counted_from_where_the_recording_begins() -> None:
     assert abs(size.value - 0.02) < 3 * size.sigma
     assert size.sigma < 0.003
     assert abs(tau.value - 30.0) < 10.0
+
+
+@pytest.mark.parametrize("form", [WHOLE, NONE])
+def test_what_settles_after_turns_is_known_whatever_it_does_in_them(form: int) -> None:
+    sizes = {"kx": 0.012, "ky": -0.009, "kz": 0.006}
+    truth = Term("accel_settling", {**sizes, "tau": 4.0, "in_turns": form})
+    real, without = recording(truth, seed=7), recording(seed=7)
+    found = diagnose_recording(real, gravity=GRAVITY)
+    (finding,) = found.findings
+    assert finding.effect == "accel_settling"
+    assert finding.parameters["in_turns"].value == form
+    for name, value in {**sizes, "tau": 4.0}.items():
+        q = finding.parameters[name]
+        assert q.sigma is not None
+        assert abs(q.value - value) < 3.0 * q.sigma
+    # In words only where the recording tells.
+    words = get_effect("accel_settling").in_words({"tau": 4.0, "in_turns": form})
+    assert words in finding.sentence
+    (term,) = found.model.terms
+    clean = SensorModel(terms=(term,)).correct(State(real.time, real.accel, real.gyro)).accel
+    left, size = (np.sqrt(np.mean(np.square(a - without.accel))) for a in (clean, real.accel))
+    assert left < 0.6 * size

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
+import calib.mismatch.estimate as module
 from calib.effects import get_effect
 from calib.mismatch.candidates import Candidate
 from calib.mismatch.estimate import estimate, settle, wider
-from calib.mismatch.families import effect_columns
+from calib.mismatch.families import effect_columns, shape_grid
 from calib.mismatch.noise import (
     covariance,
     expected_levels,
@@ -41,6 +42,40 @@ def step(rows, moment: float) -> Accepted:
 
 def warm_up(rows, tau: float) -> Accepted:
     return named(rows, "gyro_warm_up", NAMES, tau=tau)
+
+
+def test_a_profile_with_two_tops_is_followed_over_both(monkeypatch):
+    _, self_mode = problem()
+    rows = self_mode.rows()
+    own = warm_up(rows, 30.0)
+    (item,) = get_effect("gyro_warm_up").shape
+    tops = np.log(shape_grid(item, rows, module.POINTS)[[3, 20]])
+    at = []
+    moved = module._moved
+
+    def record(rows, a, shape, *, reference):
+        at.append(np.log(shape["tau"]))
+        return moved(rows, a, shape, reference=reference)
+
+    def gain(columns, y, *, present=False):
+        return float(-0.5 * np.square((at[-1] - tops) / 0.02).min())
+
+    monkeypatch.setattr(module, "_moved", record)
+    monkeypatch.setattr(module, "likelihood_gain", gain)
+    values, gains = module._profile(
+        rows,
+        [own],
+        0,
+        own.candidate.shape,
+        item,
+        expected_levels(rows),
+        rows.white_diagonal,
+        reference=False,
+    )
+    near = np.log(values[gains > gains.max() - module.REACH])
+    for top in tops:
+        assert np.abs(near - top).min() < 0.05
+    assert len(near) >= module.FINE
 
 
 @pytest.mark.parametrize(("tau", "start"), [(30.0, 60.0), (250.0, 90.0)])

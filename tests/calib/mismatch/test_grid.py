@@ -39,11 +39,15 @@ def test_near_is_the_rest_that_is_not_left_yet():
     np.testing.assert_array_equal(grid.near[pose >= 0], pose[pose >= 0])
 
 
-def test_time_since_a_turn_is_known_at_rest_only():
-    real = plain()
+def test_turns_are_where_the_sensor_moves_from_rest_to_rest():
+    motion, real = shaken()
     grid = make_grid(real, find_poses(real))
+    rate = np.linalg.norm(motion.state(grid.time).rate, axis=1)
+    assert (rate[~grid.turning] < 0.1).all()
+    assert grid.turning[rate > 0.3].all()
+    assert not grid.turning[grid.pose >= 0].any()
     known = np.isfinite(grid.since_turn)
-    assert not known[grid.near < 0].any()
+    np.testing.assert_array_equal(known, np.maximum.accumulate(known))
     assert known[grid.near > 0].all()
     assert grid.since_turn[known].min() >= 0
 
