@@ -22,9 +22,9 @@ from calib.errors import NoCommonMotionError
 from calib.mismatch.alignment import LEAST_OVERLAP, Alignment
 from calib.mismatch.captured import Known, sensor_densities
 from calib.mismatch.colour import WHITE, Colour, find_colour, gaussian, whitening
-from calib.mismatch.grid import smooth_temperature
 from calib.mismatch.rows import Rows
 from calib.mismatch.scatter import scatter
+from calib.mismatch.thermometer import smooth_temperature
 from calib.mismatch.truths import RecordingTruth
 from calib.mismatch.twin import ACCEL_MISALIGNMENT, baseline_column
 from calib.mismatch.windowed import Shapes, find_shapes, make_rows, robust_step
@@ -146,7 +146,9 @@ class ComparisonProblem:
         )
         self.measured = np.hstack((real.accel, real.gyro))[self.index]
         self.temperature = (
-            None if real.temperature is None else smooth_temperature(real)[self.index]
+            None
+            if real.temperature is None
+            else smooth_temperature(real.time, real.temperature)[self.index]
         )
         start = SensorModel() if model is None else model
         if model is None and self.temperature is not None:

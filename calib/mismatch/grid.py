@@ -13,6 +13,7 @@ from itertools import pairwise
 import numpy as np
 
 from calib.effects.base import SLOPE_WINDOW, local_slope
+from calib.mismatch.thermometer import smooth_temperature
 from calib.poses import Poses, average_poses
 from calib.recording import Recording
 from calib.types import BoolArray, FloatArray, IntArray
@@ -278,12 +279,13 @@ def _fill(
     time = mean(recording.time)
     temperature, slope = None, None
     if recording.temperature is not None:
-        timed = recording
+        when = recording.time
         if recording.clock == "invalid":
-            even = np.linspace(0.0, UNCLOCKED, len(recording))
-            timed = replace(recording, time=even)
-            slope = mean(local_slope(even, recording.temperature, window=SLOPE_WINDOW))
-        temperature = mean(smooth_temperature(timed))
+            when = np.linspace(0.0, UNCLOCKED, len(recording))
+        smooth = smooth_temperature(when, recording.temperature)
+        if recording.clock == "invalid":
+            slope = mean(local_slope(when, smooth, window=SLOPE_WINDOW))
+        temperature = mean(smooth)
     rest = np.repeat(before == after, last - first)
     interval = np.stack(
         (recording.time[bounds[first, 0]], recording.time[bounds[last - 1, 1] - 1]), axis=1
@@ -334,37 +336,6 @@ def _moving(recording: Recording, poses: Poses) -> FloatArray:
         at = np.flatnonzero(moving.any(axis=1))
         out[k - 1] = recording.time[[a + at[0], a + at[-1]] if len(at) else [b - 1, b - 1]]
     return out
-
-
-def smooth_temperature(recording: Recording, *, window: float = 10.0) -> FloatArray:
-    """Return the temperature smoothed over `window` seconds (two passes of a moving mean).
-
-    A part's temperature changes over minutes; its readout is coarse and noisy, and its time
-    derivative needs the noise gone.
-    """
-    assert recording.temperature is not None
-    values = recording.temperature
-    width = round(window / max(recording.interval, 1e-9)) // 2 * 2 + 1
-    width = min(width, len(values) // 4 * 2 + 1)
-    for _ in range(2):
-        # Extend by point reflection about the ends, so that they keep their slope; a straight line
-        # through the first and last window finds the ends in noise.
-        half = width // 2
-        if half == 0:
-            return values
-        left = 2 * _end_value(values[: half + 1]) - values[half:0:-1]
-        right = 2 * _end_value(values[: -half - 2 : -1]) - values[-2 : -half - 2 : -1]
-        padded = np.concatenate((left, values, right))
-        sums = np.concatenate(([0.0], np.cumsum(padded)))
-        values = (sums[width:] - sums[:-width]) / width
-    return values
-
-
-def _end_value(values: FloatArray) -> float:
-    """Return the first value of a straight line through (n,) values."""
-    at = np.arange(len(values)) - (len(values) - 1) / 2
-    slope = float(at @ values) / max(float(at @ at), 1.0)
-    return float(values.mean() + slope * at[0])
 
 
 def _vibration(recording: Recording, poses: Poses, near: IntArray) -> FloatArray:

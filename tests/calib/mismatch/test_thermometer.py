@@ -1,0 +1,86 @@
+"""Temperature from coarse, noisy and rarely read thermometers."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from calib.effects.base import SLOPE_WINDOW, local_slope
+from calib.mismatch.thermometer import smooth_temperature
+from calib.types import FloatArray
+
+TIME = np.arange(0.0, 600.0, 0.01)
+WARM = 28.0 + 8.0 * (1.0 - np.exp(-(TIME + 20.0) / 200.0))
+SLOPE = 8.0 / 200.0 * np.exp(-(TIME + 20.0) / 200.0)
+
+
+def held(values: FloatArray, samples: int) -> FloatArray:
+    return np.repeat(values[::samples], samples)[: len(values)]
+
+
+READ: dict[str, tuple[Callable[[FloatArray, np.random.Generator], FloatArray], float]] = {
+    "fine": (lambda t, rng: t + rng.normal(0, 0.03, len(t)), 0.1),
+    "noisy": (lambda t, rng: t + rng.normal(0, 0.3, len(t)), 0.3),
+    "half degrees": (lambda t, rng: 0.5 * np.round(2 * t + rng.normal(0, 0.06, len(t))), 1.0),
+    "degrees": (lambda t, rng: np.round(t + rng.normal(0, 0.03, len(t))), 1.0),
+    "degrees without noise": (lambda t, rng: np.round(t), 2.0),
+    "degrees, to and fro": (lambda t, rng: np.round(t + rng.normal(0, 0.2, len(t))), 0.5),
+    "once a second": (lambda t, rng: held(t + rng.normal(0, 0.3, len(t)), 100), 1.5),
+    "once in five seconds": (lambda t, rng: held(t + rng.normal(0, 0.3, len(t)), 500), 2.5),
+    "degrees, once a second": (
+        lambda t, rng: held(np.round(t + rng.normal(0, 0.3, len(t))), 100),
+        2.0,
+    ),
+}
+"""What thermometers make of a temperature, and how well its rate is known then, mK/s rms.
+
+Moving means over ten seconds, twice, leave 5 to 17 mK/s for all but the first two.
+"""
+
+
+@pytest.mark.parametrize("kind", READ)
+def test_rate_of_temperature_from_any_thermometer(kind: str) -> None:
+    read, limit = READ[kind]
+    for seed in range(3):
+        reading = read(WARM, np.random.default_rng(seed))
+        smooth = smooth_temperature(TIME, reading)
+        # Points as a diagnosis has them: ends are known worse than all else.
+        found = local_slope(TIME[::25], smooth[::25], window=SLOPE_WINDOW)
+        inside = slice(80, -80)
+        error = 1e3 * (found - SLOPE[::25])[inside]
+        assert np.sqrt(np.mean(error**2)) < limit
+
+
+def test_constant_temperature_has_no_rate() -> None:
+    reading = 25.0 + np.random.default_rng(4).normal(0, 0.3, len(TIME))
+    smooth = smooth_temperature(TIME, reading)
+    assert np.abs(local_slope(TIME, smooth, window=SLOPE_WINDOW)).max() < 1e-3
+    assert abs(smooth.mean() - 25.0) < 3 * 0.3 / np.sqrt(len(TIME)) + 1e-3
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 5, 8, 30])
+def test_few_readings(n: int) -> None:
+    time = np.arange(n) * 0.5
+    smooth = smooth_temperature(time, 20.0 + 0.1 * time)
+    np.testing.assert_allclose(smooth, 20.0 + 0.1 * time, atol=0.05)
+
+
+def test_readings_that_are_missing_for_a_while() -> None:
+    some = (TIME < 200.0) | (TIME > 260.0)
+    reading = WARM + np.random.default_rng(5).normal(0, 0.03, len(WARM))
+    smooth = smooth_temperature(TIME[some], reading[some])
+    assert np.abs(smooth - WARM[some]).max() < 0.03
+
+
+def test_stuck_reading_is_left_alone() -> None:
+    stuck = np.full(1000, 31.0)
+    assert np.array_equal(smooth_temperature(TIME[:1000], stuck), stuck)
+
+
+def test_a_quick_change_is_followed() -> None:
+    # A hot air gun at 200 s: 10 K in 15 s.
+    path = 25.0 + 10.0 / (1.0 + np.exp(-(TIME - 200.0) / 3.0))
+    reading = path + np.random.default_rng(6).normal(0, 0.1, len(TIME))
+    assert np.abs(smooth_temperature(TIME, reading) - path).max() < 0.3
