@@ -19,9 +19,12 @@ the three axes drops out of it, as the velocity that it causes is zero at rest.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
+from scipy import sparse
 
 from calib.rotation import (
     cumulative_quat_segments,
@@ -30,7 +33,7 @@ from calib.rotation import (
     rate_increments,
     skew,
 )
-from calib.types import FloatArray, IntArray
+from calib.types import BoolArray, FloatArray, IntArray
 
 
 class Closures(NamedTuple):
@@ -71,108 +74,148 @@ def across(up: FloatArray) -> FloatArray:
     return np.stack((first, np.cross(up, first)), axis=-1)
 
 
-def turned_frames(time: FloatArray, rate: FloatArray, first: IntArray) -> FloatArray:
-    """Return the frame at each time seen from that at the start of its turn, (n, 3, 3).
+@dataclass(frozen=True, eq=False)
+class Spans:
+    """When turns were, and what integrals over them need, which depends on nothing else.
 
-    Points ``[first[i], first[i + 1])`` are turn i's, two or more.
+    Parameters
+    ----------
+    time : (n,) array, s
+        Of the points of k turns, one turn after another.
+    first : (k + 1,) array of int
+        Points ``[first[i], first[i + 1])`` are turn i's, two or more.
     """
-    if len(first) < 2:
+
+    time: FloatArray
+    first: IntArray
+
+    @property
+    def start(self) -> IntArray:
+        """The first point of each turn, (k,)."""
+        return self.first[:-1]
+
+    @property
+    def last(self) -> IntArray:
+        """The last point of each turn, (k,)."""
+        return self.first[1:] - 1
+
+    @cached_property
+    def turn(self) -> IntArray:
+        """The turn of each point, (n,)."""
+        return np.repeat(np.arange(len(self.start)), np.diff(self.first))
+
+    @cached_property
+    def duration(self) -> FloatArray:
+        """How long each turn takes, (k,) s."""
+        return np.asarray(self.time[self.last] - self.time[self.start])
+
+    @cached_property
+    def step(self) -> FloatArray:
+        """The time since the point before in the same turn, (n,) s."""
+        step = np.diff(self.time, prepend=0.0)
+        step[self.start] = 0.0
+        return step
+
+    @cached_property
+    def weight(self) -> FloatArray:
+        """What each point counts in the integral over its turn, by trapezoids (n,) s."""
+        return np.asarray(0.5 * (self.step + np.append(self.step[1:], 0.0)))
+
+    @cached_property
+    def bend(self) -> sparse.csr_matrix:
+        """What trapezoids from the point before are too large by, of values at the points, s.
+
+        A trapezoid is off by ``dt²/12 dx/dt`` in between, and right again where the sensor rests:
+        at 50 Hz a velocity of 2 mm/s after a brisk turn; where samples are uneven, it stays off. So
+        the next term is taken along (Euler-Maclaurin), with slopes of the order that uneven samples
+        need.
+        """
+        number = len(self.time)
+        weights = np.zeros((number, 6))
+        weights[:, 1:] = self._slopes()
+        weights[1:, :5] -= weights[:-1, 1:]
+        weights *= np.square(self.step)[:, None] / 12
+        near = np.clip(np.arange(number)[:, None] + np.arange(-3, 3), 0, number - 1)
+        ends = 6 * np.arange(number + 1)
+        return sparse.csr_matrix((weights.ravel(), near.ravel(), ends), shape=(number, number))
+
+    def _slopes(self) -> FloatArray:
+        """Return what the two points on either side, and its own, weigh in each slope, (n, 5).
+
+        That of a polynomial through all of them, and beside the end of a turn through one on either
+        side. At the ends there is none: they are at rest, and their noise would count twice.
+        """
+        out = np.zeros((len(self.time), 5))
+        place = np.arange(len(self.time)) - self.start[self.turn]
+        left = self.last[self.turn] - self.start[self.turn] - place
+        edge = np.minimum(place, left)
+        for own, reach in ((edge > 1, (-2, -1, 1, 2)), (edge == 1, (-1, 1))):
+            here = np.flatnonzero(own)
+            off = [self.time[here + k] - self.time[here] for k in reach]
+            for k, mine in zip(reach, off, strict=True):
+                weight = 1.0 / mine
+                for other in off:
+                    if other is not mine:
+                        weight = weight * other / (other - mine)
+                out[here, 2 + k] = weight
+        out[:, 2] = -out.sum(axis=1)
+        return out
+
+    @cached_property
+    def half(self) -> tuple[BoolArray, Spans]:
+        """Every second point, and the ends of turns: which points, and their spans."""
+        place = np.arange(len(self.time)) - self.start[self.turn]
+        kept = place % 2 == 0
+        kept[self.last] = True
+        fewer = np.append(0, np.cumsum(kept)[self.last])
+        return kept, Spans(self.time[kept], fewer)
+
+
+def turned_frames(spans: Spans, rate: FloatArray) -> FloatArray:
+    """Return the frame at each point seen from that at the start of its turn, (n, 3, 3)."""
+    if not len(spans.start):
         return np.zeros((0, 3, 3))
     increments = np.zeros_like(rate)
-    increments[1:] = rate_increments(time, rate)
-    increments -= _bent(time, rate, first)
-    increments[first[:-1]] = 0.0
-    return mat_from_quat(cumulative_quat_segments(quat_from_rotvec(increments), first))
+    increments[1:] = rate_increments(spans.time, rate)
+    increments -= spans.bend @ rate
+    increments[spans.start] = 0.0
+    return mat_from_quat(cumulative_quat_segments(quat_from_rotvec(increments), spans.first))
 
 
-def _bent(time: FloatArray, values: FloatArray, first: IntArray) -> FloatArray:
-    """Return what trapezoids from the point before are too large by, (n, 3) in units times s.
-
-    A trapezoid is off by ``dt²/12 dx/dt`` in between, and right again where the sensor rests: at
-    50 Hz a velocity of 2 mm/s after a brisk turn; where samples are uneven, it stays off. So the
-    next term is taken along (Euler-Maclaurin), with slopes of the order that uneven samples need.
-    """
-    out = np.zeros_like(values)
-    if len(first) > 1:
-        slope = _slopes(time, values, first)
-        out[1:] = np.square(np.diff(time))[:, None] / 12 * np.diff(slope, axis=0)
-        out[first[:-1]] = 0.0
-    return out
-
-
-def _slopes(time: FloatArray, values: FloatArray, first: IntArray) -> FloatArray:
-    """Return the slopes of polynomials through two points on either side; none where turns end."""
-    near = np.gradient(values, time, axis=0)
-    slope, middle = near.copy(), slice(2, len(time) - 2)
-    places = (0, 1, 3, 4)
-    off = [time[k : len(time) - 4 + k] - time[middle] for k in places]
-    slope[middle] = 0.0
-    for k, own in zip(places, off, strict=True):
-        weight = -1.0 / own
-        for other in off:
-            if other is not own:
-                weight = weight * other / (own - other)
-        slope[middle] += weight[:, None] * (values[k : len(time) - 4 + k] - values[middle])
-    start, last = first[:-1], first[1:] - 1
-    beside = np.concatenate((np.minimum(start + 1, last), np.maximum(last - 1, start)))
-    slope[beside] = near[beside]
-    slope[start] = slope[last] = 0.0  # at rest; their noise would count twice
-    return slope
-
-
-def integrate_turns(
-    time: FloatArray, force: FloatArray, rate: FloatArray, first: IntArray
-) -> Ended:
+def integrate_turns(spans: Spans, force: FloatArray, rate: FloatArray) -> Ended:
     """Return where turns end, all at once: what `close_turns` compares, without derivatives.
 
-    Points ``[first[i], first[i + 1])`` are turn i's. The velocity is the integral of the specific
-    force: gravity's is in it.
+    The velocity is the integral of the specific force: gravity's is in it.
     """
-    return end_turns(time, force, turned_frames(time, rate, first), first)
+    return end_turns(spans, force, turned_frames(spans, rate))
 
 
-def end_turns(time: FloatArray, force: FloatArray, mat: FloatArray, first: IntArray) -> Ended:
+def end_turns(spans: Spans, force: FloatArray, mat: FloatArray) -> Ended:
     """Return where turns end whose `turned_frames` are known."""
     turned = np.einsum("nij,nj->ni", mat, force)
-    passed = _weights(_steps(time, first))[:, None] * turned - _bent(time, turned, first)
-    return Ended(mat[first[1:] - 1], np.add.reduceat(passed, first[:-1], axis=0))
+    passed = spans.weight[:, None] * turned - spans.bend @ turned
+    return Ended(mat[spans.last], np.add.reduceat(passed, spans.start, axis=0))
 
 
-def follow_turns(time: FloatArray, force: FloatArray, rate: FloatArray, first: IntArray) -> Ended:
+def follow_turns(spans: Spans, force: FloatArray, rate: FloatArray) -> Ended:
     """Return where turns are at each of their points, (n, ...): at the last, where they end."""
-    mat = turned_frames(time, rate, first)
+    mat = turned_frames(spans, rate)
     turned = np.einsum("nij,nj->ni", mat, force)
-    gained = 0.5 * _steps(time, first)[:, None] * (turned + np.roll(turned, 1, 0))
-    passed = np.cumsum(gained - _bent(time, turned, first), axis=0)
-    return Ended(mat, passed - np.repeat(passed[first[:-1]], np.diff(first), axis=0))
+    gained = 0.5 * spans.step[:, None] * (turned + np.roll(turned, 1, 0))
+    passed = np.cumsum(gained - spans.bend @ turned, axis=0)
+    return Ended(mat, passed - passed[spans.start][spans.turn])
 
 
-def integrate_half(time: FloatArray, force: FloatArray, rate: FloatArray, first: IntArray) -> Ended:
+def integrate_half(spans: Spans, force: FloatArray, rate: FloatArray) -> Ended:
     """Return the same from every second sample: how far off that is, samples do not resolve."""
-    number = np.diff(first)
-    place = np.arange(len(time)) - np.repeat(first[:-1], number)
-    kept = (place % 2 == 0) | (place == np.repeat(number, number) - 1)
-    fewer = np.append(0, np.cumsum(kept)[first[1:] - 1])
-    return integrate_turns(time[kept], force[kept], rate[kept], fewer)
-
-
-def _steps(time: FloatArray, first: IntArray) -> FloatArray:
-    """Return the time since the point before in the same turn, (n,) s."""
-    step = np.diff(time, prepend=0.0)
-    step[first[:-1]] = 0.0
-    return step
-
-
-def _weights(step: FloatArray) -> FloatArray:
-    """Return what each point counts in the integral over its turn, by trapezoids (n,)."""
-    return np.asarray(0.5 * (step + np.append(step[1:], 0.0)))
+    kept, fewer = spans.half
+    return integrate_turns(fewer, force[kept], rate[kept])
 
 
 def close_turns(
-    time: FloatArray,
+    spans: Spans,
     force: FloatArray,
     rate: FloatArray,
-    first: IntArray,
     up_before: FloatArray,
     up_after: FloatArray,
     *,
@@ -182,23 +225,19 @@ def close_turns(
 
     Parameters
     ----------
-    time : (n,) array, s
+    spans : Spans
     force, rate : (n, 3) arrays
         Corrected signals.
-    first : (k + 1,) array of int
-        Points ``[first[i], first[i + 1])`` are turn i's.
     up_before, up_after : (k, 3) arrays
         Unit vectors up, in frame s, at the rests on either side.
     gravity : float, m/s²
     """
-    start, last, number = first[:-1], first[1:] - 1, np.diff(first)
-    turn = np.repeat(np.arange(len(start)), number)
-    weight = _weights(_steps(time, first))
-    mat, velocity = follow_turns(time, force, rate, first)
+    start, last, turn, weight = spans.start, spans.last, spans.turn, spans.weight
+    mat, velocity = follow_turns(spans, force, rate)
     turned = np.einsum("nij,nj->ni", mat, force)
     remaining = velocity[last][turn] - velocity
     total = velocity[last]
-    duration = time[last] - time[start]
+    duration = spans.duration
     plane, plane_after = across(up_before), across(up_after)
     end = np.einsum("kij,kj->ki", mat[last], up_after)
     residual = np.hstack(
@@ -208,7 +247,7 @@ def close_turns(
         )
     )
     weighted = mat * weight[:, None, None]
-    gyro, accel = np.empty((5, len(time), 3)), np.zeros((5, len(time), 3))
+    gyro, accel = np.empty((5, len(turn), 3)), np.zeros((5, len(turn), 3))
     lever = np.cross(end[:, None], np.swapaxes(plane, 1, 2))
     gyro[:2] = np.swapaxes(lever[turn] @ weighted, 0, 1)
     # R x e of each unit vector e are the columns of skew(R).
@@ -219,7 +258,7 @@ def close_turns(
     after[:, :2] = -np.swapaxes(plane, 1, 2) @ mat[last] @ plane_after
     before[:, 2:] = gravity * duration[:, None, None] * plane
     moved = np.linalg.norm(turned - gravity * up_before[turn], axis=1)
-    half = integrate_half(time, force, rate, first)
+    half = integrate_half(spans, force, rate)
     tilt = np.einsum("kij,kj->ki", half.frame, up_after) - end
     unresolved = np.hstack((np.einsum("kij,ki->kj", plane, tilt), half.velocity - total))
     return Closures(

@@ -8,11 +8,13 @@ is therefore that of the turns, not that of the recording.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
 
 from calib.effects.base import SLOPE_WINDOW, local_slope
+from calib.mismatch.closure import Spans
 from calib.mismatch.thermometer import smooth_temperature
 from calib.poses import Poses, average_poses
 from calib.recording import Recording
@@ -112,6 +114,12 @@ class Grid:
     def pose(self) -> IntArray:
         """The pose of each point, (n,); -1 in turns."""
         return np.where(self.is_rest, self.before, -1)[self.segment]
+
+    @cached_property
+    def turns(self) -> tuple[IntArray, Spans]:
+        """The points of all turns, one after the other, and when the turns were."""
+        points, first = self.points_of(np.flatnonzero(~self.is_rest))
+        return points, Spans(self.time[points], first)
 
     def points_of(self, segments: IntArray) -> tuple[IntArray, IntArray]:
         """Return the points of k segments, one after the other, and where each begins, (k + 1,)."""

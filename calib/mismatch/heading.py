@@ -38,18 +38,18 @@ def orient(grid: Grid, up: FloatArray, rate: FloatArray) -> FloatArray | None:
     turns = np.flatnonzero(~grid.is_rest)
     if not np.array_equal(grid.before[turns], np.arange(grid.n_poses - 1)):
         return None
-    points, first = grid.points_of(turns)
+    points, spans = grid.turns
     increments = np.zeros((len(points), 3))
-    increments[1:] = rate_increments(grid.time[points], rate[points])
-    increments[first[:-1]] = 0.0
-    turned = mat_from_quat(cumulative_quat_segments(quat_from_rotvec(increments), first))
+    increments[1:] = rate_increments(spans.time, rate[points])
+    increments[spans.start] = 0.0
+    turned = mat_from_quat(cumulative_quat_segments(quat_from_rotvec(increments), spans.first))
     stands = [_upright(across(up[0])[:, 0], up[0])]
-    for end, above in zip(turned[first[1:] - 1], up[grid.after[turns]], strict=True):
+    for end, above in zip(turned[spans.last], up[grid.after[turns]], strict=True):
         stands.append(_upright((stands[-1] @ end)[0], above))
     stood = np.stack(stands)
     # The turns join each rest to the next.
     out = stood[grid.pose]
-    out[points] = np.repeat(stood[:-1], np.diff(first), axis=0) @ turned
+    out[points] = stood[:-1][spans.turn] @ turned
     return out
 
 

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from calib.faults import ROBUST
-from calib.mismatch.closure import Ended, across, follow_turns, integrate_turns
+from calib.mismatch.closure import Ended, Spans, across, follow_turns, integrate_turns
 from calib.mismatch.grid import Grid
 from calib.mismatch.selfmode import SelfProblem
 from calib.mismatch.twin import Twin, true_state
@@ -136,9 +136,9 @@ class _Closures:
         self._grid, self._twin, self._turns = grid, twin, turns
         self._state = true_state(grid, twin)
         state, (points, first) = self._state, grid.points_of(turns)
-        signals = grid.time[points], state.force[points], state.rate[points]
-        duration = signals[0][first[1:] - 1] - signals[0][first[:-1]]
-        left = self._residuals(turns, integrate_turns(*signals, first), duration)
+        spans = Spans(grid.time[points], first)
+        ended = integrate_turns(spans, state.force[points], state.rate[points])
+        left = self._residuals(turns, ended, spans.duration)
         size = ROBUST * np.median(np.abs(left), axis=0)
         self._scatter = np.repeat([size[:2].mean(), size[2:].mean()], (2, 3))
         self.scores = self._sizes(left)
@@ -150,7 +150,8 @@ class _Closures:
         last = len(signals[0]) - 2
         stride = max(1, last // PLACES)
         jump = _jump(np.hstack(signals[1:]))
-        path = follow_turns(*signals, np.array([0, len(signals[0])]))
+        whole = Spans(signals[0], np.array([0, len(signals[0])]))
+        path = follow_turns(whole, *signals[1:])
 
         def tried(places: Iterable[int]) -> FloatArray:
             """Return places, numbers, sizes of what is left, and how unlikely it is, (4, n)."""
@@ -234,7 +235,7 @@ def _mended(
     n = len(signals[0])
     low, high = np.maximum(at - PART, 0), np.minimum(at + PART, n)
     near, first, longer = _put_back(signals, low, high, at, count)
-    frame, velocity = follow_turns(*near, first)
+    frame, velocity = follow_turns(Spans(near[0], first), *near[1:])
     a, b = low + EDGE * (low > 0), high - 1 - EDGE * (high < n)
     start, stop = first[:-1] + EDGE * (low > 0), first[1:] - 1 - EDGE * (high < n)
     leading = path.frame[a] @ np.swapaxes(frame[start], 1, 2)

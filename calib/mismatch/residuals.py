@@ -34,8 +34,7 @@ BINS = (1 / 6, 1 / 2)
 class Linear(NamedTuple):
     """Recording minus twin, and its derivatives, as `Rows` have them; without what noise does.
 
-    ``closed`` are the closures of the turns, of which `points` and `first` are the points, and
-    ``ends`` (k, 5) their rows.
+    ``closed`` are the closures of the turns, and ``ends`` (k, 5) their rows.
     """
 
     residual: FloatArray
@@ -47,8 +46,6 @@ class Linear(NamedTuple):
     channel: IntArray
     segment: IntArray
     closed: Closures
-    points: IntArray
-    first: IntArray
     ends: IntArray
 
 
@@ -96,32 +93,31 @@ def linearise(grid: Grid, twin: Twin) -> Linear:
     for j in (0, 1):
         nuisance[rows[0, :, :3], 2 * pose[:, None] + j] = tilt[pose, :, j]
     # Turns: rows (turns, 5).
-    points, first = grid.points_of(turns)
+    points, spans = grid.turns
     drift = 0.5 * (residual[at[cell_of[turns - 1], 3:]] + residual[at[cell_of[turns + 1], 3:]])
-    drift = np.repeat(drift, np.diff(first), axis=0)
+    drift = drift[spans.turn]
     rate = state.rate.copy()
     rate[points] -= drift @ inverse[1].T
     state = replace(state, rate=rate)
     before, after = grid.before[turns], grid.after[turns]
     closed = close_turns(
-        grid.time[points],
+        spans,
         state.force[points],
         state.rate[points],
-        first,
         twin.up[before],
         twin.up[after],
         gravity=twin.gravity,
     )
     ends = n_mean + np.arange(n_close).reshape(n_turn, 5)
     moved = (closed.accel_weights @ inverse[0], closed.gyro_weights @ inverse[1])
-    undone = np.add.reduceat(np.einsum("rni,ni->rn", moved[1], drift), first[:-1], axis=1)
+    undone = np.add.reduceat(np.einsum("rni,ni->rn", moved[1], drift), spans.start, axis=1)
     residual[ends] = closed.residual + undone.T
     kind[ends] = [Kind.ATTITUDE] * 2 + [Kind.VELOCITY] * 3
     segment[ends] = turns[:, None]
     for j in (0, 1):
         nuisance[ends, 2 * before[:, None] + j] += closed.before[:, :, j]
         nuisance[ends, 2 * after[:, None] + j] += closed.after[:, :, j]
-    row_of = np.repeat(ends, np.diff(first), axis=0).T
+    row_of = ends[spans.turn].T
     functional = []
     for c in range(6):
         # Of the attitude, accelerometers know nothing.
@@ -145,8 +141,6 @@ def linearise(grid: Grid, twin: Twin) -> Linear:
         channel,
         segment,
         closed,
-        points,
-        first,
         ends,
     )
 
@@ -163,7 +157,8 @@ def build_rows(grid: Grid, twin: Twin, noise: FloatArray, *, spread: float | Non
         How uncertain the size of drift is beforehand, in place of `SPREAD`.
     """
     linear = linearise(grid, twin)
-    state, closed, points, ends = linear.state, linear.closed, linear.points, linear.ends
+    state, closed, ends = linear.state, linear.closed, linear.ends
+    points, spans = grid.turns
     n, m = len(grid.time), len(linear.residual)
     dense = int((linear.kind != Kind.CONTRAST).sum())
     member = sparse.csr_matrix(
@@ -192,7 +187,7 @@ def build_rows(grid: Grid, twin: Twin, noise: FloatArray, *, spread: float | Non
             state.force[points],
             state.rate[points],
             noise[points],
-            linear.first,
+            spans.first,
             ends,
             np.diag(white)[ends],
         )

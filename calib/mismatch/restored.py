@@ -30,15 +30,16 @@ def whole_changes(
     if not len(turns.index):
         return out
     # Signals rest before and after each turn; of that the grid keeps only a few points.
-    inside = np.ones(len(turns.time), bool)
-    inside[turns.first[1:] - 1] = False
-    interval = float(np.median(np.diff(turns.time)[inside[:-1]]))
+    spans = turns.spans
+    inside = np.ones(len(spans.time), bool)
+    inside[spans.last] = False
+    interval = float(np.median(np.diff(spans.time)[inside[:-1]]))
     still = int(np.ceil(STILL / interval))
-    count = np.ones(len(turns.time), np.int64)
-    count[turns.first[:-1]] += still
-    count[turns.first[1:] - 1] += still
+    count = np.ones(len(spans.time), np.int64)
+    count[spans.start] += still
+    count[spans.last] += still
     place = np.cumsum(count) - 1
-    place[turns.first[1:] - 1] -= still
+    place[spans.last] -= still
     recorded = Signals(*(np.repeat(x, count, axis=0) for x in (turns.force, turns.rate)))
     for p in effect.parameters:
         alone = {q.name: float(q is p) for q in effect.parameters}
@@ -47,8 +48,8 @@ def whole_changes(
             continue
         frame = turns.frame
         if before.gyro is not recorded.gyro:
-            frame = turned_frames(turns.time, before.gyro[place], turns.first)
-        ended = end_turns(turns.time, before.accel[place], frame, turns.first)
+            frame = turned_frames(spans, before.gyro[place])
+        ended = end_turns(spans, before.accel[place], frame)
         tilt = np.einsum("kij,kj->ki", turns.ended.frame - ended.frame, turns.up_after)
         out[p.name] = np.zeros(len(rows.residual))
         out[p.name][turns.index[:, :2]] = np.einsum("kij,ki->kj", across(turns.up_before), tilt)

@@ -20,7 +20,7 @@ from scipy import sparse
 from calib.effects import get_effect
 from calib.effects.base import State
 from calib.mismatch.arrow import Arrow
-from calib.mismatch.closure import Ended, end_turns, turned_frames
+from calib.mismatch.closure import Ended, Spans, end_turns, turned_frames
 from calib.recording import CHANNELS
 from calib.types import BoolArray, FloatArray, IntArray
 
@@ -90,9 +90,8 @@ class ClosedTurns:
     ----------
     index : (k, 5) array of int
         Rows of each turn: two of its attitude, three of its velocity.
-    first : (k + 1,) array of int
-        Points ``[first[i], first[i + 1])`` are turn i's.
-    time, force, rate, frame : (n,), (n, 3), (n, 3), (n, 3, 3) arrays
+    spans : Spans
+    force, rate, frame : (n, 3), (n, 3), (n, 3, 3) arrays
         On the points of all turns; frames as `closure.turned_frames` has them.
     up_before, up_after : (k, 3) arrays
         Unit vectors up at the rests on either side.
@@ -101,8 +100,7 @@ class ClosedTurns:
     """
 
     index: IntArray
-    first: IntArray
-    time: FloatArray
+    spans: Spans
     force: FloatArray
     rate: FloatArray
     frame: FloatArray
@@ -195,12 +193,13 @@ class Rows:
         first = np.append(0, np.cumsum(stop - start))
         points = np.arange(first[-1]) + np.repeat(start - first[:-1], stop - start)
         state = self.state
-        time, force, rate = state.time[points], state.force[points], state.rate[points]
+        force, rate = state.force[points], state.rate[points]
         # At rest the state is exact: gravity in the poses on either side.
         up_before, up_after = (state.force[k] / state.gravity for k in (start - 1, stop))
-        frame = turned_frames(time, rate, first)
-        ended = end_turns(time, force, frame, first)
-        return ClosedTurns(index, first, time, force, rate, frame, up_before, up_after, ended)
+        spans = Spans(state.time[points], first)
+        frame = turned_frames(spans, rate)
+        ended = end_turns(spans, force, frame)
+        return ClosedTurns(index, spans, force, rate, frame, up_before, up_after, ended)
 
     def expected_variance(self) -> FloatArray:
         """Return the variance of each dense row, every component at the level expected of it."""

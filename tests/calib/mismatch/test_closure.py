@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from calib.mismatch.closure import Closures, close_turns, integrate_half, integrate_turns
+from calib.mismatch.closure import Closures, Spans, close_turns, integrate_half, integrate_turns
 from calib.rotation import mat_from_rotvec
 from calib.types import FloatArray
 
@@ -22,8 +22,8 @@ def turn(step: float, angle: float) -> tuple[FloatArray, FloatArray, FloatArray,
 
 def close(time: FloatArray, force: FloatArray, rate: FloatArray, up: FloatArray) -> Closures:
     """Return the closure of one turn."""
-    first = np.array([0, len(time)])
-    return close_turns(time, force, rate, first, up[:1], up[-1:], gravity=G)
+    spans = Spans(time, np.array([0, len(time)]))
+    return close_turns(spans, force, rate, up[:1], up[-1:], gravity=G)
 
 
 def test_a_brisk_turn_closes_at_50_hz() -> None:
@@ -60,14 +60,14 @@ def test_turns_end_together_where_each_does_alone() -> None:
     turns = [turn(step, angle) for step, angle in ((0.02, 2.0), (0.01, -1.0), (0.02, 0.5))]
     first = np.append(0, np.cumsum([len(time) for time, *_ in turns]))
     # Each on its own clock: what lies between them counts for nothing.
+    spans = Spans(np.concatenate([10.0 * i + time for i, (time, *_) in enumerate(turns)]), first)
     signals = (
-        np.concatenate([10.0 * i + time for i, (time, *_) in enumerate(turns)]),
         np.concatenate([force for _, force, _, _ in turns]),
         np.concatenate([rate for _, _, rate, _ in turns]),
     )
-    ended = integrate_turns(*signals, first)
+    ended = integrate_turns(spans, *signals)
     ups = np.stack([up[0] for *_, up in turns]), np.stack([up[-1] for *_, up in turns])
-    both = close_turns(*signals, first, *ups, gravity=G)
+    both = close_turns(spans, *signals, *ups, gravity=G)
     for i, (time, force, rate, up) in enumerate(turns):
         closed = close(time, force, rate, up)
         left = ended.velocity[i] - G * (time[-1] - time[0]) * up[0]
@@ -102,10 +102,9 @@ def test_half_of_the_samples_tell_which_turns_are_too_fast_for_them() -> None:
         time, force, rate, up = turn(0.02 / duration, 2.0)
         # The same turn in less time: faster, and of fewer samples.
         time, rate = duration * time, rate / duration
-        first = np.array([0, len(time)])
-        half = integrate_half(time, force, rate, first)
+        half = integrate_half(Spans(time, np.array([0, len(time)])), force, rate)
         np.testing.assert_allclose(half.frame[0] @ up[-1], up[0], atol=0.05)
-        closed = close_turns(time, force, rate, first, up[:1], up[-1:], gravity=G)
+        closed = close(time, force, rate, up)
         errors.append(np.linalg.norm(closed.residual[0, 2:]))
         changes.append(np.linalg.norm(closed.unresolved[0, 2:]))
     assert errors[0] < errors[1] < errors[2]

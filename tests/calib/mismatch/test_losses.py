@@ -8,7 +8,7 @@ from scipy.interpolate import CubicSpline
 
 from calib.effects.base import Term
 from calib.mismatch import diagnose_recording
-from calib.mismatch.closure import follow_turns, integrate_turns
+from calib.mismatch.closure import Spans, follow_turns, integrate_turns
 from calib.mismatch.grid import make_grid
 from calib.mismatch.losses import PART, Loss, _mended, _put_back, find_losses
 from calib.mismatch.selfmode import SelfProblem
@@ -138,7 +138,7 @@ def test_a_mended_turn_ends_where_it_does_when_all_of_it_is_integrated() -> None
     time = 0.01 * (np.arange(60) + rng.uniform(-0.2, 0.2, 60))
     force, rate = np.cumsum(rng.normal(size=(2, 60, 3)), axis=1)
     signals = (time, force, rate)
-    path = follow_turns(*signals, np.array([0, 60]))
+    path = follow_turns(Spans(time, np.array([0, 60])), force, rate)
     at, count = np.array([2, 5, 8, 30, 52, 57]), np.array([1, 4, 5, 3, 2, 1])
     found, _ = _mended(signals, path, at, count)
     everywhere = np.zeros(len(at), int), np.full(len(at), 60)
@@ -153,7 +153,7 @@ def test_a_mended_turn_ends_where_it_does_when_all_of_it_is_integrated() -> None
         own += k - max(k - PART, 0) + np.arange(n)
         for there, here in zip(whole[1:], near[1:], strict=True):
             there[part] = here[own]
-    ended = integrate_turns(*whole, first)
+    ended = integrate_turns(Spans(whole[0], first), *whole[1:])
     np.testing.assert_allclose(found.frame, ended.frame, atol=1e-12)
     np.testing.assert_allclose(found.velocity, ended.velocity, atol=1e-10)
 
