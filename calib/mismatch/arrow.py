@@ -14,7 +14,7 @@ order of the rows this is the Cholesky factor of the whole, but for zeros that n
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol
 
@@ -132,14 +132,70 @@ class Factor:
 
 
 @dataclass(frozen=True, eq=False)
+class Banded:
+    """Symmetric matrices that are zero but near their diagonals: what is alike in one turn.
+
+    Parameters
+    ----------
+    which : (k,) array of int
+        The numbers of the components that have them.
+    bands : mapping of int to (k, n - d) array
+        The elements d below the diagonal, ``M[i + d, i]``.
+    """
+
+    which: IntArray
+    bands: Mapping[int, FloatArray]
+
+    @classmethod
+    def of(cls, which: IntArray, components: Sequence[Part], rows: IntArray) -> Banded:
+        """Return the covariance of some rows for a level of one of each component."""
+        bands: dict[int, FloatArray] = {}
+        for k, c in enumerate(components):
+            felt = _placed(c, rows)
+            found = (felt @ sparse.csr_matrix(c.kernel) @ felt.T).tocoo()
+            for d in np.unique(found.row - found.col).tolist():
+                own = found.row - found.col == d
+                if d >= 0:
+                    band = bands.setdefault(d, np.zeros((len(components), len(rows) - d)))
+                    band[k, found.col[own]] = found.data[own]
+        return cls(which, bands)
+
+    def add_to(self, matrix: FloatArray, levels: FloatArray) -> None:
+        """Add the sum of all, each times its level, to a matrix (n, n) in the order of C."""
+        n, flat = len(matrix), matrix.reshape(-1)
+        for d, band in self.bands.items():
+            values = levels[self.which] @ band
+            flat[d * n :: n + 1] += values
+            if d:
+                flat[d : (n - d) * n : n + 1] += values
+
+    def traces(self, columns: FloatArray) -> FloatArray:
+        """Return the traces of ``M C'C`` for the columns (m, n) of C, (k,)."""
+        out = np.zeros(len(self.which))
+        for d, band in self.bands.items():
+            inner = np.einsum("in,in->n", columns[:, d:], columns[:, : band.shape[1]])
+            out += (2.0 if d else 1.0) * (band @ inner)
+        return out
+
+    def times(self, values: FloatArray) -> FloatArray:
+        """Return the products with values (n,), (k, n)."""
+        out = np.zeros((len(self.which), len(values)))
+        for d, band in self.bands.items():
+            out[:, d:] += band * values[: band.shape[1]]
+            if d:
+                out[:, : band.shape[1]] += band * values[d:]
+        return out
+
+
+@dataclass(frozen=True, eq=False)
 class Arrow:
     """The covariance of dense rows for any levels of its components."""
 
     blocks: tuple[Block, ...]
     border: IntArray
     white: FloatArray
-    alone: tuple[tuple[int, sparse.coo_matrix], ...]
-    """Components that act on the border only, by number."""
+    alone: Banded
+    """Components that act on the border only."""
     number: int
     """Of components."""
 
@@ -150,11 +206,8 @@ class Arrow:
         felt = [np.unique(channel[c.index]) for c in components]
         # What acts on several channels are errors that each row has by itself.
         single = np.array([(f >= 0).sum() == 1 for f in felt])
-        alone = tuple(
-            (i, (_placed(c, border) @ sparse.csr_matrix(c.kernel) @ _placed(c, border).T).tocoo())
-            for i, c in enumerate(components)
-            if not single[i] and -1 in felt[i]
-        )
+        apart = [i for i in range(len(components)) if not single[i] and -1 in felt[i]]
+        alone = Banded.of(np.array(apart, np.int64), [components[i] for i in apart], border)
         blocks = []
         for k in np.unique(channel[channel >= 0]):
             which = np.flatnonzero([k in f for f in felt])
@@ -176,8 +229,7 @@ class Arrow:
             if block.response.nnz:
                 far -= told.T @ told
                 last += block.response @ (block.response @ far).T
-        for i, matrix in self.alone:
-            last[matrix.row, matrix.col] += levels[i] * matrix.data
+        self.alone.add_to(last, levels)
         return Factor(tuple(known), self.border, _factor(last))
 
     def slopes(
@@ -216,12 +268,9 @@ class Arrow:
             pull[np.ix_(self.border, block.which)] += (
                 block.response @ (block.cross @ y + block.far @ y_far).T
             )
-        for i, matrix in self.alone:
-            one, other = matrix.row, matrix.col
-            inner = np.einsum("ik,ik->k", inverse[:, one], inverse[:, other])
-            inner -= np.einsum("ki,ki->k", half[self.border[one]], half[self.border[other]])
-            trace[i] += matrix.data @ inner
-            pull[self.border, i] += matrix @ py[self.border]
+        alone = self.alone
+        trace[alone.which] += alone.traces(inverse) - alone.traces(half[self.border].T)
+        pull[np.ix_(self.border, alone.which)] += alone.times(py[self.border]).T
         return py, trace, pull
 
 

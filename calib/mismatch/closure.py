@@ -21,6 +21,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -42,8 +43,7 @@ class Closures(NamedTuple):
     Their response to df and dw at the n points of all turns, (5, n, 3) each, and to the two
     attitude angles of the rests on either side, (k, 5, 2): ``before`` and ``after`` are derivatives
     of the *model*, so that ``residual ~ before @ db + after @ da``. ``angle`` is the path of
-    rotation (rad), ``effort`` that of velocity (m/s), (k,), and ``unresolved`` (k, 5) what every
-    second sample changes of the residuals; they scale the closure's own errors.
+    rotation (rad), ``effort`` that of velocity (m/s), (k,): they scale the closure's own errors.
     """
 
     residual: FloatArray
@@ -53,7 +53,6 @@ class Closures(NamedTuple):
     after: FloatArray
     angle: FloatArray
     effort: FloatArray
-    unresolved: FloatArray
 
 
 class Ended(NamedTuple):
@@ -236,16 +235,11 @@ def close_turns(
     mat, velocity = follow_turns(spans, force, rate)
     turned = np.einsum("nij,nj->ni", mat, force)
     remaining = velocity[last][turn] - velocity
-    total = velocity[last]
     duration = spans.duration
     plane, plane_after = across(up_before), across(up_after)
     end = np.einsum("kij,kj->ki", mat[last], up_after)
-    residual = np.hstack(
-        (
-            np.einsum("kij,ki->kj", plane, end - up_before),
-            total - gravity * duration[:, None] * up_before,
-        )
-    )
+    ended = Ended(mat[last], velocity[last])
+    residual = open_ends(ended, up_before, up_after, duration, gravity=gravity)
     weighted = mat * weight[:, None, None]
     gyro, accel = np.empty((5, len(turn), 3)), np.zeros((5, len(turn), 3))
     lever = np.cross(end[:, None], np.swapaxes(plane, 1, 2))
@@ -258,9 +252,6 @@ def close_turns(
     after[:, :2] = -np.swapaxes(plane, 1, 2) @ mat[last] @ plane_after
     before[:, 2:] = gravity * duration[:, None, None] * plane
     moved = np.linalg.norm(turned - gravity * up_before[turn], axis=1)
-    half = integrate_half(spans, force, rate)
-    tilt = np.einsum("kij,kj->ki", half.frame, up_after) - end
-    unresolved = np.hstack((np.einsum("kij,ki->kj", plane, tilt), half.velocity - total))
     return Closures(
         residual,
         accel,
@@ -269,5 +260,30 @@ def close_turns(
         after,
         np.add.reduceat(weight * np.linalg.norm(rate, axis=1), start),
         np.add.reduceat(weight * moved, start),
-        unresolved,
     )
+
+
+def open_ends(
+    ended: Ended,
+    up_before: FloatArray,
+    up_after: FloatArray,
+    duration: FloatArray,
+    *,
+    gravity: float,
+) -> FloatArray:
+    """Return the residuals (k, 5) of turns that ended there, after a `duration` (k,)."""
+    tilt = np.einsum("kij,kj->ki", ended.frame, up_after) - up_before
+    attitude = np.einsum("kij,ki->kj", across(up_before), tilt)
+    return np.hstack((attitude, ended.velocity - gravity * duration[:, None] * up_before))
+
+
+def covariance_of_turns(weights: FloatArray, variance: FloatArray, spans: Spans) -> FloatArray:
+    """Return the covariance (k, 5, 5) of closures whose points err by a `variance` (n, c).
+
+    ``weights`` (5, n, c) are what the points count in them.
+    """
+    out = np.empty((len(spans.start), 5, 5))
+    for k, (a, b) in enumerate(pairwise(spans.first)):
+        own = weights[:, a:b]
+        out[k] = (own * variance[a:b]).reshape(5, -1) @ own.reshape(5, -1).T
+    return out

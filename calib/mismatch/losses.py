@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from calib.faults import ROBUST
-from calib.mismatch.closure import Ended, Spans, across, follow_turns, integrate_turns
+from calib.mismatch.closure import Ended, Spans, follow_turns, integrate_turns, open_ends
 from calib.mismatch.grid import Grid
 from calib.mismatch.selfmode import SelfProblem
 from calib.mismatch.twin import Twin, true_state
@@ -134,7 +134,7 @@ class _Closures:
 
     def __init__(self, grid: Grid, twin: Twin, turns: IntArray) -> None:
         self._grid, self._twin, self._turns = grid, twin, turns
-        self._state = true_state(grid, twin)
+        self._state = true_state(grid, twin, headed=False)
         state, (points, first) = self._state, grid.points_of(turns)
         spans = Spans(grid.time[points], first)
         ended = integrate_turns(spans, state.force[points], state.rate[points])
@@ -182,12 +182,10 @@ class _Closures:
         )
 
     def _residuals(self, turns: IntArray, ended: Ended, duration: FloatArray) -> FloatArray:
-        """Return the five residuals of `closure.close_turns` of each, (k, 5)."""
+        """Return the five residuals of each, (k, 5)."""
         up, gravity = self._twin.up, self._twin.gravity
         before, after = up[self._grid.before[turns]], up[self._grid.after[turns]]
-        tilt = np.einsum("kij,kj->ki", ended.frame, after) - before
-        attitude = np.einsum("kij,ki->kj", across(before), tilt)
-        return np.hstack((attitude, ended.velocity - gravity * duration[:, None] * before))
+        return open_ends(ended, before, after, duration, gravity=gravity)
 
     def _sizes(self, closures: FloatArray) -> FloatArray:
         return np.asarray(np.sqrt(np.mean(np.square(closures / self._scatter), axis=1)))

@@ -161,7 +161,7 @@ def rank(rows: Rows, stack: Stack, accepted: list[Accepted], start: FloatArray) 
     for name in leaders:
         evidence = np.maximum(evidence, scores.with_own_drift(best[name], every))
     best, groups = grouped(stack, evidence)
-    whitener = make_whitener(rows, base.values, scores.contrast, scores.mean)
+    whitener = scores.whitener(base.values, scores.contrast)
     drifting = _drifting(rows, stack, whitener, [best[g] for g, v in groups.items() if v > 0])
     ranking = Ranking(stack, evidence, best, groups, base.values, drifting)
     if accepted or ranking.claims:
@@ -197,7 +197,7 @@ class _Scores:
     base: Levels
     basis: FloatArray
     weight: FloatArray
-    _factors: dict[bytes, Factor] = field(default_factory=dict)
+    _factors: dict[bytes, tuple[Factor, dict[bytes, Whitener]]] = field(default_factory=dict)
 
     @classmethod
     def of(cls, rows: Rows, stack: Stack, accepted: list[Accepted], start: FloatArray) -> _Scores:
@@ -222,26 +222,33 @@ class _Scores:
         which: BoolArray | None = None,
     ) -> FloatArray:
         """Return the evidence at some levels, of which the null has the log-likelihood `null`."""
-        whitener = self._whitener(levels, contrast)
+        whitener = self.whitener(levels, contrast)
         y = whitener.project(self.rows.residual)
         factors = self.stack.log_bayes_factors(whitener, y, which=which)
         return factors + (null - self.base.log_likelihood) + self.weight
 
-    def _factor(self, levels: FloatArray) -> Factor:
-        """Return the factor of the covariance at some levels; the last is kept."""
+    def _factor(self, levels: FloatArray) -> tuple[Factor, dict[bytes, Whitener]]:
+        """Return the factor of the covariance at some levels, and whiteners that it made.
+
+        Those at the first levels are kept, and those at the last.
+        """
         key = levels.tobytes()
         if key not in self._factors:
-            self._factors.clear()
-            self._factors[key] = self.rows.arrow.factorise(levels)
+            if len(self._factors) > 1:
+                self._factors.popitem()
+            self._factors[key] = self.rows.arrow.factorise(levels), {}
         return self._factors[key]
 
-    def _whitener(self, levels: FloatArray, contrast: FloatArray) -> Whitener:
-        factor = self._factor(levels)
-        return make_whitener(self.rows, levels, contrast, self.mean, factor=factor)
+    def whitener(self, levels: FloatArray, contrast: FloatArray) -> Whitener:
+        """Return the whitener at some levels, with what is fitted projected out."""
+        (factor, known), key = self._factor(levels), contrast.tobytes()
+        if key not in known:
+            known[key] = make_whitener(self.rows, levels, contrast, self.mean, factor=factor)
+        return known[key]
 
     def _null(self, levels: FloatArray) -> float:
         """Return the log-likelihood of some levels."""
-        return level_likelihood(self.rows, self.basis, levels, factor=self._factor(levels))
+        return level_likelihood(self.rows, self.basis, levels, factor=self._factor(levels)[0])
 
     def with_drift_of_all(self, evidence: FloatArray) -> tuple[FloatArray, Levels, list[_Hidden]]:
         """Return the evidence where physics, or rivals, take up the drift of their channels.
@@ -280,7 +287,7 @@ class _Scores:
         here, moved = leader, nearby(rows, leader)
         own = stack.of(leader)
         if moved.candidates:
-            whitener = self._whitener(base.values, self.contrast)
+            whitener = self.whitener(base.values, self.contrast)
             factors = moved.log_bayes_factors(whitener, whitener.project(rows.residual))
             here = moved.candidates[int(np.argmax(factors))]
             own = moved.of(here)
@@ -292,7 +299,7 @@ class _Scores:
         names, code = stack.groups()
         evidence = self.at(found.values, outside, null, code == names.index(leader.group))
         if moved.candidates:
-            whitener = self._whitener(found.values, outside)
+            whitener = self.whitener(found.values, outside)
             average = moved.average(whitener, whitener.project(rows.residual))
             average += null - base.log_likelihood
             i = stack.candidates.index(leader)
@@ -315,7 +322,7 @@ class _Scores:
         cost = min(cost, 0.0)
         value = []
         for variance in (self.contrast, outside):
-            whitener = self._whitener(levels, variance)
+            whitener = self.whitener(levels, variance)
             value.append(log_bayes_factor(whitener.project(own), whitener.project(rows.residual)))
         return (outside, cost) if value[1] + cost > value[0] else (self.contrast, 0.0)
 

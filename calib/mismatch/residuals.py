@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
 from scipy import sparse
 
 from calib.effects.base import State
-from calib.mismatch.closure import Closures, across, close_turns
+from calib.mismatch.closure import (
+    Closures,
+    across,
+    close_turns,
+    covariance_of_turns,
+    integrate_half,
+    open_ends,
+)
 from calib.mismatch.grid import Grid
 from calib.mismatch.rows import UNKNOWN, Component, Kind, Rows
 from calib.mismatch.sampling import sampling_components
@@ -30,11 +38,95 @@ MEANS = 1 / 3
 BINS = (1 / 6, 1 / 2)
 """Where a cell of a rest is cut, in its length: what a turn leaves behind fades at its start."""
 
+KNOWN = (slice(2, 5), slice(0, 5))
+"""Closures of a turn that accelerometers, and gyroscopes, have a part in: of the attitude,
+accelerometers know nothing."""
+
+
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """Which rows a grid has, whatever the twin.
+
+    Of each cell six means and twelve contrasts, and five closures of each turn.
+
+    Parameters
+    ----------
+    number : int
+        Of rows.
+    rest, turns : (cells,), (k,) arrays of int
+        Segments.
+    still, cell : (p,) arrays of int
+        Points at rest, and the cell of each.
+    rows : (3, cells, 6) array of int
+        Rows of each cell and channel: the mean, and two contrasts.
+    weights : three (p,) arrays
+        What points count in those.
+    ends : (k, 5) array of int
+        Rows of each turn.
+    """
+
+    number: int
+    rest: IntArray
+    turns: IntArray
+    still: IntArray
+    cell: IntArray
+    rows: IntArray
+    weights: tuple[FloatArray, FloatArray, FloatArray]
+    ends: IntArray
+    kind: IntArray
+    channel: IntArray
+    segment: IntArray
+    places: tuple[tuple[IntArray, IntArray, IntArray], ...]
+    """Of each channel's functional: the order of its values by rows, their points, and where each
+    row begins."""
+
+    @classmethod
+    @lru_cache(maxsize=1)
+    def of(cls, grid: Grid) -> Layout:
+        """Return the layout of a grid."""
+        rest, turns = np.flatnonzero(grid.is_rest), np.flatnonzero(~grid.is_rest)
+        n_cell, n_turn = len(rest), len(turns)
+        n_mean, n_close = 6 * n_cell, 5 * n_turn
+        m = n_mean + n_close + 12 * n_cell
+        at = np.arange(6 * n_cell).reshape(n_cell, 6)
+        later = n_mean + n_close + 12 * np.arange(n_cell)[:, None] + np.arange(6)
+        rows = np.stack((at, later, later + 6))
+        ends = n_mean + np.arange(n_close).reshape(n_turn, 5)
+        kind, segment = np.empty(m, np.int64), np.empty(m, np.int64)
+        channel = np.full(m, -1, np.int64)
+        kind[rows[0]], kind[rows[1:]] = Kind.MEAN, Kind.CONTRAST
+        kind[ends] = [Kind.ATTITUDE] * 2 + [Kind.VELOCITY] * 3
+        channel[rows] = np.arange(6)
+        segment[rows], segment[ends] = rest[:, None], turns[:, None]
+        still = np.flatnonzero(grid.pose >= 0)
+        cell = (np.cumsum(grid.is_rest) - 1)[grid.segment[still]]
+        points, spans = grid.turns
+        row_of = ends[spans.turn].T
+        places = []
+        for c in range(6):
+            known = row_of[KNOWN[c // 3]]
+            row = np.concatenate((*rows[:, :, c][:, cell], *known))
+            place = np.concatenate((*[still] * 3, *[points] * len(known)))
+            order = np.argsort(row, kind="stable")
+            begins = np.append(0, np.cumsum(np.bincount(row, minlength=m)))
+            places.append((order, place[order], begins))
+        weights = _cell_weights(grid.count[still], cell)
+        return cls(
+            m, rest, turns, still, cell, rows, weights, ends, kind, channel, segment, tuple(places)
+        )
+
+    def functional(self, c: int, turning: FloatArray, points: int) -> sparse.csr_matrix:
+        """Return the rows as functionals of a channel's points; `turning` are those of turns."""
+        order, place, begins = self.places[c]
+        values = np.concatenate((*self.weights, *turning[KNOWN[c // 3]]))
+        return sparse.csr_matrix((values[order], place, begins), shape=(self.number, points))
+
 
 class Linear(NamedTuple):
     """Recording minus twin, and its derivatives, as `Rows` have them; without what noise does.
 
-    ``closed`` are the closures of the turns, and ``ends`` (k, 5) their rows.
+    ``closed`` are the closures of the turns, and ``turning`` what measured signals at their points
+    of either triad count in them, (5, n, 3).
     """
 
     residual: FloatArray
@@ -42,60 +134,41 @@ class Linear(NamedTuple):
     nuisance: FloatArray
     functional: tuple[sparse.csr_matrix, ...]
     state: State
-    kind: IntArray
-    channel: IntArray
-    segment: IntArray
+    layout: Layout
     closed: Closures
-    ends: IntArray
+    turning: tuple[FloatArray, FloatArray]
 
 
-def linearise(grid: Grid, twin: Twin) -> Linear:
-    """Return recording minus twin, linearised at the twin.
+def linearise(grid: Grid, twin: Twin, *, headed: bool = False) -> Linear:
+    """Return recording minus twin, linearised at the twin; its state with headings if so wanted.
 
     But turns are linearised where the rests beside them have the gyro's bias. In a day it walks by
     a tenth of a degree a second, and what an attitude that is off by ``d`` does to the velocity,
     ``g d²/2`` a second, is no longer linear in it.
     """
-    state = true_state(grid, twin)
+    state = true_state(grid, twin, headed=headed)
     measured = np.hstack((grid.accel, grid.gyro))
     # Terms and transforms that the model already holds are taken out of the measured signals.
     explained = _explained(grid, twin, state)
     model = twin.model
     predicted = np.hstack((model.accel.distort(state.force), model.gyro.distort(state.rate)))
     inverse = (np.linalg.inv(model.accel.matrix), np.linalg.inv(model.gyro.matrix))
-    rest = np.flatnonzero(grid.is_rest)
-    turns = np.flatnonzero(~grid.is_rest)
-    n, n_cell, n_turn = len(grid.time), len(rest), len(turns)
-    n_mean, n_close = 6 * n_cell, 5 * n_turn
-    m = n_mean + n_close + 12 * n_cell
-    residual = np.zeros(m)
-    kind = np.empty(m, np.int64)
-    channel = np.full(m, -1, np.int64)
-    segment = np.empty(m, np.int64)
-    nuisance = np.zeros((m, 2 * grid.n_poses))
-    left = measured - explained - predicted
-    # At rest: rows (3, cells, 6) of the means, and of two contrasts.
-    still = np.flatnonzero(grid.pose >= 0)
-    cell_of = np.cumsum(grid.is_rest) - 1
-    cell = cell_of[grid.segment[still]]
-    weights = _cell_weights(grid.count[still], cell)
-    at = np.arange(6 * n_cell).reshape(n_cell, 6)
-    later = n_mean + n_close + 12 * np.arange(n_cell)[:, None] + np.arange(6)
-    rows = np.stack((at, later, later + 6))
-    for row, weight in zip(rows, weights, strict=True):
+    layout = Layout.of(grid)
+    rows, ends, cell = layout.rows, layout.ends, layout.cell
+    residual = np.zeros(layout.number)
+    nuisance = np.zeros((layout.number, 2 * grid.n_poses))
+    left = (measured - explained - predicted)[layout.still]
+    for row, weight in zip(rows, layout.weights, strict=True):
         for c in range(6):
-            residual[row[:, c]] = np.bincount(cell, weight * left[still, c], n_cell)
-    channel[rows] = np.arange(6)
-    segment[rows] = rest[:, None]
-    kind[rows[0]], kind[rows[1:]] = Kind.MEAN, Kind.CONTRAST
+            residual[row[:, c]] = np.bincount(cell, weight * left[:, c], len(row))
     tilt = twin.gravity * np.einsum("ij,kjl->kil", model.accel.matrix, across(twin.up))
-    pose = grid.before[rest]
+    pose = grid.before[layout.rest]
     for j in (0, 1):
         nuisance[rows[0, :, :3], 2 * pose[:, None] + j] = tilt[pose, :, j]
-    # Turns: rows (turns, 5).
     points, spans = grid.turns
-    drift = 0.5 * (residual[at[cell_of[turns - 1], 3:]] + residual[at[cell_of[turns + 1], 3:]])
-    drift = drift[spans.turn]
+    cell_of, turns = np.cumsum(grid.is_rest) - 1, layout.turns
+    bias = residual[rows[0, :, 3:]]
+    drift = (0.5 * (bias[cell_of[turns - 1]] + bias[cell_of[turns + 1]]))[spans.turn]
     rate = state.rate.copy()
     rate[points] -= drift @ inverse[1].T
     state = replace(state, rate=rate)
@@ -108,41 +181,21 @@ def linearise(grid: Grid, twin: Twin) -> Linear:
         twin.up[after],
         gravity=twin.gravity,
     )
-    ends = n_mean + np.arange(n_close).reshape(n_turn, 5)
-    moved = (closed.accel_weights @ inverse[0], closed.gyro_weights @ inverse[1])
-    undone = np.add.reduceat(np.einsum("rni,ni->rn", moved[1], drift), spans.start, axis=1)
+    turning = (closed.accel_weights @ inverse[0], closed.gyro_weights @ inverse[1])
+    undone = np.add.reduceat(np.einsum("rni,ni->rn", turning[1], drift), spans.start, axis=1)
     residual[ends] = closed.residual + undone.T
-    kind[ends] = [Kind.ATTITUDE] * 2 + [Kind.VELOCITY] * 3
-    segment[ends] = turns[:, None]
     for j in (0, 1):
         nuisance[ends, 2 * before[:, None] + j] += closed.before[:, :, j]
         nuisance[ends, 2 * after[:, None] + j] += closed.after[:, :, j]
-    row_of = ends[spans.turn].T
-    functional = []
-    for c in range(6):
-        # Of the attitude, accelerometers know nothing.
-        known = slice(2, 5) if c < 3 else slice(0, 5)
-        onto = moved[c // 3][known, :, c % 3]
-        index = (*rows[:, :, c][:, cell], *row_of[known])
-        place = np.concatenate((*[still] * 3, *[points] * len(onto)))
-        values = np.concatenate((*weights, *onto))
-        functional.append(sparse.csr_matrix((values, (np.concatenate(index), place)), shape=(m, n)))
-    baseline = np.zeros((m, len(twin.names)))
+    functional = tuple(
+        layout.functional(c, turning[c // 3][:, :, c % 3], len(grid.time))
+        for c in range(len(CHANNELS))
+    )
+    baseline = np.zeros((layout.number, len(twin.names)))
     for j, name in enumerate(twin.names):
         for key, values in baseline_column(name, state).items():
             baseline[:, j] += functional[CHANNELS.index(key)] @ values
-    return Linear(
-        residual,
-        baseline,
-        nuisance,
-        tuple(functional),
-        state,
-        kind,
-        channel,
-        segment,
-        closed,
-        ends,
-    )
+    return Linear(residual, baseline, nuisance, functional, state, layout, closed, turning)
 
 
 def build_rows(grid: Grid, twin: Twin, noise: FloatArray, *, spread: float | None = None) -> Rows:
@@ -156,26 +209,28 @@ def build_rows(grid: Grid, twin: Twin, noise: FloatArray, *, spread: float | Non
     spread : float, optional
         How uncertain the size of drift is beforehand, in place of `SPREAD`.
     """
-    linear = linearise(grid, twin)
-    state, closed, ends = linear.state, linear.closed, linear.ends
+    linear = linearise(grid, twin, headed=True)
+    state, closed, layout = linear.state, linear.closed, linear.layout
     points, spans = grid.turns
-    n, m = len(grid.time), len(linear.residual)
-    dense = int((linear.kind != Kind.CONTRAST).sum())
-    member = sparse.csr_matrix(
-        (np.ones(n), (np.arange(n), grid.segment)), shape=(n, len(grid.first))
-    )
-    white = np.zeros((dense, dense))
-    diagonal = np.zeros(m - dense)
+    dense = int((layout.kind != Kind.CONTRAST).sum())
+    signals = state.force[points], state.rate[points]
+    ups = twin.up[grid.before[layout.turns]], twin.up[grid.after[layout.turns]]
+    half = integrate_half(spans, *signals)
+    left = open_ends(half, *ups, spans.duration, gravity=twin.gravity) - closed.residual
+    each = np.zeros(layout.number)
     for c, f in enumerate(linear.functional):
-        top = f[:dense]
-        white += (top.multiply(noise[:, c]) @ top.T).toarray()
-        diagonal += np.asarray(f[dense:].power(2) @ noise[:, c]).ravel()
-    pieces = tuple((f @ member).tocsr() for f in linear.functional)
+        each += f.power(2) @ noise[:, c]
+    white, diagonal = np.diag(each[:dense]), each[dense:]
+    white[layout.ends[:, :, None], layout.ends[:, None]] = sum(
+        covariance_of_turns(weights, noise[points][:, own], spans)
+        for weights, own in zip(linear.turning, (slice(3), slice(3, 6)), strict=True)
+    )
+    pieces = tuple(_in_segments(f, layout.segment, len(grid.first)) for f in linear.functional)
     components = _components(
         grid,
         pieces,
-        linear.kind[:dense],
-        linear.segment[:dense],
+        layout.kind[:dense],
+        layout.segment[:dense],
         white,
         noise,
         closed,
@@ -184,12 +239,12 @@ def build_rows(grid: Grid, twin: Twin, noise: FloatArray, *, spread: float | Non
     components += tuple(
         sampling_components(
             closed,
-            state.force[points],
-            state.rate[points],
+            left,
+            *signals,
             noise[points],
-            spans.first,
-            ends,
-            np.diag(white)[ends],
+            spans,
+            layout.ends,
+            np.diag(white)[layout.ends],
         )
     )
     blur = mean_over_interval(grid, state)
@@ -206,14 +261,25 @@ def build_rows(grid: Grid, twin: Twin, noise: FloatArray, *, spread: float | Non
         white=white,
         white_diagonal=diagonal,
         components=components,
-        kind=linear.kind,
-        channel=linear.channel,
-        segment=linear.segment,
-        block=grid.before[linear.segment],
+        kind=layout.kind,
+        channel=layout.channel,
+        segment=layout.segment,
+        block=grid.before[layout.segment],
         interval=grid.interval,
         is_rest=grid.is_rest,
         pieces=pieces,
     )
+
+
+def _in_segments(
+    functional: sparse.csr_matrix, segment: IntArray, segments: int
+) -> sparse.csr_matrix:
+    """Return what each row feels of a constant in its segment: it feels nothing of others."""
+    felt = np.diff(functional.indptr) > 0
+    total = functional @ np.ones(functional.shape[1])
+    begins = np.append(0, np.cumsum(felt))
+    shape = (len(segment), segments)
+    return sparse.csr_matrix((total[felt], segment[felt], begins), shape=shape)
 
 
 def mean_over_interval(grid: Grid, state: State) -> FloatArray:

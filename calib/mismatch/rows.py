@@ -72,8 +72,8 @@ class Component:
     @property
     def variance(self) -> FloatArray:
         """Its diagonal."""
-        response = self.response.toarray()
-        return np.asarray(np.einsum("ks,ks->k", response @ self.kernel, response))
+        felt = self.response.multiply(self.response @ self.kernel)
+        return np.asarray(felt.sum(axis=1)).ravel()
 
     def without(self, keep: BoolArray) -> Component:
         """Return this for the dense rows in `keep`, (n_dense,) bool."""

@@ -9,9 +9,9 @@ errors are not noise that each row has of its own, and turns with a jolt have la
 from __future__ import annotations
 
 import numpy as np
-from scipy import linalg, sparse
+from scipy import sparse
 
-from calib.mismatch.closure import Closures
+from calib.mismatch.closure import Closures, Spans, covariance_of_turns
 from calib.mismatch.rows import Component
 from calib.mismatch.sensornoise import SPREAD
 from calib.types import FloatArray, IntArray
@@ -45,10 +45,11 @@ def unforetold(values: FloatArray, first: IntArray) -> FloatArray:
 
 def sampling_components(
     closed: Closures,
+    left: FloatArray,
     force: FloatArray,
     rate: FloatArray,
     noise: FloatArray,
-    first: IntArray,
+    spans: Spans,
     rows: IntArray,
     white: FloatArray,
 ) -> list[Component]:
@@ -57,8 +58,10 @@ def sampling_components(
     Parameters
     ----------
     closed : Closures
+    left : (k, 5) array
+        What every second sample changes of their residuals.
     force, rate : (n, 3) arrays
-        At the points of all turns; those of turn i are ``[first[i], first[i + 1])``.
+        At the points of all turns, as ``spans`` has them.
     noise : (n, 6) array
         Their white noise, as variances.
     rows : (k, 5) array of int
@@ -69,36 +72,37 @@ def sampling_components(
     if not len(rows):
         return []
     parts = [
-        _added(unforetold(values, first), weights, UNFORETOLD * own, first)
+        _added(unforetold(values, spans.first), weights, UNFORETOLD * own, spans)
         for values, weights, own in (
             (rate, closed.gyro_weights, noise[:, 3:]),
             (force, closed.accel_weights, noise[:, :3]),
         )
     ]
     by_rate, by_force = (np.einsum("kii->ki", part) for part in parts)
-    square, both = np.square(closed.unresolved), by_rate + by_force
+    square, both = np.square(left), by_rate + by_force
     shares = [_share(square[:, own], both[:, own], white[:, own]) for own in (_TILT, _SPEED)]
     out = []
     for label, part, share, own in (
         ("rate by sampling", parts[0], shares[0], slice(0, 5)),
         ("force by sampling", parts[1], shares[1], _SPEED),
     ):
-        blocks = part[:, own, own]
-        matrix = linalg.block_diag(*blocks)
+        index = rows[:, own]
+        turns, size = index.shape
+        each = np.zeros((turns, size, turns, size))
+        each[np.arange(turns), :, np.arange(turns)] = part[:, own, own]
+        index, matrix = index.ravel(), each.reshape(turns * size, -1)
         response = sparse.identity(len(matrix), format="csr")
-        index = rows[:, own].ravel()
         out.append(Component(label, index, response, matrix, HALVED * share, SPREAD))
     return out
 
 
-def _added(off: FloatArray, weights: FloatArray, noise: FloatArray, first: IntArray) -> FloatArray:
+def _added(off: FloatArray, weights: FloatArray, noise: FloatArray, spans: Spans) -> FloatArray:
     """Return the covariance (k, 5, 5) of closures whose points err by `off` (n, 3), noise apart."""
     square = np.square(off)
-    total = np.add.reduceat(square, first[:-1])
-    share = 1.0 - np.add.reduceat(noise, first[:-1]) / np.maximum(total, 1e-300)
-    square *= np.repeat(np.maximum(share, 0.0), np.diff(first), axis=0)
-    each = np.einsum("inc,jnc->nij", weights * square, weights)
-    return np.asarray(np.add.reduceat(each, first[:-1]))
+    total = np.add.reduceat(square, spans.start)
+    share = 1.0 - np.add.reduceat(noise, spans.start) / np.maximum(total, 1e-300)
+    square *= np.maximum(share, 0.0)[spans.turn]
+    return covariance_of_turns(weights, square, spans)
 
 
 def _share(square: FloatArray, expected: FloatArray, white: FloatArray) -> float:

@@ -53,8 +53,11 @@ class Twin:
         return replace(self, model=replace(self.model, accel=triads[0], gyro=triads[1]), up=up)
 
 
-def true_state(grid: Grid, twin: Twin) -> State:
-    """Return the true state on the grid: at rest exactly so, in turns as the twin corrects it."""
+def true_state(grid: Grid, twin: Twin, *, headed: bool = True) -> State:
+    """Return the true state on the grid: at rest exactly so, in turns as the twin corrects it.
+
+    Its headings are left out unless they are wanted, or the model has terms that go with them.
+    """
     measured = State(
         time=grid.time,
         force=grid.accel,
@@ -69,8 +72,10 @@ def true_state(grid: Grid, twin: Twin) -> State:
         gravity=twin.gravity,
     )
     corrected = twin.model.correct(measured)
-    measured = replace(measured, mat_ns=orient(grid, twin.up, corrected.gyro))
-    if any("mat_ns" in get_effect(term.effect).reads for term in twin.model.terms):
+    felt = any("mat_ns" in get_effect(term.effect).reads for term in twin.model.terms)
+    if headed or felt:
+        measured = replace(measured, mat_ns=orient(grid, twin.up, corrected.gyro))
+    if felt:
         corrected = twin.model.correct(measured)
     pose = grid.pose
     rest = pose >= 0

@@ -95,25 +95,25 @@ def fit_twin(
     # What noise does to the rows hardly changes as the twin moves a little.
     linear: Rows | Linear = (rows := build_rows(grid, twin, noise))
     sigma = np.sqrt(rows.expected_variance())
+    own = np.arange(len(sigma))
+    if drop is not None:
+        own = own[~drop[rows.segment[own]]]
     for k in range(iterations):
         linear = linearise(grid, twin) if k else linear
-        own = np.arange(len(sigma))
-        if drop is not None:
-            own = own[~drop[linear.segment[own]]]
-        twin, size = _step(linear, own, sigma[own], twin)
+        twin, size = _step(linear, own, sigma[own], rows.kind[own], twin)
         if size < 1e-7:
             break
     return twin
 
 
 def _step(
-    linear: Rows | Linear, dense: IntArray, sigma: FloatArray, twin: Twin
+    linear: Rows | Linear, dense: IntArray, sigma: FloatArray, kinds: IntArray, twin: Twin
 ) -> tuple[Twin, float]:
     """Return the twin after a step that fits some of the dense rows, and how large a step it is."""
     p = len(twin.names)
     loose = np.array([_LOOSE[n.split(".")[1]] for n in twin.names])
     design = np.hstack((linear.baseline[dense], linear.nuisance[dense])) / sigma[:, None]
-    y, kinds = linear.residual[dense] / sigma, linear.kind[dense]
+    y = linear.residual[dense] / sigma
     now = {**twin.model.accel.parameters("accel"), **twin.model.gyro.parameters("gyro")}
     ridge = np.zeros((p, design.shape[1]))
     ridge[:, :p] = np.diag(1.0 / loose)

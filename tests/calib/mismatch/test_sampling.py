@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import linalg
 
-from calib.mismatch.closure import Closures
+from calib.mismatch.closure import Spans, integrate_half, open_ends
 from calib.mismatch.grid import make_grid
 from calib.mismatch.noise import estimate_levels, expected_levels, make_whitener
 from calib.mismatch.rows import Component
@@ -18,15 +18,18 @@ from calib.simulation.noise import CONSUMER
 from calib.statics import find_poses
 from calib.types import FloatArray
 
-from .test_closure import close, turn
+from .test_closure import G, close, turn
 
 
-def components(closed: Closures, force: FloatArray, rate: FloatArray) -> list[Component]:
-    n = len(rate)
-    rows, first = np.arange(5)[None], np.array([0, n])
-    return sampling_components(
-        closed, force, rate, np.full((n, 6), 1e-12), first, rows, np.full((1, 5), 1e-12)
-    )
+def components(
+    time: FloatArray, force: FloatArray, rate: FloatArray, up: FloatArray
+) -> list[Component]:
+    spans, ends = Spans(time, np.array([0, len(time)])), (up[:1], up[-1:])
+    closed = close(time, force, rate, up)
+    half = open_ends(integrate_half(spans, force, rate), *ends, spans.duration, gravity=G)
+    noise, rows, white = np.full((len(time), 6), 1e-12), np.arange(5)[None], np.full((1, 5), 1e-12)
+    left = half - closed.residual
+    return sampling_components(closed, left, force, rate, noise, spans, rows, white)
 
 
 def test_what_is_cubic_is_foretold_and_of_noise_a_known_share_is_not() -> None:
@@ -41,7 +44,7 @@ def test_what_is_cubic_is_foretold_and_of_noise_a_known_share_is_not() -> None:
 
 def test_of_a_turn_that_its_samples_resolve_nothing_is_added() -> None:
     time, force, rate, up = turn(0.01, 2.0)
-    found = components(close(time, force, rate, up), force, rate)
+    found = components(time, force, rate, up)
     assert [c.name for c in found] == ["rate by sampling", "force by sampling"]
     assert [c.expected for c in found] == [HALVED * LEAST] * 2
 
@@ -57,7 +60,7 @@ def test_jolts_move_the_rows_of_a_turn_together() -> None:
         jolts = 0.3 * inside * rng.normal(size=(len(time), 3)) * (rng.random((len(time), 1)) < 0.3)
         closed = close(time, force, rate + jolts, up)
         errors.append(closed.residual[0] - still)
-        allowed += components(closed, force, rate + jolts)[0].matrix / 300
+        allowed += components(time, force, rate + jolts, up)[0].matrix / 300
     seen = np.cov(np.array(errors).T)
     # Of one size or another, but of that form: a sum of errors of its own each row is not.
     ratio = linalg.eigvalsh(seen, allowed)
