@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 
 import numpy as np
 from scipy import linalg
@@ -119,22 +119,23 @@ class Bandwidth(TransformEffect):
             signals, parameters, "cutoff", lambda x, cutoff: _sharpen(time, x, cutoff, order=order)
         )
 
-    def before(
-        self, signals: Signals, parameters: Mapping[str, float], *, interval: float
-    ) -> Signals:
-        order = int(parameters.get("order", 1))
-        both = present(parameters, "both", "both_cutoff")
-        if both is not None:
-            late = _delay(both, order)
-            signals = Signals(
-                *(_restore(x, both, order=order, late=late, interval=interval) for x in signals)
-            )
-        return each_triad(
-            signals,
-            parameters,
-            "cutoff",
-            lambda x, cutoff: _restore(x, cutoff, order=order, late=0.0, interval=interval),
-        )
+    def restorer(
+        self, signals: Signals, *, interval: float
+    ) -> Callable[[Mapping[str, float]], Signals]:
+        spectra = [_Spectrum(values, interval) for values in signals]
+
+        def restore(parameters: Mapping[str, float]) -> Signals:
+            order = int(parameters.get("order", 1))
+            both = present(parameters, "both", "both_cutoff")
+            late = 0.0 if both is None else _delay(both, order)
+            out = []
+            for triad, values, spectrum in zip(("accel", "gyro"), signals, spectra, strict=True):
+                passed = [(both, late), (present(parameters, triad, f"{triad}_cutoff"), 0.0)]
+                known = [(cutoff, t) for cutoff, t in passed if cutoff is not None]
+                out.append(spectrum.restored(known, order=order) if known else values)
+            return Signals(*out)
+
+        return restore
 
 
 def prompt_low_pass(
@@ -208,24 +209,34 @@ def _sharpen(time: FloatArray, values: FloatArray, cutoff: float, *, order: int)
     return np.asarray(values + np.sqrt(2) / w0 * slope + curve / w0**2)
 
 
-def _restore(
-    values: FloatArray, cutoff: float, *, order: int, late: float, interval: float
-) -> FloatArray:
-    """Return (n, k) values as they were before a low-pass, whose output was moved by `late` s.
+class _Spectrum:
+    """The spectrum of (n, k) values at rest at both ends, taken once for any low-pass."""
 
-    What it left less than `GONE` of is noise by now, and stays away (Wiener's filter).
-    """
-    # On as it ends, to a length of small factors, and then backwards, so that it comes round.
-    n = next_fast_len(len(values), real=True)
-    whole = np.concatenate((values.T, np.repeat(values[-1:], n - len(values), axis=0).T), axis=1)
-    there_and_back = np.concatenate((whole, whole[:, ::-1]), axis=1)
-    frequency = np.fft.rfftfreq(2 * n, interval)
-    s = 1j * frequency / cutoff
-    passed = 1 / (1 + s) if order == 1 else 1 / (1 + np.sqrt(2) * s + s**2)
-    passed *= np.exp(2j * np.pi * frequency * late)
-    restored = (1 + GONE**2) * passed.conj() / (np.square(np.abs(passed)) + GONE**2)
-    spectrum = restored * np.fft.rfft(there_and_back)
-    return np.fft.irfft(spectrum, 2 * n)[:, : len(values)].T
+    def __init__(self, values: FloatArray, interval: float) -> None:
+        # On as it ends, to a length of small factors, and then backwards, so that it comes round.
+        n = next_fast_len(len(values), real=True)
+        held = np.repeat(values[-1:], n - len(values), axis=0)
+        whole = np.concatenate((values.T, held.T), axis=1)
+        there_and_back = np.concatenate((whole, whole[:, ::-1]), axis=1)
+        self._number, self._length = len(values), 2 * n
+        self._frequency = np.fft.rfftfreq(2 * n, interval)
+        self._values = np.fft.rfft(there_and_back)
+
+    def restored(self, low_passes: Iterable[tuple[float, float]], *, order: int) -> FloatArray:
+        """Return the (n, k) values as they were before low-passes.
+
+        Each has a cut-off, and its output was moved by some seconds. What it left less than `GONE`
+        of is noise by now, and stays away (Wiener's filter).
+        """
+        spectrum = self._values
+        for cutoff, late in low_passes:
+            s = 1j * self._frequency / cutoff
+            passed = 1 / (1 + s) if order == 1 else 1 / (1 + np.sqrt(2) * s + s**2)
+            if late:
+                passed *= np.exp(2j * np.pi * self._frequency * late)
+            power = np.square(passed.real) + np.square(passed.imag)
+            spectrum = (1 + GONE**2) * passed.conj() / (power + GONE**2) * spectrum
+        return np.fft.irfft(spectrum, self._length)[:, : self._number].T
 
 
 EFFECT = Bandwidth()

@@ -15,7 +15,7 @@ A `Column` is sparse: it names only the channels that the parameter touches, eac
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Literal, NamedTuple
@@ -343,15 +343,16 @@ class TransformEffect(Effect):
         """Return by how many samples `transform` is ahead: so many at the end have no input."""
         return 0
 
-    def before(
-        self, signals: Signals, parameters: Mapping[str, float], *, interval: float
-    ) -> Signals:
-        """Return noisy signals with the effect taken out, where they stand out of the noise.
+    def restorer(
+        self, signals: Signals, *, interval: float
+    ) -> Callable[[Mapping[str, float]], Signals]:
+        """Return what takes the effect out of noisy signals, where they stand out of the noise.
 
-        They are sampled evenly, each `interval` s, and at rest at both ends.
+        They are sampled evenly, each `interval` s, and at rest at both ends. What the effect leaves
+        alone comes back as the same array.
         """
         time = np.arange(0.0, len(signals.accel)) * interval
-        return self.inverse(time, signals, parameters)
+        return lambda parameters: self.inverse(time, signals, parameters)
 
 
 @dataclass(frozen=True)

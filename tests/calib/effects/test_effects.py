@@ -324,12 +324,13 @@ def test_bandwidth_is_undone_without_blowing_up_noise(order: int, triads: tuple[
     true = hump * (3.0 + 0.3 * np.sin(2 * np.pi * 7.0 * TIME)[:, None]) * [1.0, -0.5, 0.2]
     noise = 0.01 * np.random.default_rng(order).normal(size=true.shape)
     seen = effect.transform(TIME, Signals(true, true), parameters)
-    back = effect.before(Signals(seen.accel + noise, seen.gyro + noise), parameters, interval=0.01)
+    noisy = Signals(seen.accel + noise, seen.gyro + noise)
+    back = effect.restorer(noisy, interval=0.01)(parameters)
     left = back.gyro - true
     # No wave grows to more than 1 / (2 GONE) = 10 times what it was.
     assert np.sqrt(np.mean(left**2)) < 10 * 0.01
     assert np.abs(left.mean(axis=0)).max() < 1e-3
-    smooth_left = effect.before(seen, parameters, interval=0.01).gyro - true
+    smooth_left = effect.restorer(seen, interval=0.01)(parameters).gyro - true
     assert np.abs(smooth_left).max() < 0.015
     if triads == ("gyro",):
         np.testing.assert_array_equal(back.accel, seen.accel + noise)
