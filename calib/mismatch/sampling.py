@@ -16,9 +16,11 @@ from calib.mismatch.rows import Component
 from calib.mismatch.sensornoise import SPREAD
 from calib.types import FloatArray, IntArray
 
-HALVED = 1 / 9
-"""Variance of what sampling adds to a closure, relative to what every second sample changes: a rule
-of the second order errs by a third of that."""
+HALVED = {"rate": 1 / 45, "force": 1 / 9}
+"""Variance of what sampling adds to a closure, relative to what every second sample changes. Where
+a signal has a corner, a rule errs by a third of that; where it is smooth, one of the fourth order
+by a fifteenth. A knock bends the force at once; of the rate, which inertia smooths, it is the mean
+of both."""
 
 LEAST = 1e-3
 """Share of what samples are off their neighbours by that is taken to be unresolved, at least."""
@@ -80,19 +82,20 @@ def sampling_components(
     ]
     by_rate, by_force = (np.einsum("kii->ki", part) for part in parts)
     square, both = np.square(left), by_rate + by_force
-    shares = [_share(square[:, own], both[:, own], white[:, own]) for own in (_TILT, _SPEED)]
+    shares = [_shares(square[:, own], both[:, own], white[:, own]) for own in (_TILT, _SPEED)]
     out = []
-    for label, part, share, own in (
-        ("rate by sampling", parts[0], shares[0], slice(0, 5)),
-        ("force by sampling", parts[1], shares[1], _SPEED),
+    for signal, part, share, own in (
+        ("rate", parts[0], shares[0], slice(0, 5)),
+        ("force", parts[1], shares[1], _SPEED),
     ):
         index = rows[:, own]
         turns, size = index.shape
         each = np.zeros((turns, size, turns, size))
-        each[np.arange(turns), :, np.arange(turns)] = part[:, own, own]
+        each[np.arange(turns), :, np.arange(turns)] = share[:, None, None] * part[:, own, own]
         index, matrix = index.ravel(), each.reshape(turns * size, -1)
         response = sparse.identity(len(matrix), format="csr")
-        out.append(Component(label, index, response, matrix, HALVED * share, SPREAD))
+        label, expected = f"{signal} by sampling", HALVED[signal]
+        out.append(Component(label, index, response, matrix, expected, SPREAD))
     return out
 
 
@@ -105,14 +108,20 @@ def _added(off: FloatArray, weights: FloatArray, noise: FloatArray, spans: Spans
     return covariance_of_turns(weights, square, spans)
 
 
-def _share(square: FloatArray, expected: FloatArray, white: FloatArray) -> float:
-    """Return how much of what is expected every second sample changes, in most of the turns.
+def _shares(square: FloatArray, expected: FloatArray, white: FloatArray) -> FloatArray:
+    """Return how much of what is expected every second sample changes, of each turn.
 
-    In a turn with a lost sample, or a bump, it changes more, and that says nothing of the others.
+    What samples are off their neighbours by, a smooth turn integrates well for all that, and a jolt
+    does not. So each turn says what its own share is, and counts with its rows against what most of
+    them have, which counts as one.
     """
+    number = square.shape[1]
     square, expected, white = (x.sum(axis=1) for x in (square, expected, white))
-    ratio = (square - white) / np.maximum(expected, 1e-300)
+    expected = np.maximum(expected, 1e-300)
+    ratio = (square - white) / expected
     order = np.argsort(ratio)
     # Turns without a jolt show white noise alone.
     weight = np.cumsum((expected / (expected + white))[order])
-    return max(float(ratio[order][np.searchsorted(weight, 0.5 * weight[-1])]), LEAST)
+    most = max(float(ratio[order][np.searchsorted(weight, 0.5 * weight[-1])]), LEAST)
+    total = (white + most * expected + number * square) / (1 + number)
+    return np.asarray(np.maximum((total - white) / expected, LEAST * most))

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from scipy import linalg
 
-from calib.mismatch.closure import Spans, integrate_half, open_ends
+from calib.mismatch.closure import Spans, close_turns, integrate_half, open_ends
 from calib.mismatch.grid import make_grid
 from calib.mismatch.noise import estimate_levels, expected_levels, make_whitener
 from calib.mismatch.rows import Component
-from calib.mismatch.sampling import HALVED, LEAST, UNFORETOLD, sampling_components, unforetold
+from calib.mismatch.sampling import HALVED, UNFORETOLD, sampling_components, unforetold
 from calib.mismatch.selfmode import SelfProblem
 from calib.model import SensorModel
 from calib.recording import Recording
@@ -46,7 +46,32 @@ def test_of_a_turn_that_its_samples_resolve_nothing_is_added() -> None:
     time, force, rate, up = turn(0.01, 2.0)
     found = components(time, force, rate, up)
     assert [c.name for c in found] == ["rate by sampling", "force by sampling"]
-    assert [c.expected for c in found] == [HALVED * LEAST] * 2
+    assert [c.expected for c in found] == [HALVED["rate"], HALVED["force"]]
+    # Its white noise is 1e-12.
+    assert np.all([(c.expected * c.variance).max() < 1e-13 for c in found])
+
+
+def test_a_smooth_turn_is_not_taken_for_a_jolted_one() -> None:
+    rng = np.random.default_rng(3)
+    time, force, rate, up = turn(0.016, 2.0)
+    inside = ((time > 0.05) & (time < 0.95))[:, None]
+    jolts = 0.005 * inside * rng.normal(size=(len(time), 3)) * (rng.random((len(time), 1)) < 0.3)
+    n, number = len(time), 6
+    rates = np.concatenate([rate, *[rate + jolts] * (number - 1)])
+    forces, times = np.tile(force, (number, 1)), np.concatenate([time + 9.0 * i for i in range(6)])
+    spans = Spans(times, n * np.arange(number + 1))
+    ends = np.repeat(up[:1], number, axis=0), np.repeat(up[-1:], number, axis=0)
+    closed = close_turns(spans, forces, rates, *ends, gravity=G)
+    left = open_ends(integrate_half(spans, forces, rates), *ends, spans.duration, gravity=G)
+    left -= closed.residual
+    white, noise = np.full((number, 5), 1e-12), np.full((len(times), 6), 1e-12)
+    rows = np.arange(5 * number).reshape(number, 5)
+    found, _ = sampling_components(closed, left, forces, rates, noise, spans, rows, white)
+    added = found.variance.reshape(number, 5)[:, :2].sum(axis=1)
+    off = np.square(unforetold(rates, spans.first)).reshape(number, -1).sum(axis=1)
+    # By what its samples are off their neighbours it would have its part of what jolts do.
+    assert off[0] > 0.01 * off[1]
+    assert added[0] < added[1] * off[0] / off[1]
 
 
 def test_jolts_move_the_rows_of_a_turn_together() -> None:
