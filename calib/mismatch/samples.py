@@ -265,7 +265,9 @@ def _coarse(
         count = np.rint(part / np.where(lsb > 0, lsb, 1.0))
         grid = np.abs(part - count * lsb) < 0.01 * lsb
         # Differences of white noise have twice its variance; rounding adds a twelfth of a count².
-        noise = np.sqrt(np.maximum(np.mean(count**2, axis=0) / 2 - 1 / 12, 0.0))
+        # Coarse ones are no more than two counts apart: what is, is where rests begin and end.
+        few = np.minimum(count, 2.0)
+        noise = np.sqrt(np.maximum(np.mean(few**2, axis=0) / 2 - 1 / 12, 0.0))
         coarse = (lsb > 0) & (noise < _COARSE) & (grid.mean(axis=0) > 0.99)
         if coarse.any():
             names = tuple(CHANNELS[first + i] for i in np.flatnonzero(coarse))

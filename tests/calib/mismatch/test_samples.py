@@ -73,6 +73,16 @@ def test_a_bias_that_sticks_to_a_coarse_count_at_rest_is_no_second_finding() -> 
         assert not found.unexplained
 
 
+def test_counts_are_coarse_though_a_rest_has_a_few_jerks() -> None:
+    recording = simulated(seed=3)
+    poses = find_poses(recording)
+    gyro = np.round(recording.gyro / 1.6e-3)
+    gyro[(poses.start + poses.stop) // 2, 2] += 40
+    (finding,) = look_at_samples(replace(recording, gyro=1.6e-3 * gyro), poses).findings
+    assert finding.effect == "quantization"
+    assert finding.channels == ("gyro.x", "gyro.y", "gyro.z")
+
+
 @pytest.mark.parametrize("sigma", [0.0, 0.1, 0.2, 0.3, 0.4, 0.5])
 def test_rounded_means_err_as_much_as_is_said(sigma: float) -> None:
     """Against an average over where between two counts the signal is."""
