@@ -36,6 +36,12 @@ LOUD = 9.0
 TOUCH = 2.0
 """s at either end of a rest in which a hand may be at the sensor; a third of a short rest."""
 
+SHAKEN = 1.5
+"""Noise power, relative to that of quiet rests, from which there is vibration."""
+
+QUIETEST = 0.3
+"""Share of the rests that is taken to be free of vibration."""
+
 FEW = 0.15
 """Share of louder poses up to which they are left out; where more are, that is how it was."""
 
@@ -353,14 +359,31 @@ def _vibration(recording: Recording, poses: Poses, near: IntArray) -> FloatArray
     shaken as much as it then seems, but no more than in the quieter of the rests beside.
     """
     level = _shaking(recording.accel, poses.start, poses.stop)
-    quiet = np.median(level, axis=0)
-    # Half of the noise again is vibration.
-    level = np.where(level > 1.5 * quiet, level - quiet, 0.0)
+    quiet = np.array([quiet_level(own, SHAKEN) for own in level.T])
+    level = np.where(level > SHAKEN * quiet, level - quiet, 0.0)
     on_the_way = _shaking(recording.accel, poses.stop[:-1], poses.start[1:]) - quiet
     beside = np.minimum(level[:-1], level[1:])
     beside = np.append(np.clip(on_the_way, 0.0, beside), level[-1:], axis=0)
     at = np.maximum.accumulate(near)
     return np.where(near[:, None] >= 0, level[at], beside[at])
+
+
+def quiet_level(level: FloatArray, limit: FloatArray | float) -> float:
+    """Return the median of (k,) noise levels of rests; of those that are quiet, if most are not.
+
+    Where half of the rests are shaken, the median of all is a level that none has. So quiet are the
+    quietest, and whatever is not louder than `limit` times the median of those that are quiet.
+    """
+    every = float(np.median(level))
+    quiet = level <= np.quantile(level, QUIETEST)
+    while True:
+        middle = float(np.median(level[quiet]))
+        if every <= np.max(limit) * middle:
+            return every
+        more = level <= limit * middle
+        if not (more & ~quiet).any():
+            return middle
+        quiet |= more
 
 
 def _shaking(accel: FloatArray, start: IntArray, stop: IntArray) -> FloatArray:

@@ -8,9 +8,9 @@ from __future__ import annotations
 import numpy as np
 from scipy import sparse
 
-from calib.mismatch.grid import Grid
+from calib.mismatch.grid import Grid, quiet_level
 from calib.mismatch.rows import Component
-from calib.types import FloatArray
+from calib.types import BoolArray, FloatArray
 
 DRIFT = {"accel": 0.15, "gyro": 0.5}
 """How far a bias wanders in `DRIFT_TIME`, per noise density: the ratio of bias instability to noise
@@ -25,6 +25,9 @@ factor of 2 in size."""
 
 DRIFT_TIME = 600.0
 """s."""
+
+CAUTION = 6.0
+"""Differences that count as those of white noise, besides what is seen of rests that are shaken."""
 
 
 def sample_noise(grid: Grid) -> FloatArray:
@@ -48,21 +51,56 @@ def sample_noise(grid: Grid) -> FloatArray:
         own[:, c] = np.bincount(pose[1:][pair], square[pair, c], grid.n_poses)
     own /= np.maximum(number, 1)[:, None]
     usable = number >= 4
-    common = np.median(own[usable] if usable.any() else own, axis=0)
+    # A level beyond four standard errors of its estimate is that of one rest by itself.
+    limit = 1.0 + 4.0 * np.sqrt(2.0 / np.maximum(number, 1))
+    known = usable if usable.any() else np.ones_like(usable)
+    common = np.array([quiet_level(own[known, c], limit[known]) for c in range(6)])
     floor = np.maximum(common, 1e-12 * np.square(np.abs(values)).max(axis=0) + 1e-18)
     ratio = np.where(usable[:, None], own / floor, 1.0)
-    # A ratio beyond four standard errors of its estimate is a rest with a level of its own.
-    limit = 1.0 + 4.0 * np.sqrt(2.0 / np.maximum(number, 1))[:, None]
-    loud = ratio > limit
+    loud = ratio > limit[:, None]
     error = np.broadcast_to(3.0 / np.maximum(number, 1)[:, None], ratio.shape)
     for triad in (np.arange(6) < 3, np.arange(6) >= 3):
         mine = loud & triad
         ratio[mine] = shrunk(ratio[mine], error[mine])
     level = floor * np.where(loud, ratio, 1.0)
+    left = _averaged(grid, values, level, floor, loud)
+    level = np.where(loud, floor + left * (level - floor), level)
     # While it moves, nobody knows: the common level.
     near = grid.near
     each = np.where((near >= 0)[:, None], level[np.maximum(near, 0)], floor)
     return np.asarray(each / grid.count[:, None])
+
+
+def _averaged(
+    grid: Grid, values: FloatArray, level: FloatArray, floor: FloatArray, loud: BoolArray
+) -> FloatArray:
+    """Return how much of what shakes rests is left in means over parts of them, (6,).
+
+    A machine shakes at frequencies of its own, and over seconds that averages out faster than
+    white noise does. Thirds of the rests show by how much: what they differ by, of `level` (k, 6)
+    above `floor` (6,) in those that are `loud` (k, 6). The axes of a triad have it in common.
+    """
+    out = np.ones(6)
+    places = [np.flatnonzero(grid.pose == k) for k in range(grid.n_poses)]
+    square, white = np.zeros((grid.n_poses, 6)), np.zeros(grid.n_poses)
+    for k, own in enumerate(places):
+        if len(own) < 6:
+            continue
+        thirds = np.array_split(own, 3)
+        weight = np.array([grid.count[part].sum() for part in thirds])
+        early, _, late = (
+            np.average(values[part], axis=0, weights=grid.count[part]) for part in thirds
+        )
+        square[k], white[k] = np.square(late - early), 1 / weight[0] + 1 / weight[2]
+    for triad in (slice(0, 3), slice(3, 6)):
+        mine = loud[:, triad] & (white > 0)[:, None]
+        share = (floor / level)[:, triad][mine]
+        seen = (square[:, triad] / np.maximum(white, 1e-300)[:, None] / level[:, triad])[mine]
+        # With one standard error; the square of a normal variable's square is three on average.
+        total = seen.sum() + np.sqrt(np.square(seen).sum() * 2 / 3)
+        left = (total - share.sum() + CAUTION) / ((1.0 - share).sum() + CAUTION)
+        out[triad] = np.clip(left, 0.0, 1.0)
+    return out
 
 
 def shrunk(level: FloatArray, error: FloatArray) -> FloatArray:
