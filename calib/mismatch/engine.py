@@ -105,7 +105,8 @@ def diagnose_thinned(
     problem = SelfProblem(
         grid, model, gravity=gravity, full_gyro=full, spread=UNKNOWN_DRIFT if timeless else None
     )
-    problem.drop = _spoilt_turns(grid, recording, seen.spoilt)
+    # And out of the twin: a rest that only a clipped turn joins to the others would lean with it.
+    problem.leave_out(np.flatnonzero(_spoilt_turns(grid, recording, seen.spoilt)).tolist())
     for f in seen.findings:
         if f.effect == "quantization":
             (lsb,) = (q.value for name, q in f.parameters.items() if name.endswith("_lsb"))

@@ -63,6 +63,19 @@ def test_what_one_axis_shows_of_the_range_is_the_range_of_all() -> None:
     assert seen.spoilt[at]
 
 
+@pytest.mark.parametrize(("seed", "share"), [(36, 0.6), (4, 0.45), (12, 0.6)])
+def test_a_rest_that_a_clipped_turn_alone_joins_to_the_others_gets_no_name(
+    seed: int, share: float
+) -> None:
+    real = simulated(seed=seed)
+    limit = share * np.abs(real.gyro).max()  # the first or the last turn's
+    found = diagnose_recording(
+        replace(real, gyro=np.clip(real.gyro, -limit, limit)), gravity=GRAVITY
+    )
+    assert [f.effect for f in found.findings] == ["saturation"]
+    assert not found.unexplained
+
+
 def test_a_bias_that_sticks_to_a_coarse_count_at_rest_is_no_second_finding() -> None:
     for seed in (3, 5):
         recording = simulated(seed=seed)
