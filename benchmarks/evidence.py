@@ -66,7 +66,7 @@ def e_values(rows: Rows, stack: Stack, rng: np.random.Generator, draws: int) -> 
     weight = np.log([c.weight for c in stack.candidates])
     # Whitened once: all draws share it.
     plain = Stack(len(rows.residual))
-    plain.add(whitener.project(stack.columns))
+    plain.columns.add(whitener.project(stack.columns.take(np.arange(len(stack.columns)))))
     plain.candidates = stack.candidates
     unit = Whitener(Factor.unit(rows.n_dense), np.ones(len(variance)), whitener.basis, rows.n_dense)
     out = np.empty(draws)

@@ -64,7 +64,7 @@ def physics(stack: Stack) -> FloatArray:
         each = list(dict.fromkeys(int(k) for c in items for k in c.index))
         limit = 6
         index += each if len(each) <= limit else each[:: -(-len(each) // limit)]
-    return stack.columns[:, index]
+    return stack.columns.take(np.array(index, np.int64))
 
 
 def nearby(rows: Rows, leader: Candidate) -> Stack:
@@ -78,10 +78,12 @@ def nearby(rows: Rows, leader: Candidate) -> Stack:
         for shape in neighbours(get_effect(leader.name), rows, leader.shape):
             columns = candidate_columns(rows, leader, shape, reference=True)
             if columns is not None:
-                stack.candidates.append(replace(leader, index=stack.add(columns), shape=shape))
+                stack.candidates.append(
+                    replace(leader, index=stack.columns.add(columns), shape=shape)
+                )
     if leader.name in WINDOWED:
         for window in nearby_windows(rows, leader):
             there = moved_window(leader, *window)
-            index = stack.add(window_columns(rows, there))
+            index = stack.columns.add(window_columns(rows, there))
             stack.candidates.append(replace(there, index=index, mixing=None, summed=False))
     return stack

@@ -114,6 +114,24 @@ class Factor:
             out[rows] = _solve(lower, own, transposed=True)
         return out
 
+    def restricted(self, rows: IntArray) -> Factor:
+        """Return what solves for values that are zero but on some rows, of which it takes those.
+
+        They are those of the border and of whole blocks, in their order.
+        """
+        place = np.full(len(self.border) + sum(len(b.rows) for b in self.blocks), -1)
+        place[rows] = np.arange(len(rows))
+        blocks = tuple(
+            block._replace(rows=place[block.rows])
+            for block in self.blocks
+            if (place[block.rows] >= 0).any()
+        )
+        border = place[self.border]
+        known = np.concatenate((border, *(block.rows for block in blocks)))
+        if (known < 0).any() or len(known) != len(rows):
+            raise ValueError("`rows` must be the border and whole blocks")
+        return Factor(blocks, border, self.lower)
+
     @property
     def log_det(self) -> float:
         """The logarithm of the determinant of the covariance."""

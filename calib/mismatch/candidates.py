@@ -182,5 +182,16 @@ def _makes(
             # And channels their mixings: what the same arrays make is kept once.
             key = tuple(map(id, mixings))
             if key not in known:
-                known[key] = np.stack(mixings)
+                known[key] = narrowed(np.stack(mixings))
             yield Alike(np.array(which), columns, index, known[key], np.zeros(len(which), bool))
+
+
+def narrowed(mixing: FloatArray) -> FloatArray:
+    """Return (n, k, min(k, r)) combinations that are as probable as the (n, k, r) of `mixing`.
+
+    Of more combinations than there are columns, with coefficients that are all alike, only the
+    covariance ``M M'`` counts, of which the triangle of ``M' = Q R`` is a root: ``M M' = R' R``.
+    """
+    if mixing.shape[2] <= mixing.shape[1]:
+        return mixing
+    return np.swapaxes(np.linalg.qr(np.swapaxes(mixing, 1, 2), mode="r"), 1, 2)

@@ -72,7 +72,9 @@ def _add(
             found = {n: v for n, v in found.items() if LARGE * np.linalg.norm(v / noise) > UNSEEN}
         if not found:
             continue
-        index = dict(zip(found, stack.add(np.stack(list(found.values()), axis=1)), strict=True))
+        index = dict(
+            zip(found, stack.columns.add(np.stack(list(found.values()), axis=1)), strict=True)
+        )
         for names, share in _subsets(tuple(found), refining):
             touched: tuple[str, ...] = tuple(dict.fromkeys(c for n in names for c in channels[n]))
             stack.candidates.append(

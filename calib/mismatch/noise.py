@@ -19,7 +19,7 @@ from scipy import linalg
 
 from calib.mismatch.arrow import Factor
 from calib.mismatch.rows import UNKNOWN, Rows
-from calib.types import FloatArray
+from calib.types import FloatArray, IntArray
 
 WITHIN = 0.7
 """How much levels of one group differ among each other: standard deviation of the logarithm of a
@@ -277,6 +277,15 @@ class Whitener:
         """Return the transposed whitening applied to (m, k) rows: ``inv(L)' values``."""
         first = self.factor.solve_transposed(values[: self.n_dense])
         return np.concatenate((first, values[self.n_dense :] / self.scale[:, None]))
+
+    def restricted(self, rows: IntArray) -> Whitener:
+        """Return the whitener of values that are zero but on some rows, of which it takes those.
+
+        They are those of turns and of whole channels, in their order.
+        """
+        dense = int(np.searchsorted(rows, self.n_dense))
+        factor = self.factor.restricted(rows[:dense])
+        return Whitener(factor, self.scale[rows[dense:] - self.n_dense], self.basis[rows], dense)
 
     def project(self, values: FloatArray) -> FloatArray:
         """Return whitened rows without what the fitted columns can reach."""

@@ -109,8 +109,9 @@ def _add_columns(stack: Stack, rows: Rows, slots: Slots) -> tuple[tuple[_Place, 
             ("its own rate", rows.columns(c, _own_rate(state, c))),
         ]
         places = []
+        touched = np.flatnonzero((rows.channel == c) | (rows.channel < 0))
         for label, columns in parts:
-            index = stack.add(size * columns)
+            index = stack.columns.add(size * columns, touched)
             places.append((label, int(index[0]), int(index[-1]) + 1))
         layout.append(tuple(places))
     return tuple(layout)

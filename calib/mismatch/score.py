@@ -17,12 +17,11 @@ References
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 from scipy.special import log_ndtr
 
 from calib.mismatch.candidates import Alike, Bank, Candidate, Sums
+from calib.mismatch.columns import LOST, Columns, Seen
 from calib.mismatch.noise import Whitener
 from calib.types import BoolArray, FloatArray, IntArray
 
@@ -43,19 +42,12 @@ SHARES = np.append(np.full(8, 0.1175), [0.02, 0.02, 0.01, 0.01])
 
 _LOG_SHARES = np.log(SHARES)
 
-_LOST = 1e-8
-
-PART = 256
-"""Columns that are worked on at a time: whitening and summing need copies."""
-
 
 class Stack:
     """Columns that candidates share, so that whitening them is one product."""
 
     def __init__(self, rows: int) -> None:
-        self._rows = rows
-        self._parts: list[FloatArray] = []
-        self._count = 0
+        self.columns = Columns(rows)
         self.candidates: list[Candidate] = []
         self._banks: list[Bank] = []
         self._rest = Bank(())
@@ -97,31 +89,9 @@ class Stack:
             own.append((bank.channel == number) & (bank.physical == physical))
         return np.concatenate(own)
 
-    def add(self, columns: FloatArray) -> IntArray:
-        """Add (m, k) columns and return their indices."""
-        self._parts.append(columns)
-        first = self._count
-        self._count += columns.shape[1]
-        return np.arange(first, self._count)
-
-    @property
-    def columns(self) -> FloatArray:
-        """All columns, (m, k)."""
-        if not self._parts:
-            return np.zeros((self._rows, 0))
-        if len(self._parts) > 1:
-            # One part after the other, so that they are not in memory twice.
-            whole, at = np.empty((self._count, self._rows)).T, 0
-            while self._parts:
-                part = self._parts.pop(0)
-                whole[:, at : at + part.shape[1]] = part
-                at += part.shape[1]
-            self._parts = [whole]
-        return self._parts[0]
-
     def of(self, candidate: Candidate) -> FloatArray:
         """Return the (m, k) columns of one candidate."""
-        own = self.columns[:, candidate.index]
+        own = self.columns.take(candidate.index)
         if candidate.mixing is not None:
             return np.asarray(own @ candidate.mixing)
         return own.sum(axis=1, keepdims=True) if candidate.summed else own
@@ -149,33 +119,21 @@ class Stack:
             makes += [(out[own], make) for make in bank.made(which[own])]
             at = own.stop
         used = np.unique(np.concatenate([make.columns for _, make in makes]))
-        place = np.zeros(self._count, np.int64)
+        place = np.zeros(len(self.columns), np.int64)
         place[used] = np.arange(len(used))
-        seen = self._project(whitener, y, used)
+        seen = self.columns.project(whitener, y, used)
         gram: tuple[IntArray, FloatArray] = np.zeros(0, np.int64), np.zeros((0, 0))
         for values, make in makes:
             columns = place[make.columns]
             if isinstance(make, Sums):
-                values[make.which] = _sums(make, seen.of(columns))
+                values[make.which] = _sums(make, seen, columns)
             elif make.mixing is not None:
                 if gram[0] is not make.columns:
-                    projected = seen.projected[:, columns]
-                    gram = make.columns, projected.T @ projected
+                    gram = make.columns, seen.gram(columns)
                 values[make.which] = _mixed(make, gram[1], seen.match[columns])
             else:
-                values[make.which] = _several(make, seen.of(columns))
+                values[make.which] = _several(make, seen, columns)
         return out
-
-    def _project(self, whitener: Whitener, y: FloatArray, used: IntArray) -> _Seen:
-        projected, total = np.empty((len(used), self._rows)).T, np.empty(len(used))
-        for first in range(0, len(used), PART):
-            part = slice(first, first + PART)
-            white = whitener.whiten(self.columns[:, used[part]])
-            total[part] = np.einsum("ij,ij->j", white, white)
-            white -= whitener.basis @ (whitener.basis.T @ white)
-            white[:, np.einsum("ij,ij->j", white, white) < _LOST * total[part]] = 0.0
-            projected[:, part] = white
-        return _Seen(projected, y @ projected, total)
 
     def average(self, whitener: Whitener, y: FloatArray) -> float:
         """Return log B of all candidates as one, each as probable as any other."""
@@ -184,33 +142,22 @@ class Stack:
         )
 
 
-class _Seen(NamedTuple):
-    """Projected columns (m, u), their match with the residual, and what their power had been."""
-
-    projected: FloatArray
-    match: FloatArray
-    total: FloatArray
-
-    def of(self, own: IntArray) -> _Seen:
-        return _Seen(self.projected[:, own], self.match[own], self.total[own])
-
-
-def _several(make: Alike, seen: _Seen) -> FloatArray:
+def _several(make: Alike, seen: Seen, columns: IntArray) -> FloatArray:
     """Return log B of candidates that have a coefficient for each of their columns."""
-    match = seen.match[make.index]
-    if make.index.shape[1] > 1:
-        columns = [seen.projected[:, own] for own in make.index]
-        return log_bayes_factors(np.stack([c.T @ c for c in columns]), match)
-    power = np.einsum("ij,ij->j", seen.projected, seen.projected)[make.index[:, 0]]
+    own = columns[make.index]
+    match = seen.match[own]
+    if own.shape[1] > 1:
+        return log_bayes_factors(np.stack([seen.gram(each) for each in own]), match)
+    power = seen.power(own[:, 0])
     return np.where(make.present, _present(power, match[:, 0]), _single(power, match[:, 0]))
 
 
-def _sums(make: Sums, seen: _Seen) -> FloatArray:
+def _sums(make: Sums, seen: Seen, columns: IntArray) -> FloatArray:
     """Return log B of candidates that are sums of columns."""
-    gram = seen.projected.T @ seen.projected
-    power = np.einsum("un,un->n", make.pick, gram @ make.pick)
-    lost = power < _LOST * (make.pick.T @ seen.total)
-    return _single(np.where(lost, 0.0, power), np.where(lost, 0.0, make.pick.T @ seen.match))
+    power = np.einsum("un,un->n", make.pick, seen.gram(columns) @ make.pick)
+    lost = power < LOST * (make.pick.T @ seen.total[columns])
+    along = make.pick.T @ seen.match[columns]
+    return _single(np.where(lost, 0.0, power), np.where(lost, 0.0, along))
 
 
 def _mixed(make: Alike, gram: FloatArray, match: FloatArray) -> FloatArray:

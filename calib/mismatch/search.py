@@ -288,7 +288,7 @@ def _superfluous(rows: Rows, accepted: list[Accepted], levels: FloatArray) -> Ac
         others = [b for b in accepted if b is not a]
         whitener = make_whitener(rows, levels, contrast, fitted(rows, others))
         own = Stack(len(rows.residual))
-        index = own.add(a.columns)
+        index = own.columns.add(a.columns)
         own.candidates.append(replace(a.candidate, index=index, summed=False, mixing=None))
         value = own.log_bayes_factors(whitener, whitener.project(rows.residual))[0]
         value += np.log(a.candidate.weight)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calib.mismatch.candidates import Bank, Candidate
+from calib.mismatch.candidates import Bank, Candidate, narrowed
 from calib.mismatch.contrast import contrast_variance
 from calib.mismatch.noise import expected_levels, make_whitener
 from calib.mismatch.ranking import fitted, make_stack
@@ -68,3 +68,15 @@ def test_rivals_of_the_next_round_are_those_of_the_last():
     assert first.banks[0] is second.banks[0]
     other = make_stack(rows, skip=("time",), reference=False)
     assert other.banks[0] is not first.banks[0]
+
+
+def test_more_combinations_than_columns_are_as_probable_as_few():
+    rng = np.random.default_rng(5)
+    columns, y = rng.normal(size=(20, 3)), rng.normal(size=20)
+    wide, slim = rng.normal(size=(2, 3, 7)), rng.normal(size=(2, 3, 2))
+    assert narrowed(slim) is slim
+    few = narrowed(wide)
+    assert few.shape == (2, 3, 3)
+    for many, one in zip(wide, few, strict=True):
+        expected = log_bayes_factor(columns @ many, y)
+        assert log_bayes_factor(columns @ one, y) == pytest.approx(expected, rel=1e-10)

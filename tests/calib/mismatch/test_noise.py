@@ -84,7 +84,7 @@ def test_bayes_factors_agree_with_the_densities():
     z[30:] = 0.0
     stack = Stack(len(z))
     unit = type("Unit", (), {"whiten": staticmethod(lambda v: v), "basis": empty})()
-    index = stack.add(z)
+    index = stack.columns.add(z)
     stack.candidates.append(Candidate("both", index, 1.0, True, ("accel.x",)))
     stack.candidates.append(Candidate("first", index[:1], 1.0, True, ("accel.x",)))
     found = stack.log_bayes_factors(unit, whole)
