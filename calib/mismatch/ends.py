@@ -1,12 +1,17 @@
 """Where a disturbance begins and ends: the window that is expected to overlap it most.
 
 What rows say of the ends of a window is often little: a gain on one axis shows only where that axis
-is loaded. The most probable window may then be far from most of those that are as good. So every
-window is weighted by its evidence, and the one is said whose overlap with the others, intersection
-over union, is largest on average.
+is loaded, and what comes and goes may be quiet for a while. The most probable window may then be
+far from most of those that are as good. So every window is weighted by its evidence, and the one is
+said whose overlap with the others, intersection over union, is largest on average.
+
+Nor is the evidence that of one kind alone. A part of what jumps about looks like a bias, or like a
+wave, whose window is too short: in each window all kinds are weighed against each other.
 """
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 
@@ -14,20 +19,71 @@ from calib.mismatch.candidates import Candidate
 from calib.mismatch.diagnosis import Interval
 from calib.mismatch.noise import Whitener
 from calib.mismatch.rows import Rows
-from calib.mismatch.score import log_bayes_factors
-from calib.mismatch.windows import moved_window, segment_columns
+from calib.mismatch.score import log_bayes_factor, log_bayes_factors
+from calib.mismatch.wander import wandering
+from calib.mismatch.windows import (
+    fluctuating,
+    make_slots,
+    moved_window,
+    segment_columns,
+    slot_columns,
+    window_columns,
+)
 from calib.types import FloatArray
 
 UNLIKELY = 1e-3
 """Windows less probable than the best by this factor are left out."""
 
+LASTING = (0.5, 2.0, 8.0)
+"""How long what wanders keeps its value, in typical segments; or it has another in each."""
+
+AT_ONCE = 1e-3
+"""How long it does then."""
+
+TUNES = 21
+"""Periods between those of the grid, half a cycle apart, that are tried for a wave."""
+
 
 def place_window(rows: Rows, candidate: Candidate, whitener: Whitener, y: FloatArray) -> Candidate:
     """Return a candidate for the window that overlaps most, on average over what is probable.
 
-    Its columns in a window are sums over the segments in it (not so those of a fluctuation). No
-    window is longer than half of the recording: the others are the rule there, and not it.
+    It is of the kind that is most probable there. No window is longer than half of the recording:
+    the others are the rule there, and not it.
     """
+    number = len(rows.interval)
+    longest = max(number // 2, 1)
+    one = len(candidate.channels) == 1
+    kinds = [candidate, *(replace(candidate, name=n, shape={}) for n in _SUMS if one)]
+    summed = {
+        c.name: _sums(rows, c, whitener, y, longest)
+        for c in kinds
+        if c.name != "fluctuation in a window"
+    }
+    wander = _wanders(rows, candidate, whitener, y, longest)
+    value = np.logaddexp.reduce([*summed.values(), wander])
+    # Every length, by its logarithm, is as likely as any other, and so is every place.
+    first, last = np.nonzero(np.isfinite(value))
+    of = value[first, last] - np.log(last - first) - np.log(number + 1.0 - (last - first))
+    probable = of > of.max() + np.log(UNLIKELY)
+    first, last = first[probable], last[probable]
+    weight = np.exp(of[probable] - of.max())
+    where = expected_overlap(rows.interval[first, 0], rows.interval[last - 1, 1], weight)
+    a = int(np.searchsorted(rows.interval[:, 0], where[0]))
+    b = int(np.searchsorted(rows.interval[:, 1], where[1])) + 1
+    name = max(summed, key=lambda n: summed[n][a, b], default="")
+    if not name or wander[a, b] > summed[name][a, b]:
+        return fluctuating(candidate, *where, segments=b - a)
+    kind = next(c for c in kinds if c.name == name)
+    return moved_window(kind, *where)
+
+
+_SUMS = ("bias in a window", "gain in a window")
+
+
+def _sums(
+    rows: Rows, candidate: Candidate, whitener: Whitener, y: FloatArray, longest: int
+) -> FloatArray:
+    """Return log B in each window [a, b) of what is a sum over the segments in it."""
     parts = segment_columns(rows, candidate)
     m, number, k = parts.shape
     white = whitener.project(parts.reshape(m, -1))
@@ -39,16 +95,50 @@ def place_window(rows: Rows, candidate: Candidate, whitener: Whitener, y: FloatA
     # Open at one end a bias in a window would be a step, which has a name.
     low = 1 if candidate.name == "bias in a window" else 0
     first, last = np.triu_indices(number + 1, 1)
-    some = (last - first <= max(number // 2, 1)) & (first >= low) & (last <= number - low)
+    some = (last - first <= longest) & (first >= low) & (last <= number - low)
     first, last = first[some], last[some]
     inner = total[last, last] - total[first, last] - total[last, first] + total[first, first]
-    value = log_bayes_factors(inner, match[last] - match[first])
-    # Every length, by its logarithm, is as likely as any other, and so is every place.
-    value -= np.log(last - first) + np.log(number + 1.0 - (last - first))
-    probable = value > value.max() + np.log(UNLIKELY)
-    weight = np.exp(value[probable] - value.max())
-    start, stop = rows.interval[first[probable], 0], rows.interval[last[probable] - 1, 1]
-    return moved_window(candidate, *expected_overlap(start, stop, weight))
+    out = np.full((number + 1, number + 1), -np.inf)
+    out[first, last] = log_bayes_factors(inner, match[last] - match[first])
+    return out
+
+
+def _wanders(
+    rows: Rows, candidate: Candidate, whitener: Whitener, y: FloatArray, longest: int
+) -> FloatArray:
+    """Return log B in each window [a, b) of what wanders in it, of any correlation time."""
+    typical = float(np.median(np.ptp(rows.interval, axis=1)))
+    found = []
+    for coarse, lasting in ((len(candidate.channels) > 1, LASTING), (True, (AT_ONCE,))):
+        slots = make_slots(rows, coarse=coarse)
+        parts = slot_columns(rows, slots, candidate.channels)
+        m, n, c = parts.shape
+        white = whitener.project(parts.reshape(m, -1))
+        gram, match = (white.T @ white).reshape(n, c, n, c), (y @ white).reshape(n, c)
+        found += [
+            wandering(
+                gram, match, slots.middle, slots.first, correlation=k * typical, longest=longest
+            )
+            for k in lasting
+        ]
+    return np.asarray(np.logaddexp.reduce(found) - np.log(len(found)))
+
+
+def tune_wave(
+    rows: Rows, candidate: Candidate, whitener: Whitener, y: FloatArray
+) -> tuple[Candidate, FloatArray]:
+    """Return a wave throughout, and its columns, of that period near its own that fits most."""
+    start, stop = float(rows.interval[0, 0]), float(rows.interval[-1, 1])
+    cycles = (stop - start) / candidate.shape["period"]
+    best: tuple[float, Candidate, FloatArray] | None = None
+    for tried in cycles + np.linspace(-0.5, 0.5, TUNES):
+        there = replace(candidate, shape={"period": (stop - start) / max(tried, 0.25)})
+        columns = window_columns(rows, replace(there, interval=(start, stop)))
+        value = log_bayes_factor(whitener.project(columns), y)
+        if best is None or value > best[0]:
+            best = value, there, columns
+    assert best is not None
+    return best[1], best[2]
 
 
 def expected_overlap(start: FloatArray, stop: FloatArray, weight: FloatArray) -> Interval:

@@ -76,6 +76,13 @@ def _apart(intervals: tuple[Interval, ...]) -> tuple[Interval, ...]:
 
 
 def _are_one(one: Unexplained, other: Unexplained) -> bool:
+    if (one.follows, one.channels, one.intervals) == (
+        other.follows,
+        other.channels,
+        other.intervals,
+    ):
+        # Waves of several periods are one that is no sine.
+        return True
     if not (_is_local(one) and _is_local(other)):
         return False
     (a, b), (c, d) = one.intervals[0], other.intervals[0]

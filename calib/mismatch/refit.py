@@ -11,13 +11,13 @@ import numpy as np
 from calib.effects import get_effect
 from calib.effects.base import PRESENCE, Term, TransformEffect
 from calib.mismatch.candidates import Candidate
-from calib.mismatch.ends import place_window
+from calib.mismatch.ends import place_window, tune_wave
 from calib.mismatch.families import candidate_columns, forms, neighbours
 from calib.mismatch.noise import Whitener, find_levels, make_whitener
 from calib.mismatch.ranking import Accepted, contrast_noise, fitted
 from calib.mismatch.rows import Rows
-from calib.mismatch.score import LARGE, SCALES, log_bayes_factor
-from calib.mismatch.windows import WINDOWED, moved_window, window_columns
+from calib.mismatch.score import LARGE, SCALES
+from calib.mismatch.windows import THROUGHOUT, WINDOWED, window_columns
 from calib.types import BoolArray, FloatArray
 
 REFINED = 3
@@ -184,13 +184,22 @@ def _refine(
 ) -> Accepted:
     """Refine the shape parameters of the last accepted between the grid's values."""
     last = accepted[-1]
-    if last.candidate.name in WINDOWED:
+    if last.candidate.name in WINDOWED or last.candidate.name == THROUGHOUT:
         whitener = make_whitener(rows, levels, contrast, fitted(rows, accepted[:-1]))
         y = whitener.project(rows.residual)
-        if last.candidate.name == "fluctuation in a window":
-            return _refine_window(rows, last, whitener, y)
-        candidate = place_window(rows, last.candidate, whitener, y)
-        return replace(last, candidate=candidate, columns=window_columns(rows, candidate))
+        if last.candidate.name == THROUGHOUT:
+            candidate, columns = tune_wave(rows, last.candidate, whitener, y)
+        else:
+            candidate = place_window(rows, last.candidate, whitener, y)
+            columns = window_columns(rows, candidate)
+        number = columns.shape[1]
+        return replace(
+            last,
+            candidate=candidate,
+            columns=columns,
+            typical=np.ones(number),
+            values=np.zeros(number),
+        )
     if not last.candidate.physical or not last.candidate.shape:
         return last
     whitener = make_whitener(rows, levels, contrast, fitted(rows, accepted[:-1]))
@@ -250,37 +259,6 @@ def _climb(gain: Callable[[dict[str, float]], float], shape: dict[str, float], n
             value, here = new, at
         else:
             step /= 3
-
-
-def _refine_window(rows: Rows, last: Accepted, whitener: Whitener, y: FloatArray) -> Accepted:
-    """Move the ends of a window to where it explains most, within half its length of the grid's."""
-    assert last.candidate.interval is not None
-    start, stop = last.candidate.interval
-    reach = 0.5 * (stop - start)
-    edges = np.unique(np.concatenate((rows.interval.ravel(), rows.interval.mean(axis=1))))
-    best, columns, ends = last.candidate, last.columns, [start, stop]
-    for which in (0, 1, 0, 1):
-        tried = edges[np.abs(edges - (start, stop)[which]) <= reach]
-        other = ends[1 - which]
-        tried = tried[tried < other] if which == 0 else tried[tried > other]
-        if len(tried) < 2:
-            continue
-        moved = [
-            moved_window(last.candidate, *((t, other) if which == 0 else (other, t)))
-            for t in tried.tolist()
-        ]
-        found = [window_columns(rows, m) for m in moved]
-        gain = np.array([log_bayes_factor(whitener.project(f), y) for f in found])
-        # Where rows say little of an end (a gain at rest), the middle of what they leave open.
-        share = np.cumsum(np.exp(gain - gain.max()) * np.gradient(tried))
-        k = int(np.searchsorted(share, 0.5 * share[-1]))
-        if gain[k] < gain.max() - 2.0:
-            k = int(np.argmax(gain))
-        best, columns, ends[which] = moved[k], found[k], float(tried[k])
-    number = columns.shape[1]
-    return replace(
-        last, candidate=best, columns=columns, typical=np.ones(number), values=np.zeros(number)
-    )
 
 
 def likelihood_gain(columns: FloatArray, y: FloatArray, *, present: bool = False) -> float:

@@ -21,16 +21,19 @@ from calib.mismatch.candidates import Bank, Candidate
 from calib.mismatch.rows import Rows
 from calib.mismatch.score import Stack
 from calib.mismatch.windows import (
+    APART,
     CORNERS,
     FAST,
     FLUCTUATION,
     MIDDLE,
+    THROUGHOUT,
     Local,
     Slots,
     in_windows,
     is_step,
     make_slots,
     own_signal,
+    throughout,
     typical_size,
 )
 from calib.recording import CHANNELS
@@ -40,21 +43,25 @@ RIVAL = 0.4
 """Prior probability of all rivals together."""
 
 _KINDS = {
-    "bias in a window": 0.19,
-    "gain in a window": 0.11,
+    "bias in a window": 0.17,
+    "gain in a window": 0.10,
     "fluctuation in a window": 0.17,
-    "wave in a window": 0.15,
+    "wave in a window": 0.13,
+    THROUGHOUT: 0.03,
     "time": 0.02,
     "temperature": 0.02,
-    "direction of gravity": 0.14,
+    "direction of gravity": 0.12,
     "orientation": 0.03,
     "speed of rotation": 0.05,
     "its own rate": 0.02,
+    "rate about the other axes": 0.02,
+    "the pose before": 0.02,
+    "the turn before": 0.01,
 }
 """Share of each. What follows temperature, time or its own rate smoothly has names in the
 catalogue, or is drift: only odd shapes are left."""
 
-_OF_TRIADS = {"bias in a window": 0.02, "fluctuation in a window": 0.05}
+_OF_TRIADS = {"bias in a window": 0.02, "gain in a window": 0.02, "fluctuation in a window": 0.05}
 """The same for what three channels have at once: their supply, cable or package."""
 
 RIPPLES = (2.0, 3.0, 4.0, 5.0)
@@ -97,7 +104,7 @@ def add_rivals(stack: Stack, rows: Rows, *, skip: tuple[str, ...] = ()) -> None:
 def _add_columns(stack: Stack, rows: Rows, slots: Slots) -> tuple[tuple[_Place, ...], ...]:
     """Add the columns of all rivals, and return where those of each channel are."""
     state, layout = rows.state, []
-    smooth = list(_smooth(state))
+    smooth = [*_smooth(state), *_history(rows)]
     for c, name in enumerate(CHANNELS):
         size, own = typical_size(name.split(".")[0]), own_signal(state, c)
         at = (np.arange(len(own)), rows.point_segment)
@@ -108,6 +115,10 @@ def _add_columns(stack: Stack, rows: Rows, slots: Slots) -> tuple[tuple[_Place, 
             *((n, rows.columns(c, values)) for n, values in smooth),
             ("its own rate", rows.columns(c, _own_rate(state, c))),
         ]
+        if c < 3:
+            # What a gyroscope sees of the other axes is its misalignment.
+            other = np.delete(_scaled_rates(state), c, axis=1)
+            parts.append(("rate about the other axes", rows.columns(c, other)))
         places = []
         touched = np.flatnonzero((rows.channel == c) | (rows.channel < 0))
         for label, columns in parts:
@@ -136,7 +147,9 @@ def _sorted(
         _of_triad(item, slots[1])
         for item in in_windows(times, *slots, MIDDLE)
         if item.name in _OF_TRIADS and item.window[1] - item.window[0] >= FLUCTUATION
+        if item.shape != APART
     ]
+    waves = [] if THROUGHOUT in skip else list(throughout(times, slots[0]))
     found: list[_Draft] = []
     for k, triad in enumerate((CHANNELS[:3], CHANNELS[3:])):
         # Beside the bias, a window that is open at one end is a step of it, which has a name.
@@ -149,6 +162,7 @@ def _sorted(
         for channel, mine in zip(triad, places, strict=True):
             found += _drafts((channel,), (mine,), slots[1], own)
             found += _smooth_drafts(channel, mine)
+            found += _waves(channel, mine, waves)
         found += _drafts(triad, places, slots[1], alike)
     found = [draft for draft in found if draft[1] not in skip]
     # Every kind has its share, each of its parts (one length of window, say) the same of that.
@@ -212,8 +226,21 @@ def _smooth_drafts(channel: str, places: tuple[_Place, ...]) -> Iterator[_Draft]
             yield "quadratic", name, (channel,), np.arange(start, start + 9), {}
 
 
+def _waves(
+    channel: str,
+    places: tuple[_Place, ...],
+    waves: list[tuple[dict[str, float], FloatArray]],
+) -> Iterator[_Draft]:
+    """Yield waves that a channel has throughout."""
+    index = next(np.arange(start, stop) for name, start, stop in places if name == "slots")
+    for shape, mixing in waves:
+        yield "throughout", THROUGHOUT, (channel,), index, {"shape": shape, "mixing": mixing}
+
+
 def _of_triad(item: Local, first: IntArray) -> Local:
-    """Return what three channels have at once, each in a way of its own."""
+    """Return what three channels have at once, each in a way of its own; but one gain."""
+    if item.name == "gain in a window":
+        return item
     a, b = item.window
     mixing = np.ones((first[b] - first[a], 1)) if item.mixing is None else item.mixing
     n, k = mixing.shape
@@ -269,6 +296,31 @@ def _smooth(state: State) -> Iterator[tuple[str, FloatArray]]:
         yield "orientation", state.mat_ns.reshape(-1, 9)
     speed = np.linalg.norm(_scaled_rates(state), axis=1)
     yield "speed of rotation", np.stack((speed, speed**2, speed**3, np.sqrt(speed)), axis=1)
+
+
+def _history(rows: Rows) -> Iterator[tuple[str, FloatArray]]:
+    """Yield what came before: the direction of gravity in the last pose, and the last turn.
+
+    What has play or sticks remembers them. A turn belongs to the rest before it.
+    """
+    rests = np.flatnonzero(rows.is_rest)
+    if len(rests) < 2:
+        return
+    state, segment = rows.state, rows.point_segment
+    number = len(rows.interval)
+    count = np.maximum(np.bincount(segment, minlength=number), 1)
+    up = np.stack(
+        [np.bincount(segment, v, number) / count for v in state.gravity_direction.T], axis=1
+    )
+    mean = np.stack([np.bincount(segment, v, number) / count for v in state.rate.T], axis=1)
+    turn = mean * np.ptp(rows.interval, axis=1)[:, None]
+    turn /= np.maximum(np.linalg.norm(turn, axis=1, keepdims=True), 1.0)
+    pose = np.cumsum(rows.is_rest)[segment] - 1
+    before = np.zeros((len(rests) + 1, 3)), np.zeros((len(rests) + 1, 3))
+    before[0][1:-1] = up[rests[:-1]]
+    before[1][1:-1] = turn[rests[1:] - 1]
+    yield "the pose before", before[0][pose]
+    yield "the turn before", before[1][pose]
 
 
 def _own_rate(state: State, c: int) -> FloatArray:

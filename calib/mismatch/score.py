@@ -209,6 +209,12 @@ def log_bayes_factors(gram: FloatArray, match: FloatArray) -> FloatArray:
     return _average(gain - 0.5 * np.log1p(strength).sum(axis=2) + _LOG_SHARES[:, None])
 
 
+def average_of_scales(log_factors: FloatArray) -> FloatArray:
+    """Return log B over all `SCALES`, from its values (n, ...) at each."""
+    shares = _LOG_SHARES.reshape(-1, *[1] * (log_factors.ndim - 1))
+    return _average(log_factors + shares)
+
+
 def _average(log_factors: FloatArray) -> FloatArray:
     """Return the logarithm of the sum over the first axis of factors that hold their shares."""
     top = log_factors.max(axis=0)

@@ -21,12 +21,20 @@ FAST = 3.0
 WINDOWED = ("bias in a window", "gain in a window", "fluctuation in a window", "wave in a window")
 """Rivals that are functions of time (or a gain) in a window, whose ends can be moved."""
 
+THROUGHOUT = "wave throughout"
+"""A rival that is a wave in time, from the first segment to the last."""
+
 FLUCTUATION = 4
 """Segments in a window of fluctuation, fewest."""
 
-CORNERS = {2.0: (1, 12), 16.0: (2, 32)}
+CORNERS = {2.0: (1, 32), 6.0: (2, 32)}
 """Half periods in a window above which a fluctuation is weaker (slow swings, and jumps), and how
-many cosines it then has for each segment, and at most."""
+many cosines it then has for each segment, and at most. With fewer than there are segments it cannot
+jump from one to the next, however weak the fast ones are."""
+
+APART, MOST_APART = {"apart": 1.0}, 32
+"""What has its own value in each segment of a window, and in how many at most: a contact that every
+turn makes anew."""
 
 MIDDLE = {6.0: (1, 16)}
 """The same for what a triad has, where three times the columns make every hypothesis dear."""
@@ -40,6 +48,9 @@ WAVES = 6
 
 CYCLES = 12.0
 """Periods of a wave within a window, at most; and never less than four segments to a period."""
+
+SHORTEST_WAVE = 2.0
+"""Segments to a period of a wave throughout the recording, at least: each has a rest and a turn."""
 
 SLOTS = (3, 2)
 """Parts of a rest and of a turn that a function of time in a window is constant in. A mean and two
@@ -72,10 +83,10 @@ class Slots:
     first: IntArray
 
 
-def make_slots(rows: Rows) -> Slots:
-    """Cut segments into what a function of time in a window is constant in."""
+def make_slots(rows: Rows, *, coarse: bool = False) -> Slots:
+    """Cut segments into what a function of time in a window is constant in; one each if coarse."""
     each = np.where(rows.is_rest, *SLOTS)
-    if each.sum() > MOST_SLOTS or not rows.is_rest.any():
+    if coarse or each.sum() > MOST_SLOTS or not rows.is_rest.any():
         each = np.ones_like(each)
     first = np.concatenate(([0], np.cumsum(each)))
     segment = rows.point_segment
@@ -119,6 +130,9 @@ def in_windows(
         time = middle[first[a] : first[b]]
         yield Local("bias in a window", (a, b), (start, stop), {}, None)
         yield Local("gain in a window", (a, b), (start, stop), {}, None)
+        if FLUCTUATION <= b - a <= MOST_APART:
+            own = np.repeat(np.eye(b - a), np.diff(first[a : b + 1]), axis=0)
+            yield Local("fluctuation in a window", (a, b), (start, stop), dict(APART), own)
         shapes: list[tuple[str, dict[str, float]]] = []
         if b - a >= FLUCTUATION:
             for corner, (each, most) in corners.items():
@@ -144,7 +158,8 @@ def _function(
     if "order" in shape:
         order = np.arange(int(shape["order"]))
         size = 1.0 / np.sqrt(1.0 + np.square(order / shape["corner"]))
-        size *= np.sqrt(2.0 / np.square(size).sum())
+        size[1:] *= np.sqrt(2.0 / np.square(size[1:]).sum())
+        # What disturbs seldom does so as much upwards as downwards: pulses have a sign.
         return np.asarray(np.cos(np.pi * since[:, None] / (stop - start) * order) * size)
     return np.ones((len(time), 1))
 
@@ -164,6 +179,10 @@ def window_columns(rows: Rows, candidate: Candidate) -> FloatArray:
     """Return the (m, k) columns of what a candidate says of its window, to the very ends."""
     assert candidate.interval is not None
     start, stop = candidate.interval
+    if "apart" in candidate.shape:
+        inside = (rows.interval[:, 0] < stop) & (rows.interval[:, 1] > start)
+        parts = segment_columns(rows, replace(candidate, shape={}))[:, inside]
+        return np.asarray(parts.reshape(len(parts), -1))
     state, size = rows.state, typical_size(candidate.channels[0].split(".")[0])
     inside = (state.time >= start) & (state.time <= stop)
     shape = size * inside[:, None] * _function(candidate.shape, state.time, start, stop)
@@ -171,7 +190,29 @@ def window_columns(rows: Rows, candidate: Candidate) -> FloatArray:
     for c in map(CHANNELS.index, candidate.channels):
         own = own_signal(state, c)[:, None] if candidate.name == "gain in a window" else 1.0
         out.append(rows.columns(c, shape * own))
-    return np.hstack(out)
+    return np.asarray(sum(out)) if _is_one(candidate) else np.hstack(out)
+
+
+def _is_one(candidate: Candidate) -> bool:
+    """Whether the channels share one size: the gain of a triad is that of its reference."""
+    return candidate.name == "gain in a window"
+
+
+def fluctuating(candidate: Candidate, start: float, stop: float, *, segments: int) -> Candidate:
+    """Return a fluctuation in a window of so many segments, on a candidate's channels."""
+    corners = CORNERS if len(candidate.channels) == 1 else MIDDLE
+    corner, (each, most) = list(corners.items())[-1]
+    shape = {"order": float(max(min(each * segments, most), 2)), "corner": corner}
+    return replace(candidate, name="fluctuation in a window", interval=(start, stop), shape=shape)
+
+
+def slot_columns(rows: Rows, slots: Slots, channels: tuple[str, ...]) -> FloatArray:
+    """Return the (m, n, c) columns of a disturbance in each slot, on each of some channels."""
+    out = []
+    for name in channels:
+        seen = rows.functional[CHANNELS.index(name)] @ slots.member
+        out.append(typical_size(name.split(".")[0]) * seen.toarray())
+    return np.stack(out, axis=2)
 
 
 def segment_columns(rows: Rows, candidate: Candidate) -> FloatArray:
@@ -180,15 +221,27 @@ def segment_columns(rows: Rows, candidate: Candidate) -> FloatArray:
     state, size = rows.state, typical_size(candidate.channels[0].split(".")[0])
     shape = size * _function(candidate.shape, state.time, *candidate.interval)
     points = np.arange(len(state.time))
-    out = []
+    found = []
     for c in map(CHANNELS.index, candidate.channels):
         own = own_signal(state, c)[:, None] if candidate.name == "gain in a window" else 1.0
+        out = []
         for values in (shape * own).T:
             member = sparse.csr_matrix(
                 (values, (points, rows.point_segment)), shape=(len(points), len(rows.interval))
             )
             out.append((rows.functional[c] @ member).toarray())
-    return np.stack(out, axis=2)
+        found.append(np.stack(out, axis=2))
+    return np.asarray(sum(found)) if _is_one(candidate) else np.concatenate(found, axis=2)
+
+
+def throughout(
+    interval: FloatArray, middle: FloatArray
+) -> Iterator[tuple[dict[str, float], FloatArray]]:
+    """Yield waves that a whole recording may have: their shape, and what each slot has of them."""
+    start, stop = float(interval[0, 0]), float(interval[-1, 1])
+    for cycles in np.arange(1.0, len(interval) / SHORTEST_WAVE + 0.25, 0.5):
+        shape = {"period": (stop - start) / cycles}
+        yield shape, _function(shape, middle, start, stop)
 
 
 def own_signal(state: State, c: int) -> FloatArray:

@@ -33,6 +33,13 @@ def test_pieces_of_one_disturbance_are_joined(pieces, expected):
     assert {c for item in found for c in item.channels} == {p[0] for p in pieces}
 
 
+def test_waves_of_several_periods_throughout_are_one_that_is_no_sine():
+    items = [piece("gyro.x", 0, 100, "wave throughout") for _ in range(2)]
+    other = piece("gyro.y", 0, 100, "wave throughout")
+    found = joined([items[0], other, items[1]])
+    assert [item.channels for item in found] == [("gyro.x",), ("gyro.y",)]
+
+
 def test_what_goes_with_the_direction_everywhere_is_no_piece_of_a_window():
     items = [piece("gyro.x", 10, 20), piece("gyro.x", 0, 100, "direction of gravity")]
     assert joined(items) == items

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import numpy as np
 import pytest
 
-from calib.effects.base import Term
+from calib.effects.base import State, Term
 from calib.mismatch import diagnose_recording
 from calib.mismatch.candidates import Candidate
 from calib.mismatch.ranking import make_stack
@@ -16,6 +16,7 @@ from calib.mismatch.score import Stack
 from calib.mismatch.windows import WINDOWED, moved_window, nearby_windows, window_columns
 from calib.recording import CHANNELS, Recording
 from calib.simulation.bench import bench_protocol
+from calib.statics import find_poses
 from calib.types import FloatArray
 
 from .bench import GRAVITY, problem, recording
@@ -55,7 +56,7 @@ def test_rivals_share_one_prior_and_a_window_is_the_same_column_wherever_it_come
 def test_a_moved_window_holds_what_is_as_fast_in_seconds():
     _, made = problem()
     stack = make_stack(made.rows(), skip=(), reference=False)
-    candidate = max(rivals(stack, "fluctuation in a window"), key=lambda c: c.shape["order"])
+    candidate = max(rivals(stack, "fluctuation in a window"), key=lambda c: c.shape.get("order", 0))
     assert candidate.interval is not None
     start, stop = candidate.interval
     moved = moved_window(candidate, start, start + 1.5 * (stop - start))
@@ -120,6 +121,54 @@ def test_jumps_in_a_window_are_unexplained_in_that_window(channel, size):
     assert len(found.unexplained) == 1
     assert found.unexplained[0].channels == (channel,)
     assert overlap(found.unexplained[0].intervals[0], (start, stop)) > 0.5
+
+
+def motion_of(real: Recording) -> State:
+    """Return the true state of `recording(seed=8)`, in all samples."""
+    motion = bench_protocol(
+        np.random.default_rng(8), poses=18, first_pose=2.0, pose_duration=(3.0, 4.0)
+    )
+    return motion.state(real.time)
+
+
+def before(real: Recording) -> FloatArray:
+    """Return gravity's direction in the pose before that of each sample, (n, 3)."""
+    poses = find_poses(real)
+    up = np.vstack((np.zeros((1, 3)), poses.accel / GRAVITY))
+    return np.asarray(up[np.searchsorted(poses.start, np.arange(len(real)), side="right") - 1])
+
+
+def swing(real: Recording) -> FloatArray:
+    return np.asarray(np.sin(2 * np.pi * real.time / 17.0))
+
+
+LASTING: dict[str, tuple[str, Callable[[Recording], FloatArray]]] = {
+    "wave throughout": ("gyro.x", lambda r: 6e-4 * swing(r)),
+    "the pose before": ("accel.y", lambda r: 0.02 * before(r)[:, 0]),
+    "rate about the other axes": ("accel.x", lambda r: 0.02 * motion_of(r).rate[:, 2]),
+}
+
+
+@pytest.mark.parametrize("name", LASTING)
+def test_what_is_there_throughout_is_unexplained_by_what_it_follows(name):
+    channel, make = LASTING[name]
+    real = recording(seed=8)
+    found = diagnose_recording(with_added(real, {channel: make(real)}), gravity=GRAVITY)
+    assert not found.findings
+    assert [(u.follows, u.channels) for u in found.unexplained] == [(name, (channel,))]
+
+
+def test_what_weakens_a_triad_in_a_window_is_one_gain_of_it():
+    real = recording(seed=8)
+    force = motion_of(real).force
+    start, stop = 0.4 * real.time[-1], 0.7 * real.time[-1]
+    inside = (real.time > start) & (real.time < stop)
+    weak = {CHANNELS[i]: 1.5e-3 * inside * force[:, i] for i in range(3)}
+    found = diagnose_recording(with_added(real, weak), gravity=GRAVITY)
+    assert not found.findings
+    (left,) = found.unexplained
+    assert (left.follows, left.channels) == ("gain in a window", CHANNELS[:3])
+    assert overlap(left.intervals[0], (start, stop)) > 0.7
 
 
 def test_one_lost_sample_is_found_at_its_moment_in_the_turn():
