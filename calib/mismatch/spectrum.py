@@ -26,7 +26,7 @@ CLAIM = 1e-4
 """Family-wise p-value below which something is reported."""
 
 _HERE = 0.01
-"""The same for whether one rest has a line that is known to be in the recording."""
+"""The same for whether one rest has what is known to be in the recording, a line or a burst."""
 
 LOUDER_THERE = "the time: noise is louder there"
 """What a burst follows."""
@@ -217,21 +217,29 @@ def _bursts(
     # Real rests differ in noise; their own scatter sets the degrees of freedom.
     scatter = 1.4826 * float(np.median(np.abs(np.log(total))))
     most = min(2.0 * len(power) * float(np.median(count)), 2.0 / max(scatter**2, 1e-9))
-    p_all = fdtrc(most, most, total) * len(found) * len(CHANNELS)
+    p_one = fdtrc(most, most, total)
+    p_all = p_one * len(found) * len(CHANNELS)
     loud = (p_all < CLAIM) & (total > _LOUDER)
     extra = np.where(each < CLAIM, mean - floor, 0.0).sum(axis=0) / np.median(floor.sum(axis=0))
     thin = (each.min(axis=0) < CLAIM) & (extra > _SHARE) & narrow
+    # Beside a rest that surely has it, others need less: at the same frequencies, if it has one.
+    own = np.unique(each[:, thin & ~loud].argmin(axis=0))
+    near = np.unique(np.clip(own[:, None] + [-1, 0, 1], 0, len(power) - 1))
+    looks = mean.size * len(CHANNELS)
+    p_near = each[near].min(axis=0, initial=looks) * len(near) / looks
     out = []
-    for which, follows, p in (
-        (loud, LOUDER_THERE, p_all),
-        (thin & ~loud, "the time: power at one frequency there", each.min(axis=0)),
+    for which, follows, p, alone in (
+        (loud, LOUDER_THERE, p_all, p_one),
+        (thin & ~loud, "the time: power at one frequency there", each.min(axis=0), p_near),
     ):
         # What most rests have is no event of some of them.
         if not which.any() or which.mean() > 0.5:
             continue
         # Each run of rests that have it is a place of its own.
-        at = np.flatnonzero(which)
+        at = np.flatnonzero(which | (alone * len(found) < _HERE))
         for run in np.split(at, np.flatnonzero(np.diff(at) > 1) + 1):
+            if not which[run].any():
+                continue
             rest = found[run]
             interval = (float(poses.interval[rest[0], 0]), float(poses.interval[rest[-1], 1]))
             out.append(Unexplained((channel,), (interval,), follows, float(p[run].min())))
