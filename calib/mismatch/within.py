@@ -15,15 +15,15 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import ndtri, pdtrc, stdtr
+from scipy.special import bdtrc, ndtri, pdtrc, stdtr
 
-from calib.faults import ROBUST, resolution, values_of
+from calib.faults import OTHERS, ROBUST, resolution, values_of
 from calib.mismatch.diagnosis import Interval, Unexplained
 from calib.mismatch.ends import expected_overlap
 from calib.mismatch.windows import windows
 from calib.poses import Poses
 from calib.recording import CHANNELS, Recording
-from calib.types import FloatArray, IntArray
+from calib.types import BoolArray, FloatArray, IntArray
 
 CLAIM = 1e-4
 """Family-wise p-value below which something is reported."""
@@ -42,6 +42,9 @@ CHANCE = 0.1
 
 SEVERAL = 4
 """Pulses on one channel that are no noise then: it has so many in 2e-5 of recordings."""
+
+MOST_SPIKES = 500
+"""Single samples of a channel that are looked at, at most; of more, every second or third."""
 
 APART = 0.5
 """s between two pulses."""
@@ -68,10 +71,12 @@ class _Look(NamedTuple):
 def look_within(recording: Recording, poses: Poses) -> tuple[Unexplained, ...]:
     """Return disturbances within rests of channels that are alone with it."""
     raw = values_of(recording)
-    values = _without_spikes(raw)
+    off, alone = _off_course(raw)
+    spikes = _spikes(recording, poses, off, alone)
+    values = _without_spikes(raw, alone)
     rests = [(a, b) for a, b in zip(poses.start, poses.stop, strict=True) if b - a > 4]
     if not rests:
-        return ()
+        return tuple(spikes)
     # Where counts are coarse, noise comes and goes with where between two of them a signal is.
     change = np.vstack([np.diff(values[a:b], axis=0) for a, b in rests])
     step = resolution(raw)
@@ -82,8 +87,8 @@ def look_within(recording: Recording, poses: Poses) -> tuple[Unexplained, ...]:
     tried = [_look(recording.time, values, poses, width, step) for width in widths]
     looks = [look for look in tried if look is not None]
     if not looks:
-        return ()
-    pulses = _pulses(looks, recording)
+        return tuple(spikes)
+    pulses = spikes + _pulses(looks, recording)
     return tuple(pulses + _stretches(looks, recording, poses, {u.channels for u in pulses}))
 
 
@@ -93,16 +98,24 @@ def _widths(recording: Recording, poses: Poses) -> list[int]:
     return [1 << k for k in range(int(np.log2(max(longest, 1.0))) + 1)]
 
 
-def _without_spikes(values: FloatArray) -> FloatArray:
-    """Return (n, 6) values, single ones that are off course replaced by their neighbours' mean."""
-    out = values.copy()
-    mean = 0.5 * (values[:-2] + values[2:])
-    off = np.abs(values[1:-1] - mean)
+def _off_course(values: FloatArray) -> tuple[FloatArray, BoolArray]:
+    """Return how far samples are off their neighbours' mean, in noise, and which are so alone.
+
+    Both are (n - 2, 6), without the first and the last sample.
+    """
+    off = np.abs(values[1:-1] - 0.5 * (values[:-2] + values[2:]))
     padded = np.pad(off, ((1, 1), (0, 0)))
     beside = np.maximum(padded[:-2], padded[2:])
     # One sample has half of its size on either side; an edge has as much on one.
-    alone = (off > CAP * ROBUST * np.median(off, axis=0)) & (off > 1.5 * beside)
-    out[1:-1][alone] = mean[alone]
+    usual = ROBUST * np.median(off, axis=0)
+    alone = (off > CAP * usual) & (off > 1.5 * beside)
+    return off / np.where(usual > 0, usual, np.inf), alone
+
+
+def _without_spikes(values: FloatArray, alone: BoolArray) -> FloatArray:
+    """Return (n, 6) values, single ones that are off course replaced by their neighbours' mean."""
+    out = values.copy()
+    out[1:-1][alone] = (0.5 * (values[:-2] + values[2:]))[alone]
     return out
 
 
@@ -168,18 +181,59 @@ def _pulses(looks: list[_Look], recording: Recording) -> list[Unexplained]:
     return out
 
 
+def _spikes(
+    recording: Recording, poses: Poses, off: FloatArray, alone: BoolArray
+) -> list[Unexplained]:
+    """Return channels of which single samples are off course in some part of the recording.
+
+    Those that are so anywhere are mishaps of the readout, which the audit reports.
+    """
+    still = np.zeros(len(recording) + 1)
+    np.add.at(still, poses.start, 1.0)
+    np.add.at(still, poses.stop, -1.0)
+    at_rest = np.cumsum(still[:-1]) > 0
+    # Turns are left out of time: a hand makes edges of its own.
+    passed = np.cumsum(at_rest) * recording.interval
+    out = []
+    for c, channel in enumerate(CHANNELS):
+        others = np.delete(off, c, axis=1).max(axis=1) < OTHERS
+        moments = passed[1:-1][alone[:, c] & others & at_rest[1:-1]]
+        moments = moments[:: len(moments) // MOST_SPIKES + 1]
+        n = len(moments)
+        if n < SEVERAL:
+            continue
+        first, last, begin, end = _runs(moments, (0.0, float(passed[-1])))
+        number, share = last - first + 1, (end - begin) / passed[-1]
+        # How rarely so many of the others, which may be anywhere, are between some two of them.
+        p = bdtrc(number - 3, n - 2, np.minimum(share, 1.0)) * len(first) * len(CHANNELS)
+        best = np.flatnonzero(p <= p.min())[-1]
+        if p[best] < CLAIM:
+            k = np.searchsorted(passed, [begin[best], end[best]])
+            where = float(recording.time[k[0]]), float(recording.time[min(k[1], len(off))])
+            follows = "the time: single samples are off course there"
+            out.append(Unexplained((channel,), (where,), follows, float(p[best])))
+    return out
+
+
+def _runs(
+    moments: FloatArray, whole: Interval
+) -> tuple[IntArray, IntArray, FloatArray, FloatArray]:
+    """Return the first and last of each run of several moments, and where it begins and ends."""
+    first, last = np.triu_indices(len(moments), SEVERAL - 1)
+    # Of n moments anywhere in an interval the extremes are an (n + 1)-th of it from its ends.
+    beyond = (moments[last] - moments[first]) / (last - first)
+    begin = np.maximum(moments[first] - beyond, whole[0])
+    return first, last, begin, np.minimum(moments[last] + beyond, whole[1])
+
+
 def _densest(moments: FloatArray, whole: Interval) -> Interval:
     """Return where pulses at (k,) moments most likely begin and end, in order of time.
 
     Poisson processes: inside with the rate that is seen, outside with that of noise.
     """
     start, stop = whole
-    first, last = np.triu_indices(len(moments), SEVERAL - 1)
+    first, last, begin, end = _runs(moments, whole)
     number = last - first + 1
-    # Of n moments anywhere in an interval the extremes are an (n + 1)-th of it from its ends.
-    beyond = (moments[last] - moments[first]) / (number - 1)
-    begin = np.maximum(moments[first] - beyond, start)
-    end = np.minimum(moments[last] + beyond, stop)
     value = number * np.log(number / (end - begin)) - number
     value += (len(moments) - number) * np.log(CHANCE / (stop - start))
     best = int(np.argmax(value))

@@ -164,6 +164,22 @@ def test_neither_coarse_counts_nor_single_samples_off_course_are_disturbances() 
         assert not look_within(spiky, find_poses(real))
 
 
+@pytest.mark.parametrize("elsewhere", [0, 6])
+def test_single_samples_off_course_in_one_part_are_a_disturbance_there(elsewhere: int) -> None:
+    real = simulated(seed=64)
+    rng = np.random.default_rng(elsewhere)
+    begin, end = 0.3 * real.time[-1], 0.55 * real.time[-1]
+    inside = np.flatnonzero((real.time > begin) & (real.time < end))
+    at = np.append(rng.choice(inside, 30, replace=False), rng.choice(len(real), elsewhere))
+    gyro = real.gyro.copy()
+    gyro[at, 2] += rng.choice([-1.0, 1.0], len(at)) * rng.uniform(15, 30, len(at)) * SIGMA[1]
+    spiky = replace(real, gyro=gyro)
+    (found,) = look_within(spiky, find_poses(real))
+    assert found.channels == ("gyro.z",)
+    assert found.follows == "the time: single samples are off course there"
+    assert overlap(found.intervals[0], (begin, end)) > 0.7
+
+
 def test_a_rest_of_which_parts_were_left_out_has_no_jumps_there() -> None:
     real = simulated(seed=66)
     poses = find_poses(real)
