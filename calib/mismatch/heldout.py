@@ -21,6 +21,9 @@ from calib.types import BoolArray, FloatArray, IntArray
 
 FOLDS = 5
 
+UNTOLD = 1e-4
+"""Share of a direction of rows that others must tell, or nothing of it can be foretold."""
+
 _UNITS = {Kind.ATTITUDE: "rad", Kind.VELOCITY: "m/s"}
 
 
@@ -145,17 +148,27 @@ def _leave_out(
         own = np.flatnonzero(fold == k)
         if not len(own):
             continue
+        # With B the basis in this fold, errors are those of ``inv(I - B B')``: of the directions
+        # ``B v`` of eigenvectors v of B'B, whose values s are shares that the others do not tell.
+        shares, vectors = np.linalg.eigh(basis[own].T @ basis[own])
+        along = basis[own] @ vectors
+        told = shares < 1.0 - UNTOLD
+        more = np.where(told, 1.0, -1.0) / np.where(told, 1.0 - shares, shares)
+        error = left[own] + along @ (more * (along.T @ left[own]))
         # Without walks the covariance does not couple segments, so neither does its factor.
-        values, vectors = np.linalg.eigh(np.eye(len(own)) - basis[own] @ basis[own].T)
-        good = values > 1e-4
-        inverse = (vectors[:, good] / values[good]) @ vectors[:, good].T
-        error = _colour(rows, factor, whitener.scale, own, inverse @ left[own][:, None])
-        spread = _colour(
-            rows, factor, whitener.scale, own, vectors[:, good] / np.sqrt(values[good])
-        )
-        square[own] = np.square(error).sum(axis=1)
-        floor[own] = np.square(spread).sum(axis=1)
+        square[own] = np.square(_colour(rows, factor, whitener.scale, own, error[:, None])[:, 0])
+        spread = np.square(_colour(rows, factor, whitener.scale, own, along)) @ more
+        floor[own] = spread + _variance(rows, factor, whitener.scale, own)
     return square, floor
+
+
+def _variance(rows: Rows, factor: FloatArray, scale: FloatArray, own: IntArray) -> FloatArray:
+    """Return the variance of rows `own`, which must be closed under the covariance."""
+    dense = own < rows.n_dense
+    out = np.empty(len(own))
+    out[dense] = np.square(factor[np.ix_(own[dense], own[dense])]).sum(axis=1)
+    out[~dense] = np.square(scale[own[~dense] - rows.n_dense])
+    return out
 
 
 def _colour(
@@ -182,23 +195,27 @@ def _gain(
     Beside it the RMS of the normalised prediction errors before and after.
     """
     fold = fold_of(rows)
+    factor, dense = rows.arrow.factorise(levels), rows.n_dense
+    half = factor.solve_transposed(np.eye(dense))
+    precision = half @ half.T
+    each = np.append(precision.diagonal(), 1.0 / contrast)
     value, size = [], []
     for mean in (before, after):
-        whitener = make_whitener(rows, levels, contrast, mean)
-        left = whitener.project(residual)
-        half = whitener.unwhiten_transposed(np.eye(len(left)))
-        hidden = half @ whitener.basis
-        own_scale = 1.0 / np.linalg.norm(half, axis=1)
-        pull = whitener.unwhiten_transposed(left[:, None])[:, 0]
+        whitener = make_whitener(rows, levels, contrast, mean, factor=factor)
+        hidden = whitener.unwhiten_transposed(whitener.basis)
+        pull = whitener.unwhiten_transposed(whitener.project(residual)[:, None])[:, 0]
         total, square, number = 0.0, 0.0, 0
         for k in range(FOLDS):
             own = np.flatnonzero(fold == k)
             if not len(own):
                 continue
             # P_BB^-1 (P y)_B is the prediction error of block B, P_BB^-1 its covariance.
-            block = half[own] @ half[own].T - hidden[own] @ hidden[own].T
+            block = np.diag(each[own])
+            first = own[own < dense]
+            block[: len(first), : len(first)] = precision[np.ix_(first, first)]
+            block -= hidden[own] @ hidden[own].T
             # Rows that only this block determines have no power left; rounding may go below zero.
-            scale = np.sqrt(np.maximum(np.diag(block), 1e-9 / np.square(own_scale[own])))
+            scale = np.sqrt(np.maximum(np.diag(block), 1e-9 * each[own]))
             values, vectors = np.linalg.eigh(block / np.outer(scale, scale))
             good = values > 1e-6
             along = vectors.T @ (pull[own] / scale)
