@@ -7,13 +7,14 @@ from dataclasses import dataclass, field
 from typing import TypeVar
 
 import numpy as np
+from scipy import sparse
 
 from calib.types import BoolArray, FloatArray, IntArray
 
 T = TypeVar("T", bound=Hashable)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, slots=True)
 class Candidate:
     """One hypothesis, as columns of a `Stack`, and its prior weight.
 
@@ -101,18 +102,19 @@ class Alike:
 
 @dataclass(frozen=True, eq=False)
 class Sums:
-    """Candidates ``which`` of one column: the sum of those that ``pick`` (u, n) marks."""
+    """Candidates ``which`` of one column: the sum of those that ``pick``, sparse (n, u), marks."""
 
     which: IntArray
     columns: IntArray
-    pick: FloatArray
+    pick: sparse.csr_matrix
 
     def chosen(self, own: BoolArray) -> Sums:
         """Return those that are marked in `own`, (n,) bool."""
         if own.all():
             return self
-        used = self.pick[:, own].any(axis=1)
-        return Sums(self.which[own], self.columns[used], self.pick[np.ix_(used, own)])
+        pick = self.pick[own]
+        used = pick.getnnz(axis=0) > 0
+        return Sums(self.which[own], self.columns[used], pick[:, used])
 
 
 class Bank:
@@ -161,10 +163,12 @@ def _makes(
         else:
             alike.setdefault((len(c.index),), []).append(i)
     for which in sums.values():
-        columns = np.unique(np.concatenate([candidates[i].index for i in which]))
-        pick = np.zeros((len(columns), len(which)))
-        for k, i in enumerate(which):
-            pick[np.searchsorted(columns, candidates[i].index), k] = 1.0
+        marked = [candidates[i].index for i in which]
+        columns, place = np.unique(np.concatenate(marked), return_inverse=True)
+        begins = np.append(0, np.cumsum([len(index) for index in marked]))
+        pick = sparse.csr_matrix(
+            (np.ones(len(place)), place, begins), shape=(len(which), len(columns))
+        )
         yield Sums(np.array(which), columns, pick)
     for which in alike.values():
         own = [candidates[i] for i in which]

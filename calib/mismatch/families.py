@@ -72,9 +72,7 @@ def _add(
             found = {n: v for n, v in found.items() if LARGE * np.linalg.norm(v / noise) > UNSEEN}
         if not found:
             continue
-        index = dict(
-            zip(found, stack.columns.add(np.stack(list(found.values()), axis=1)), strict=True)
-        )
+        index = _added(stack, rows, found)
         for names, share in _subsets(tuple(found), refining):
             touched: tuple[str, ...] = tuple(dict.fromkeys(c for n in names for c in channels[n]))
             stack.candidates.append(
@@ -89,6 +87,14 @@ def _add(
                     present=all(units[n] == PRESENCE for n in names),
                 )
             )
+
+
+def _added(stack: Stack, rows: Rows, found: Mapping[str, FloatArray]) -> dict[str, int]:
+    """Add the columns of parameters; return the number of each."""
+    columns = np.stack(list(found.values()), axis=1)
+    felt = np.append(rows.channel[columns.any(axis=1)], -1)
+    index = stack.columns.add(columns, np.flatnonzero(np.isin(rows.channel, felt)))
+    return dict(zip(found, index.tolist(), strict=True))
 
 
 def effect_columns(

@@ -154,9 +154,10 @@ def _several(make: Alike, seen: Seen, columns: IntArray) -> FloatArray:
 
 def _sums(make: Sums, seen: Seen, columns: IntArray) -> FloatArray:
     """Return log B of candidates that are sums of columns."""
-    power = np.einsum("un,un->n", make.pick, seen.gram(columns) @ make.pick)
-    lost = power < LOST * (make.pick.T @ seen.total[columns])
-    along = make.pick.T @ seen.match[columns]
+    inner = make.pick @ seen.gram(columns)
+    power = np.asarray(make.pick.multiply(inner).sum(axis=1)).ravel()
+    lost = power < LOST * (make.pick @ seen.total[columns])
+    along = make.pick @ seen.match[columns]
     return _single(np.where(lost, 0.0, power), np.where(lost, 0.0, along))
 
 
