@@ -18,7 +18,6 @@ from functools import partial
 from itertools import pairwise
 
 import numpy as np
-from scipy.ndimage import median_filter
 
 from calib.poses import Poses, average_poses, resolution
 from calib.recording import Recording, join
@@ -39,6 +38,7 @@ from calib.stillness import (
     find_units,
     join_blocks,
     moving_mean,
+    moving_median,
     runs,
     slide,
     spill,
@@ -328,7 +328,7 @@ def _force_moved(
     moved = np.zeros(n, bool)
     accel = blocks.accel[a:b]
     if scale == 1:
-        local = median_filter(accel, size=(min(11, n), 1), mode="nearest")
+        local = moving_median(accel, min(11, n))
         moved |= np.linalg.norm(accel - local, axis=1) > (NORM + 1) * noise
         if blocks.size > 1:
             freedom = 3 * (blocks.size - 1)

@@ -28,6 +28,8 @@ by far more."""
 MOST_SHAKEN = 0.6
 """What those changes are at most, in g: 1 g of shaking on every axis, blocks having ten samples."""
 CHUNK = 1 << 20
+PART = 1 << 13
+"""Medians that are found at a time: each has a window of its own."""
 
 # Physical sizes, for what is not a matter of noise.
 TREMOR_RATE, MOST_RATE = 0.12, 0.5
@@ -197,3 +199,19 @@ def spill(mask: BoolArray, windows: BoolArray, width: int) -> None:
     """Set in `mask`, in place, every block that lies in one of the windows."""
     for k in range(width):
         mask[k : k + len(windows)] |= windows
+
+
+def moving_median(values: FloatArray, width: int) -> FloatArray:
+    """Return the medians (n, k) of (n, k) values and those beside them, `width` in all.
+
+    Beyond the ends the values there go on. Of an even number it is the upper of the middle two.
+    """
+    before = width // 2
+    ends = ((before, width - 1 - before), *((0, 0),) * (values.ndim - 1))
+    held = np.pad(values, ends, mode="edge")
+    windows = np.lib.stride_tricks.sliding_window_view(held, width, axis=0)
+    out = np.empty(values.shape)
+    for first in range(0, len(values), PART):
+        part = slice(first, first + PART)
+        out[part] = np.partition(windows[part], before, axis=-1)[..., before]
+    return out

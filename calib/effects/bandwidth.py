@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterable, Mapping
 
 import numpy as np
 from scipy import linalg
-from scipy.fft import next_fast_len
 
 from calib.effects.base import (
     PRESENCE,
@@ -214,7 +213,7 @@ class _Spectrum:
 
     def __init__(self, values: FloatArray, interval: float) -> None:
         # On as it ends, to a length of small factors, and then backwards, so that it comes round.
-        n = next_fast_len(len(values), real=True)
+        n = _smooth_number(len(values))
         held = np.repeat(values[-1:], n - len(values), axis=0)
         whole = np.concatenate((values.T, held.T), axis=1)
         there_and_back = np.concatenate((whole, whole[:, ::-1]), axis=1)
@@ -237,6 +236,16 @@ class _Spectrum:
             power = np.square(passed.real) + np.square(passed.imag)
             spectrum = (1 + GONE**2) * passed.conj() / (power + GONE**2) * spectrum
         return np.fft.irfft(spectrum, self._length)[:, : self._number].T
+
+
+def _smooth_number(least: int) -> int:
+    """Return the least product of twos, threes and fives that is no less."""
+    sizes = np.ones(1, np.int64)
+    for p in (2, 3, 5):
+        powers = p ** np.arange(np.ceil(np.log(least) / np.log(p)) + 1, dtype=np.int64)
+        sizes = np.outer(sizes, powers).ravel()
+        sizes = sizes[sizes < 2 * least]
+    return int(sizes[sizes >= least].min())
 
 
 EFFECT = Bandwidth()

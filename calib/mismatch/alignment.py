@@ -15,7 +15,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import fft
 
 from calib.errors import NoCommonMotionError
 from calib.types import FloatArray, IntArray
@@ -132,6 +131,8 @@ def _even(time: FloatArray, rate: FloatArray, step: float) -> FloatArray:
 
 def _best_lag(a: FloatArray, b: FloatArray, least: int) -> tuple[float, int]:
     """Return the correlation of ``a[k]`` with ``b[k + lag]`` at the likeliest lag, and that lag."""
+    from scipy import fft  # only comparisons need it
+
     a, b = a - a.mean(), b - b.mean()
     size = fft.next_fast_len(len(a) + len(b))
     product = fft.irfft(np.conj(fft.rfft(a, size)) * fft.rfft(b, size), size)

@@ -13,7 +13,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy import fft
+from numpy import fft
 
 from calib.mismatch.alignment import Alignment
 from calib.mismatch.truths import DEGREE, RecordingTruth
@@ -257,10 +257,12 @@ def zero_phase(values: FloatArray, cutoff: float) -> FloatArray:
     That is a Butterworth low-pass of fourth order there and back, of the same response at any rate:
     a digital one is warped, and two sampled at unlike rates would differ by their filters.
     """
+    from scipy.fft import dct, idct  # only comparisons need them
+
     # Mirrored at both ends: there noise makes no step, and what moves does not jump.
-    spectrum = fft.dct(values, axis=0)
+    spectrum = dct(values, axis=0)
     frequency = np.arange(len(values)) / (2 * len(values))
-    out: FloatArray = fft.idct(spectrum / (1.0 + (frequency[:, None] / cutoff) ** 8), axis=0)
+    out: FloatArray = idct(spectrum / (1.0 + (frequency[:, None] / cutoff) ** 8), axis=0)
     return out
 
 

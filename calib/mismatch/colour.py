@@ -10,7 +10,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy import fft, sparse
+from numpy import fft
+from scipy import sparse
 
 from calib.types import BoolArray, FloatArray, IntArray
 
@@ -94,7 +95,7 @@ def whitening(time: FloatArray, colours: list[Colour], interval: float, band: fl
     """
     size = 2 * int(np.ceil(PART / interval))
     taps, heard = [], []
-    frequency = fft.rfftfreq(size, interval)
+    frequency = np.asarray(fft.rfftfreq(size, interval), np.float64)
     for colour in colours:
         response = 1.0 / np.sqrt(colour.at(frequency))
         taps.append(fft.irfft(response, size)[: size // 2])

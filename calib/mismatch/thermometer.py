@@ -22,11 +22,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 from scipy.linalg import cho_solve_banded, cholesky_banded
-from scipy.optimize import minimize_scalar
 from scipy.special import log_ndtr
 
+from calib.spline import spline_at
 from calib.types import BoolArray, FloatArray, IntArray
 
 CELLS, LEAST = 400, 100
@@ -59,6 +58,9 @@ FAR = 30.0
 
 WINDOW = 10
 """Cells through which readings are looked at for how independent they are."""
+
+GOLDEN, CLOSE = 0.5 * (np.sqrt(5.0) - 1.0), 0.1
+"""The golden section, and the share of an interval of noises within which the best is found."""
 
 STEPS, PAST = 30, 10.0
 """Newton's steps at most, and how far below its maximum the evidence is followed."""
@@ -99,7 +101,7 @@ def smooth_temperature(time: FloatArray, reading: FloatArray) -> FloatArray:
     if len(np.unique(readings.cell)) <= len(DIFFERENCES):
         line = np.polynomial.Polynomial.fit(time, reading, 1)
         return np.asarray(line(time))
-    return np.asarray(CubicSpline(readings.time, _smoothest(readings))(time))
+    return spline_at(readings.time, _smoothest(readings)[:, None], time)[:, 0]
 
 
 def _in_cells(time: FloatArray, reading: FloatArray) -> _Readings:
@@ -164,20 +166,37 @@ def _smoothest(readings: _Readings) -> FloatArray:
     for length in LENGTHS:
         near = np.log(noise) + np.array([-0.5, 0.5])
         near = np.clip(near, *np.log(readings.noises[[0, -1]]))
-        result = minimize_scalar(
-            lambda log_noise, path, length: -_path(readings, path, np.exp(log_noise), length)[1],
-            args=(path, length),
-            bounds=near,
-            method="bounded",
-            options={"xatol": 0.05},
-        )
-        noise = float(np.exp(result.x))
-        path, evidence = _path(readings, path, noise, length)
+        low, high = np.exp(near)
+        path, evidence, noise = _likeliest(readings, path, low, high, length)
         if evidence > top:
             best, top = path, evidence
         if evidence < top - PAST:
             break
     return best
+
+
+def _likeliest(
+    readings: _Readings, path: FloatArray, low: float, high: float, length: float
+) -> tuple[FloatArray, float, float]:
+    """Return the path with the noise between two that has the highest evidence, that, and it.
+
+    By golden sections: each leaves the part of an interval in which the higher of two lies.
+    """
+
+    def at(share: float) -> tuple[FloatArray, float, float]:
+        noise = low ** (1.0 - share) * high**share
+        return (*_path(readings, path, noise, length), noise)
+
+    a, b = 0.0, 1.0
+    left, right = at(1.0 - GOLDEN), at(GOLDEN)
+    while b - a > CLOSE:
+        if left[1] > right[1]:
+            b = a + GOLDEN * (b - a)
+            right, left = left, at(b - GOLDEN * (b - a))
+        else:
+            a = b - GOLDEN * (b - a)
+            left, right = right, at(a + GOLDEN * (b - a))
+    return max(left, right, key=lambda found: found[1])
 
 
 def _path(
