@@ -77,7 +77,8 @@ class Loss(NamedTuple):
     ``before`` and ``after`` are the size of its closure in scatters, with and without the loss;
     ``looks`` is at how many places, and for how many samples, a loss was as likely beforehand.
     ``spread`` is how uncertain moment (s) and number are: two samples lost in a fast moment turn
-    the frame as much as four in a slow one.
+    the frame as much as four in a slow one. ``wrong`` is the size of the closure where one sample
+    there is what its neighbours foretell instead.
     """
 
     segment: int
@@ -87,13 +88,18 @@ class Loss(NamedTuple):
     after: float
     looks: int
     spread: tuple[float, float] = (0.0, 0.0)
+    wrong: float = np.inf
 
     @property
     def stands(self) -> bool:
-        """Whether the loss mends the turn, and no other error would be mended so by chance."""
+        """Whether the loss mends the turn, and no other error would be mended so by chance.
+
+        Nor by one sample that is wrong: beside it, samples put back undo what it does.
+        """
         mended = self.after < max(NEAR, SHARE * self.before)
         odds = (self.before / max(self.after, 1.0)) ** 5 / self.looks
-        return mended and self.before > SUSPECT and odds > SURE
+        alone = self.wrong > max(NEAR, 2.0 * self.after)
+        return mended and alone and self.before > SUSPECT and odds > SURE
 
 
 def find_losses(problem: SelfProblem) -> list[Loss]:
@@ -178,8 +184,31 @@ class _Closures:
         spread = np.sqrt(np.square(np.stack((moment, found[1])) - here[:, None]) @ weight)
         spread /= np.sqrt(weight.sum())
         return Loss(
-            int(s), float(here[0]), int(number), before, float(after), looks, tuple(spread.tolist())
+            int(s),
+            float(here[0]),
+            int(number),
+            before,
+            float(after),
+            looks,
+            tuple(spread.tolist()),
+            self._foretold(s, signals, int(at)),
         )
+
+    def _foretold(self, s: int, signals: Signals, at: int) -> float:
+        """Return the least of the sizes with one sample of those near `at` as foretold."""
+        time, both = signals[0], np.hstack(signals[1:])
+        n = len(time)
+        near = np.unique(np.clip(at + np.arange(-3, 3), 2, n - 3))
+        case = np.arange(len(near))
+        values = np.repeat(both[None], len(near), axis=0)
+        beside, far = both[near - 1] + both[near + 1], both[near - 2] + both[near + 2]
+        values[case, near] = (4 * beside - far) / 6
+        clock = time + case[:, None] * (time[-1] - time[0] + 1.0)
+        spans = Spans(clock.ravel(), n * np.arange(len(near) + 1))
+        flat = values.reshape(-1, 6)
+        ended = integrate_turns(spans, flat[:, :3], flat[:, 3:])
+        turns = np.full(len(near), s)
+        return float(self._sizes(self._residuals(turns, ended, spans.duration)).min())
 
     def _residuals(self, turns: IntArray, ended: Ended, duration: FloatArray) -> FloatArray:
         """Return the five residuals of each, (k, 5)."""

@@ -46,6 +46,14 @@ def test_where_and_how_many_are_found_to_the_sample() -> None:
         assert loss.after < 0.05 * loss.before
 
 
+@pytest.mark.parametrize(("seed", "pose"), [(5, 3), (6, 5), (7, 3)])
+def test_one_sample_that_is_wrong_is_no_loss(seed: int, pose: int) -> None:
+    whole = recording(rate=100.0, seed=seed)
+    gyro = whole.gyro.copy()
+    gyro[find_poses(whole).start[pose] - 8] += [1.2, -1.4, 0.8]
+    assert not find_losses(problem_of(replace(whole, gyro=gyro)))
+
+
 def test_where_and_how_many_are_found_among_the_jolts_of_a_hand() -> None:
     found = 0
     for seed in range(2, 8):
