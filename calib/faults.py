@@ -26,6 +26,8 @@ SHARED = 0.15
 """Of a spike's size over the noise: a knock shows on other channels by more than this."""
 SHAKEN = 50.0
 """Local scatter over that at rest, above which a spike and a knock cannot be told apart."""
+OFTEN = 0.05
+"""Share of turns in which a coarse channel stands still by itself."""
 ROBUST = 1.4826
 """Standard deviation of a Gaussian over its median absolute deviation."""
 
@@ -74,9 +76,17 @@ def find_repeats(values: FloatArray) -> IntArray:
 
     Rounding makes neighbours equal by chance. Channels are independent of each other, so that the
     chance of channel c is seen where *another* channel changes, and that of all is the product.
+    Where nothing changes for longer than a block there is no noise to tell a repeat by; and if that
+    is a fifth of the recording, as without noise rests are, pauses of any length are no repeats.
     """
     equal = values[1:] == values[:-1]
     whole = equal.all(axis=1)
+    start, stop = runs(whole)
+    long = stop - start >= BLOCK
+    if (stop - start)[long].sum() > 0.2 * len(whole):
+        long = stop - start >= 8
+    for begin, end in zip(start[long].tolist(), stop[long].tolist(), strict=True):
+        whole[begin:end] = False
     if not whole.any():
         return np.zeros(0, np.int64)
     others = equal.sum(axis=1)[:, None] - equal < values.shape[1] - 1
@@ -136,10 +146,13 @@ def find_stuck(
     """Return stretches ``(channel, start, stop)`` in which a channel must change and does not.
 
     A stretch counts if chance does not make it that long, and the sensor moves in it for 0.2 s; or
-    if the channel is noisy at every other time.
+    if the channel is noisy at every other time. A coarse channel, or one without noise, is constant
+    at rest and in turns about other axes too: of that, only standing still through turns counts in
+    which it does not do so otherwise.
     """
     n = len(values)
     out = []
+    turns = np.stack(runs(moving), axis=1)
     for c in range(values.shape[1]):
         equal = values[1:, c] == values[:-1, c]
         share = _equal_share(values[:, c])
@@ -148,17 +161,38 @@ def find_stuck(
             if n >= BLOCK:
                 out.append((c, 0, n))
             continue
-        longest = _longest(share[~constant], n)
+        longest = max(_longest(share[~constant], n), 8)
         start, stop = runs(equal)
-        for begin, end in zip(start, stop + 1, strict=True):
-            if end - begin < max(longest, 8) or clipped[begin:end, c].all():
+        long = stop + 1 - start >= longest
+        start, stop = start[long], stop[long] + 1
+        coarse = _mostly_constant(constant, moving)
+        still = _inside(turns, start, stop)
+        for k, (begin, end) in enumerate(zip(start.tolist(), stop.tolist(), strict=True)):
+            if clipped[begin:end, c].all():
                 continue
             inside = slice(begin // BLOCK, -(-end // BLOCK))
             elsewhere = np.delete(constant, np.r_[inside])
             moved = moving[begin:end].sum() * interval >= 0.2
+            if coarse:
+                mine = _inside(turns, start[[k]], stop[[k]])
+                moved = mine.any() and (still & ~mine).sum() < OFTEN * len(turns)
             if moved or (elsewhere.size > 4 and elsewhere.mean() < 0.02):
-                out.append((c, int(begin), int(end)))
+                out.append((c, begin, end))
     return out
+
+
+def _mostly_constant(constant: BoolArray, moving: BoolArray) -> bool:
+    """Return whether a channel is constant in most blocks at rest, of which `constant` says so."""
+    at_rest = _block_sums(moving[1:, None])[: len(constant), 0] == 0
+    return bool(at_rest.sum() > 4 and constant[at_rest].mean() > 0.5)
+
+
+def _inside(turns: IntArray, start: IntArray, stop: IntArray) -> BoolArray:
+    """Return which of the (k, 2) turns lie within one of the stretches, from rest to rest."""
+    if not len(start):
+        return np.zeros(len(turns), bool)
+    which = np.maximum(np.searchsorted(start, turns[:, 0], side="left") - 1, 0)
+    return np.asarray((start[which] < turns[:, 0]) & (turns[:, 1] < stop[which]))
 
 
 def find_spikes(values: FloatArray, *, lsb: FloatArray) -> list[tuple[int, int]]:

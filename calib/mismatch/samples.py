@@ -36,6 +36,9 @@ GAP = 2.5
 CERTAIN = 0.1
 """Standard error of a number of samples below which it is no other: one in a hundred is off."""
 
+MANY = 100_000
+"""Samples that are looked at for whether they step in counts."""
+
 STUCK = 0.2
 """Share of the recording for which a channel that is stuck leaves nothing to compare with."""
 
@@ -259,16 +262,21 @@ def _coarse(
     if not inside.any():
         return []
     change = np.abs(np.diff(values[rest], axis=0))[inside]
+    # Without noise nothing changes at rest: there the counts show in motion alone.
+    moved = np.abs(np.diff(values[:MANY], axis=0))
+    # Finer than any part rounds are the decimals of a file without noise.
+    finest = {s.name.split("_")[0]: s.low or 0.0 for s in get_effect("quantization").shape}
     out = []
     for first, triad, unit in ((0, "accel", "m/s²"), (3, "gyro", "rad/s")):
         part, lsb = change[:, first : first + 3], step[first : first + 3]
-        count = np.rint(part / np.where(lsb > 0, lsb, 1.0))
-        grid = np.abs(part - count * lsb) < 0.01 * lsb
+        count, grid = _counts(part, lsb)
+        every = _counts(moved[:, first : first + 3], lsb)[1]
         # Differences of white noise have twice its variance; rounding adds a twelfth of a count².
         # Coarse ones are no more than two counts apart: what is, is where rests begin and end.
         few = np.minimum(count, 2.0)
         noise = np.sqrt(np.maximum(np.mean(few**2, axis=0) / 2 - 1 / 12, 0.0))
-        coarse = (lsb > 0) & (noise < _COARSE) & (grid.mean(axis=0) > 0.99)
+        coarse = (lsb > finest[triad]) & (noise < _COARSE) & (grid.mean(axis=0) > 0.99)
+        coarse &= every.mean(axis=0) > 0.99
         if coarse.any():
             names = tuple(CHANNELS[first + i] for i in np.flatnonzero(coarse))
             size = float(np.median(lsb[coarse]))
@@ -278,6 +286,12 @@ def _coarse(
             }
             out.append(_finding("quantization", recording, names, found))
     return out
+
+
+def _counts(change: FloatArray, lsb: FloatArray) -> tuple[FloatArray, BoolArray]:
+    """Return changes (n, 3) in counts of `lsb`, and which are whole ones."""
+    count = np.rint(change / np.where(lsb > 0, lsb, 1.0))
+    return count, np.asarray(np.abs(change - count * lsb) < 0.01 * lsb)
 
 
 def _finding(

@@ -9,7 +9,11 @@ from scipy.stats import norm
 from calib.mismatch import diagnose_recording
 from calib.mismatch.samples import look_at_samples
 from calib.mismatch.selfmode import rounded_mean_variance
+from calib.model import SensorModel
 from calib.recording import Recording
+from calib.simulate import simulate
+from calib.simulation.bench import bench_protocol
+from calib.simulation.noise import NoiseModel
 from calib.statics import find_poses
 
 from .bench import GRAVITY
@@ -26,6 +30,42 @@ def test_a_channel_that_is_stuck_is_said_and_nothing_else() -> None:
         assert found.verdict == "unexplained"
         assert not [f for f in found.findings if f.effect != "quantization"]
         assert [u.channels for u in found.unexplained] == [("accel.z",)]
+
+
+COUNT = np.radians(1.0)
+"""A count of a 12-bit gyroscope with a range of 2000 dps, 20 times its noise."""
+
+
+def test_a_coarse_channel_that_is_constant_at_rest_is_not_stuck() -> None:
+    recording = simulated()
+    coarse = replace(recording, gyro=COUNT * np.round(recording.gyro / COUNT))
+    seen = look_at_samples(coarse, find_poses(recording))
+    assert not seen.unexplained
+    assert [f.effect for f in seen.findings] == ["quantization"]
+    assert seen.findings[0].parameters["gyro_lsb"].value == pytest.approx(COUNT, rel=1e-6)
+
+
+def test_a_coarse_channel_that_stands_still_through_turns_is_stuck() -> None:
+    recording = simulated()
+    poses = find_poses(recording)
+    gyro = COUNT * np.round(recording.gyro / COUNT)
+    first, last = int(poses.start[5]) + 10, int(poses.stop[12]) - 10
+    gyro[first:last, 1] = gyro[first, 1]
+    (found,) = look_at_samples(replace(recording, gyro=gyro), poses).unexplained
+    assert found.channels == ("gyro.y",)
+    (start, stop) = found.intervals[0]
+    assert start <= recording.time[first]
+    assert stop >= recording.time[last - 1]
+
+
+@pytest.mark.parametrize("seed", [3, 5])
+def test_a_recording_without_noise_has_no_faults(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    motion = bench_protocol(rng, poses=16)
+    made = simulate(motion, SensorModel(), NoiseModel(), rng=rng, rate=100.0)
+    seen = look_at_samples(made, find_poses(made))
+    assert not seen.findings
+    assert not seen.unexplained
 
 
 def test_a_hole_in_the_time_stamps_is_not_integrated_across() -> None:
