@@ -17,6 +17,7 @@ class AccelBiasStep(Effect):
     kind = "event"
     parameters = per_axis("accel", "b", "m/s²", 2e-3 * G)
     shape = (ShapeParameter("moment", "s", None, None, "linear"),)
+    from_moment = True
     follows = "time: before and after one moment"
     needs = "poses before and after the moment"
     sentence = "The accelerometer reads off by a constant from one moment on."

@@ -231,6 +231,8 @@ class Effect(ABC):
     """Groups of baseline parameters that take up part of it when it is left out."""
     rivals: tuple[str, ...] = ()
     """Effects whose columns overlap with its own on common recordings."""
+    from_moment: bool = False
+    """Whether its one shape is a moment, from which on it acts as it would from the start."""
     reads: tuple[str, ...] = ()
     """Fields of `State` beyond the signals without which it has no columns."""
 

@@ -19,6 +19,7 @@ class GyroBiasStep(Effect):
     kind = "event"
     parameters = per_axis("gyro", "b", "rad/s", np.radians(0.05))
     shape = (ShapeParameter("moment", "s", None, None, "linear"),)
+    from_moment = True
     follows = "time: before and after one moment"
     needs = "poses before and after the moment"
     sentence = "The gyroscope reads off by a constant from one moment on."

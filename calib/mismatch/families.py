@@ -11,6 +11,7 @@ import numpy as np
 from calib.effects import effects, get_effect
 from calib.effects.base import PRESENCE, Effect, ShapeParameter, TransformEffect
 from calib.mismatch.candidates import Candidate
+from calib.mismatch.onset import Onset
 from calib.mismatch.restored import whole_changes
 from calib.mismatch.rows import Kind, Rows
 from calib.mismatch.score import LARGE, Stack
@@ -106,9 +107,9 @@ def effect_columns(
         return whole_changes(effect, rows, shape)
     sizes = {p.name: p.typical for p in effect.parameters if reference or not p.reference_only}
     out = {}
-    for name, signals in effect.columns(rows.state, shape).items():
+    for name, plain in _plain_columns(effect, rows, shape).items():
         if name in sizes and f"{effect.slug}.{name}" not in rows.aligned:
-            values = rows.column(signals) * sizes[name]
+            values = plain * sizes[name]
             if isinstance(effect, TransformEffect):
                 # A delay or a filter changes nothing at rest; the grid thins rests, so that what
                 # spills into them from a turn is not to scale.
@@ -121,6 +122,16 @@ def effect_columns(
             if np.abs(values).max() > 0:
                 out[name] = values
     return out
+
+
+def _plain_columns(effect: Effect, rows: Rows, shape: Mapping[str, float]) -> dict[str, FloatArray]:
+    """Return what one unit of each of an effect's parameters adds to the rows."""
+    if effect.from_moment and rows.confined:
+        if effect.slug not in rows.kept:
+            rows.kept[effect.slug] = Onset(effect, rows)
+        onset: Onset = rows.kept[effect.slug]
+        return onset.columns(shape["moment"])
+    return {n: rows.column(signals) for n, signals in effect.columns(rows.state, shape).items()}
 
 
 def candidate_columns(

@@ -326,7 +326,8 @@ def _history(rows: Rows) -> Iterator[tuple[str, FloatArray]]:
 def _own_rate(state: State, c: int) -> FloatArray:
     """Return the basis of smooth functions of the rate about a channel's axis, (n, 7)."""
     rate = _scaled_rates(state)[:, c % 3]
-    odd = (rate, np.abs(rate), rate * np.abs(rate), rate**2, rate**3, rate**4, np.tanh(5 * rate))
+    size, square = np.abs(rate), np.square(rate)
+    odd = (rate, size, rate * size, square, square * rate, square**2, np.tanh(5 * rate))
     return np.stack(odd, axis=1)
 
 
@@ -337,7 +338,8 @@ def _scaled_rates(state: State) -> FloatArray:
 
 def _harmonics(direction: FloatArray) -> FloatArray:
     """Return products of a direction's components, degrees 1 to 4, falling with degree."""
-    x, y, z = direction.T
+    power = np.ones((5, *direction.T.shape))
+    power[1:] = np.cumprod(np.broadcast_to(direction.T, power[1:].shape), axis=0)
     powers = [
         (i, j, k)
         for degree in range(1, 5)
@@ -345,4 +347,5 @@ def _harmonics(direction: FloatArray) -> FloatArray:
         for j in range(degree + 1 - i)
         for k in (degree - i - j,)
     ]
-    return np.stack([x**i * y**j * z**k / (i + j + k) for i, j, k in powers], axis=1)
+    each = [power[i, 0] * power[j, 1] * power[k, 2] / (i + j + k) for i, j, k in powers]
+    return np.stack(each, axis=1)

@@ -185,6 +185,21 @@ class Rows:
         return Arrow.of(self.white, self.channel[: self.n_dense], self.components)
 
     @cached_property
+    def confined(self) -> bool:
+        """Whether each row feels points of its own segment alone."""
+        return all(
+            np.array_equal(
+                self.point_segment[f.indices], np.repeat(self.segment, np.diff(f.indptr))
+            )
+            for f in self.functional
+        )
+
+    @cached_property
+    def kept(self) -> dict[str, Any]:
+        """What others have found of these rows, by name, to have it again."""
+        return {}
+
+    @cached_property
     def turns(self) -> ClosedTurns:
         """The turns whose closures are among the rows."""
         index = np.flatnonzero(self.kind >= Kind.ATTITUDE).reshape(-1, 5)

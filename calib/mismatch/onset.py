@@ -1,0 +1,69 @@
+"""The row columns of what begins at a moment, at any moment.
+
+What a step adds does not depend on when it began, but for being nothing before. So rows of later
+segments feel all of it and those of earlier ones nothing; those of its own feel the sum over the
+points from there on, which is the same sum for every moment: it is made once, from the last point
+backwards.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from calib.effects.base import Column, Effect
+from calib.mismatch.rows import Rows
+from calib.recording import CHANNELS
+from calib.types import FloatArray, IntArray
+
+
+class Onset:
+    """An effect that acts from its ``moment`` on, on rows that feel their own segment alone.
+
+    Parameters
+    ----------
+    effect : Effect
+        Its one shape parameter is the moment.
+    rows : Rows
+    """
+
+    def __init__(self, effect: Effect, rows: Rows) -> None:
+        self._rows = rows
+        self._signals = effect.columns(rows.state, {"moment": -np.inf})
+        self._whole = {name: rows.column(signals) for name, signals in self._signals.items()}
+        self._tables: dict[int, tuple[IntArray, int, dict[str, FloatArray]]] = {}
+
+    def columns(self, moment: float) -> dict[str, FloatArray]:
+        """Return what one unit of each parameter adds to the rows, (m,)."""
+        rows = self._rows
+        point = int(np.searchsorted(rows.state.time, moment))
+        if point == len(rows.point_segment):
+            return {name: np.zeros(len(whole)) for name, whole in self._whole.items()}
+        segment = int(rows.point_segment[point])
+        own, first, tables = self._of(segment)
+        out = {}
+        for name, whole in self._whole.items():
+            out[name] = np.where(rows.segment > segment, whole, 0.0)
+            out[name][own] = tables[name][:, point - first]
+        return out
+
+    def _of(self, segment: int) -> tuple[IntArray, int, dict[str, FloatArray]]:
+        """Return a segment's rows, its first point, and the sums from each of its points on."""
+        if segment not in self._tables:
+            rows = self._rows
+            own = np.flatnonzero(rows.segment == segment)
+            first, last = np.searchsorted(rows.point_segment, (segment, segment + 1)).tolist()
+            felt = [f[own][:, first:last].toarray() for f in rows.functional]
+            sums = {
+                name: np.cumsum(_each(felt, signals, first, last)[:, ::-1], axis=1)[:, ::-1]
+                for name, signals in self._signals.items()
+            }
+            self._tables[segment] = own, first, sums
+        return self._tables[segment]
+
+
+def _each(felt: list[FloatArray], signals: Column, first: int, last: int) -> FloatArray:
+    """Return what each point of a segment adds to its rows, (rows, points)."""
+    out = np.zeros_like(felt[0])
+    for name, values in signals.items():
+        out += felt[CHANNELS.index(name)] * values[first:last]
+    return out
