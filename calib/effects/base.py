@@ -255,6 +255,13 @@ class Effect(ABC):
         """Return the sentence that states its form (the values of its integers); empty for none."""
         return ""
 
+    def size_if(self, common: float, *, gravity: float) -> float | None:
+        """Return its size if it were what the scale factors of `absorbed_by` have in common.
+
+        None, as for most, if it would look different.
+        """
+        return None
+
     def contribution(self, state: State, parameters: Mapping[str, float]) -> dict[str, FloatArray]:
         """Return what the effect adds to each channel that it touches, with these parameters."""
         out: dict[str, FloatArray] = {}

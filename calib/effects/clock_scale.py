@@ -50,5 +50,8 @@ class ClockScale(TransformEffect):
         at = time[0] + (time - time[0]) * (1.0 + parameters.get("scale", 0.0))
         return Signals(*(resample(time, values, at) for values in signals))
 
+    def size_if(self, common: float, *, gravity: float) -> float:
+        return common
+
 
 EFFECT = ClockScale()

@@ -39,5 +39,8 @@ class GravityMagnitude(Effect):
         up = state.gravity_direction
         return {"error": {f"accel.{a}": up[:, i] for i, a in enumerate(AXES)}}
 
+    def size_if(self, common: float, *, gravity: float) -> float:
+        return common * gravity
+
 
 EFFECT = GravityMagnitude()

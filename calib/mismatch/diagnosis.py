@@ -18,6 +18,7 @@ from calib.calibration import (
 )
 from calib.effects import get_effect
 from calib.effects.base import Term
+from calib.mismatch.aliases import Alias
 from calib.mismatch.evidence import Evidence
 from calib.mismatch.heldout import HeldOut
 from calib.model import SensorModel
@@ -173,6 +174,8 @@ class Diagnosis:
         Of the model's determined parameters.
     summary : mapping
         Poses, turns, duration and clock of the recording.
+    aliases : tuple of Alias
+        Effects that would look like parameters of the twin.
     """
 
     verdict: Verdict
@@ -186,6 +189,7 @@ class Diagnosis:
     names: tuple[str, ...]
     covariance: FloatArray
     summary: Mapping[str, Any] = field(default_factory=dict)
+    aliases: tuple[Alias, ...] = ()
 
     def calibration(self, recording: Recording, *, gravity: Gravity) -> Calibration:
         """Return the sensor model that was found, as a calibration; events are kept apart."""
@@ -231,6 +235,7 @@ class Diagnosis:
             "unexplained": [u.to_json() for u in self.unexplained],
             "missing": list(self.missing),
             "cannot_show": dict(self.hidden),
+            "aliases": [a.to_json() for a in self.aliases],
             "fit": {
                 "residuals": [vars(c) for c in self.changes],
                 "log_likelihood": None

@@ -10,6 +10,7 @@ from calib.calibration import Quantity
 from calib.effects import effects
 from calib.effects.base import TransformEffect
 from calib.errors import InsufficientMotionError
+from calib.mismatch.aliases import find_aliases
 from calib.mismatch.choice import choose_poses, distinct_directions
 from calib.mismatch.diagnosis import Diagnosis, Finding, summarise
 from calib.mismatch.explain import changes, explain, verdict
@@ -138,6 +139,7 @@ def diagnose_thinned(
         noisy = tuple(item for item in noisy if item.follows != LOUDER_THERE)
     unexplained = [*seen.unexplained, *gathered(joined([*unexplained, *noisy]))]
     change, likelihood = changes(outcome)
+    aliases = find_aliases(final, model or SensorModel(), known, covariance, gravity=gravity)
     return Diagnosis(
         verdict=verdict(
             tuple(findings),
@@ -147,13 +149,14 @@ def diagnose_thinned(
         findings=tuple(findings),
         unexplained=tuple(unexplained),
         missing=missing,
-        hidden=_hidden(outcome),
+        hidden={**_hidden(outcome), **{a.effect: a.needs for a in aliases}},
         changes=change,
         log_likelihood=likelihood,
         model=final,
         names=known,
         covariance=covariance,
         summary=_summary(thinned, poses),
+        aliases=aliases,
     )
 
 

@@ -12,6 +12,7 @@ from imu_cli.options import HeightOption, ImuOption, LatitudeOption, ProfileOpti
 if TYPE_CHECKING:
     from calib.calibration import Calibration, Quantity
     from calib.mismatch import Diagnosis, Finding
+    from calib.mismatch.aliases import Alias
     from calib.model import SensorModel
     from calib.recording import Recording
 
@@ -174,6 +175,9 @@ def _show(found: Diagnosis) -> None:
         )
         for rival in left.rivals:
             out.print(f"  or: {rival.effect} (odds {rival.odds:.2g})")
+    for alias in found.aliases:
+        if alias.alike:
+            _show_alias(alias)
     if found.findings or found.unexplained:
         from rich.table import Table
 
@@ -206,6 +210,17 @@ _VERDICTS = {
     "unexplained": "Unexplained: it differs from its simulation, and no known physics fits.",
     "undetermined": "Undetermined: this recording cannot tell.",
 }
+
+
+def _show_alias(alias: Alias) -> None:
+    from imu_cli.output import console
+
+    sizes = ", ".join(f"{name} = {_quantity(q)}" for name, q in alias.parameters.items())
+    console().print(
+        f"\n[bold]Cannot be known[/]: {alias.alias_of} is {_quantity(alias.common)} on all axes "
+        f"alike; {alias.effect} ({sizes}) would look the same. It needs {alias.needs}.",
+        soft_wrap=True,
+    )
 
 
 def _show_finding(number: int, item: Finding) -> None:

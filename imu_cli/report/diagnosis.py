@@ -34,6 +34,9 @@ def diagnosis_report(document: Mapping[str, Any]) -> Report:
         blocks += _finding(number, finding)
     if document["unexplained"]:
         blocks.append(_unexplained(document["unexplained"]))
+    for alias in document.get("aliases", ()):
+        if alias["alike"]:
+            blocks.append(_alias(alias))
     residuals = (document.get("fit") or {}).get("residuals")
     if residuals:
         blocks.append(_residuals(residuals))
@@ -62,6 +65,21 @@ def _facts(document: Mapping[str, Any]) -> tuple[tuple[str, str], ...]:
     if "duration" in recording:
         facts.append(("recording", f"{float(recording['duration']):.0f} s"))
     return tuple(facts)
+
+
+def _alias(alias: Mapping[str, Any]) -> Paragraph:
+    def said(q: Mapping[str, Any]) -> str:
+        value, error, unit = with_error(q["value"], q["sigma"], q["unit"])
+        return f"{value} ± {error} {unit}"
+
+    sizes = ", ".join(f"{name} = {said(q)}" for name, q in alias["parameters"].items())
+    return Paragraph(
+        "What cannot be known",
+        (
+            f"{alias['alias_of']} is {said(alias['common'])} on all axes alike; "
+            f"{alias['effect']} ({sizes}) would look the same. It needs {alias['needs']}.",
+        ),
+    )
 
 
 def _overview(findings: list[Mapping[str, Any]]) -> Table:
