@@ -137,22 +137,31 @@ def _trembling(power: FloatArray, interval: float, gravity: float) -> BoolArray:
     """Return the frequencies at which the sensor itself moves, held in a hand, (bins,).
 
     The gyroscopes stand above their floor there, and so do the accelerometers, by what the angle
-    makes of gravity or more. That is motion, which both follow, and no disturbance of either.
+    makes of gravity or more. That is motion, which both follow, and no disturbance of either. Of a
+    hand that sways as well, gyroscopes show the whole band alike: above what is faster than hands.
     """
     bins = len(power)
     frequency = (np.arange(bins) + 2) / (LENGTH * interval)
     hand = (frequency >= HAND[0]) & (frequency <= HAND[1])
+    faster = frequency > HAND[1]
     excess, seen = np.zeros((bins, 2)), np.zeros((bins, 2), bool)
+    sways, sway = np.zeros(bins, bool), np.zeros(bins)
     for c in range(len(CHANNELS)):
         own = power[:, power[:, :, c].all(axis=0), c]
         if own.shape[1] > power.shape[1] / 2:
             mean, floor, p = _above(own)
             excess[:, c // 3] += np.maximum(mean - floor, 0.0)
             seen[:, c // 3] |= p < CLAIM
-    swing = gravity**2 * excess[:, 1] / np.square(2 * np.pi * frequency)
-    moves = hand & seen.all(axis=1) & (excess[:, 0] > SWING * swing)
+            if c >= 3 and faster.any():
+                level = float(np.median(mean[faster]))
+                sways |= mean > _LOUDER * level
+                sway += np.maximum(mean - level, 0.0)
+    heavy = SWING * np.square(gravity / (2 * np.pi * frequency))
+    moves = hand & seen.all(axis=1) & (excess[:, 0] > heavy * excess[:, 1])
     at = np.flatnonzero(moves)
-    if len(at) and np.ptp(at) >= SEVERAL:
+    held = hand & seen[:, 0] & sways & (excess[:, 0] > heavy * sway)
+    whole = np.convolve(held, np.ones(SEVERAL + 1), mode="valid") > SEVERAL
+    if (len(at) and np.ptp(at) >= SEVERAL) or whole.any():
         # No single machine: a hand, which trembles at other frequencies about other axes.
         return hand
     # A window spreads each over its neighbours, and a hand has several.

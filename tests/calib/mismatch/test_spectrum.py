@@ -122,6 +122,24 @@ def test_a_tremor_that_both_triads_follow_is_motion_and_what_one_has_alone_is_no
     assert not look_at_spectrum(held, poses)
 
 
+def test_a_hand_that_sways_and_shakes_is_no_line_and_a_tone_beside_its_sway_is() -> None:
+    recording, poses = rests(9, np.ones(POSES))
+    rng = np.random.default_rng(6)
+    n = len(recording)
+    f = np.fft.rfftfreq(n, 1 / RATE)
+    band = (f > 0.5) & (f < 8.0)
+    rate = np.fft.irfft(np.fft.rfft(rng.normal(size=(n, 3)), axis=0) * band[:, None], n, axis=0)
+    force = np.fft.irfft(
+        np.fft.rfft(rng.normal(size=(n, 3)), axis=0) * (f**2 * band)[:, None], n, axis=0
+    )
+    gyro = recording.gyro + 0.01 * rate / rate.std()
+    tone = 0.05 * np.sin(2 * np.pi * 5.5 * recording.time)
+    for shake, lines in ((0.1 * force / force.std(), False), (tone[:, None], True)):
+        held = Recording(recording.time, recording.accel + shake, gyro, "device")
+        found = look_at_spectrum(held, poses)
+        assert any("line" in item.follows for item in found) is lines
+
+
 @pytest.mark.parametrize("seed", [12, 13])
 def test_a_hand_trembles_at_other_frequencies_about_each_axis(seed: int) -> None:
     rng = np.random.default_rng(seed)
