@@ -387,13 +387,18 @@ def quiet_level(level: FloatArray, limit: FloatArray | float) -> float:
 
 
 def _shaking(accel: FloatArray, start: IntArray, stop: IntArray) -> FloatArray:
-    """Return the variance of what is faster than motion in samples ``[start, stop)``, (k, 3).
+    """Return the `fast_power` of samples ``[start, stop)``, (k, 3)."""
+    out = np.zeros((len(start), 3))
+    for k, (a, b) in enumerate(zip(start, stop, strict=True)):
+        if b - a > 2:
+            out[k] = fast_power(accel[a:b])
+    return out
+
+
+def fast_power(accel: FloatArray) -> FloatArray:
+    """Return the variance of what is faster than motion in (n, 3) samples, (3,).
 
     The median of squared second differences: the variance of white noise is theirs over six, and
     their median 0.4549 of their mean. What shakes only the ends of a turn is none of its own.
     """
-    out = np.zeros((len(start), 3))
-    for k, (a, b) in enumerate(zip(start, stop, strict=True)):
-        if b - a > 2:
-            out[k] = np.median(np.square(np.diff(accel[a:b], n=2, axis=0)), axis=0)
-    return out / (6.0 * 0.4549)
+    return np.asarray(np.median(np.square(np.diff(accel, n=2, axis=0)), axis=0) / (6.0 * 0.4549))

@@ -8,9 +8,9 @@ from __future__ import annotations
 import numpy as np
 from scipy import sparse
 
-from calib.mismatch.grid import Grid, quiet_level
+from calib.mismatch.grid import Grid, fast_power, quiet_level
 from calib.mismatch.rows import Component
-from calib.types import BoolArray, FloatArray
+from calib.types import BoolArray, FloatArray, IntArray
 
 DRIFT = {"accel": 0.15, "gyro": 0.5}
 """How far a bias wanders in `DRIFT_TIME`, per noise density: the ratio of bias instability to noise
@@ -65,10 +65,26 @@ def sample_noise(grid: Grid) -> FloatArray:
     level = floor * np.where(loud, ratio, 1.0)
     left = _averaged(grid, values, level, floor, loud)
     level = np.where(loud, floor + left * (level - floor), level)
-    # While it moves, nobody knows: the common level.
-    near = grid.near
-    each = np.where((near >= 0)[:, None], level[np.maximum(near, 0)], floor)
+    each = np.where((grid.near >= 0)[:, None], level[np.maximum(grid.near, 0)], floor)
+    for s in np.flatnonzero(~grid.is_rest).tolist():
+        loudest = np.maximum(level[grid.before[s]], level[grid.after[s]])
+        if (loudest > floor).any():
+            own = np.arange(grid.first[s], grid.last[s])
+            own = own[grid.near[own] < 0]
+            each[own] = floor + _still_shaken(grid, s, own, floor) * (loudest - floor)
     return np.asarray(each / grid.count[:, None])
+
+
+def _still_shaken(grid: Grid, turn: int, moving: IntArray, floor: FloatArray) -> float:
+    """Return how much of what shakes a rest beside a turn goes on while it moves, as power.
+
+    What is as fast there as in the louder rest: a hand may have taken the sensor off the bench.
+    """
+    beside = grid.vibration[[grid.first[turn] - 1, grid.last[turn]]].sum(axis=1).max()
+    if len(moving) < 3 or not beside > 0:
+        return 0.0
+    seen = fast_power(grid.accel[moving]).sum() - floor[:3].sum()
+    return float(np.clip(seen / beside, 0.0, 1.0))
 
 
 def _averaged(

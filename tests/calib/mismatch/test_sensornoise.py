@@ -65,6 +65,22 @@ def test_rests_that_are_not_shaken_keep_their_noise(every: int) -> None:
     assert (beside[1::every] > 3.0 * quiet[1::every]).all()
 
 
+@pytest.mark.parametrize("on", [False, True])
+def test_a_turn_is_as_noisy_as_it_is_shaken(on: bool) -> None:
+    real = shaken(2, white=True)
+    poses = find_poses(recording(seed=3, poses=24, rate=100.0))
+    accel = real.accel.copy()
+    if on:
+        # The bench shakes what a hand turns on it as well.
+        for a, b in zip(poses.stop[:-1], poses.start[1:], strict=True):
+            accel[a:b] += 0.2 * np.random.default_rng(a).normal(size=(b - a, 3))
+    grid = make_grid(replace(real, accel=accel), poses)
+    noise = np.sqrt((sample_noise(grid) * grid.count[:, None])[grid.near < 0, :3])
+    quiet = levels(recording(seed=3, poses=24, rate=100.0)).mean()
+    assert (np.median(noise) < 1.5 * quiet) is not on
+    assert np.median(noise) < 0.3
+
+
 def test_tones_average_out_faster_than_white_noise() -> None:
     quiet = levels(recording(seed=3, poses=24, rate=100.0))[1::2].mean()
     tones, white = (levels(shaken(2, white=w))[1::2].mean() - quiet for w in (False, True))
