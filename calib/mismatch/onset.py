@@ -27,32 +27,32 @@ class Onset:
     """
 
     def __init__(self, effect: Effect, rows: Rows) -> None:
-        self._rows = rows
+        # Not the rows themselves: they keep this, and in a circle both would outlive their use.
+        self._time, self._point_segment = rows.state.time, rows.point_segment
+        self._segment, self._functional = rows.segment, rows.functional
         self._signals = effect.columns(rows.state, {"moment": -np.inf})
         self._whole = {name: rows.column(signals) for name, signals in self._signals.items()}
         self._tables: dict[int, tuple[IntArray, int, dict[str, FloatArray]]] = {}
 
     def columns(self, moment: float) -> dict[str, FloatArray]:
         """Return what one unit of each parameter adds to the rows, (m,)."""
-        rows = self._rows
-        point = int(np.searchsorted(rows.state.time, moment))
-        if point == len(rows.point_segment):
+        point = int(np.searchsorted(self._time, moment))
+        if point == len(self._time):
             return {name: np.zeros(len(whole)) for name, whole in self._whole.items()}
-        segment = int(rows.point_segment[point])
+        segment = int(self._point_segment[point])
         own, first, tables = self._of(segment)
         out = {}
         for name, whole in self._whole.items():
-            out[name] = np.where(rows.segment > segment, whole, 0.0)
+            out[name] = np.where(self._segment > segment, whole, 0.0)
             out[name][own] = tables[name][:, point - first]
         return out
 
     def _of(self, segment: int) -> tuple[IntArray, int, dict[str, FloatArray]]:
         """Return a segment's rows, its first point, and the sums from each of its points on."""
         if segment not in self._tables:
-            rows = self._rows
-            own = np.flatnonzero(rows.segment == segment)
-            first, last = np.searchsorted(rows.point_segment, (segment, segment + 1)).tolist()
-            felt = [f[own][:, first:last].toarray() for f in rows.functional]
+            own = np.flatnonzero(self._segment == segment)
+            first, last = np.searchsorted(self._point_segment, (segment, segment + 1)).tolist()
+            felt = [f[own][:, first:last].toarray() for f in self._functional]
             sums = {
                 name: np.cumsum(_each(felt, signals, first, last)[:, ::-1], axis=1)[:, ::-1]
                 for name, signals in self._signals.items()
