@@ -68,7 +68,7 @@ class Columns:
         support, place = self._found(used)
         slot = np.empty(len(used), np.int64)
         inner = np.empty((len(used), whitener.basis.shape[1])).T
-        match, total = np.empty(len(used)), np.empty(len(used))
+        match, total, power = np.empty((3, len(used)))
         white: dict[int, FloatArray] = {}
         for k in np.unique(support).tolist():
             rows = self._supports[k]
@@ -83,11 +83,12 @@ class Columns:
                 found = here.whiten(whole[:, place[own]])
                 inner[:, own] = here.basis.T @ found
                 total[own] = np.einsum("ij,ij->j", found, found)
-                lost = total[own] - np.square(inner[:, own]).sum(axis=0) < LOST * total[own]
-                found[:, lost], inner[:, own[lost]] = 0.0, 0.0
+                power[own] = total[own] - np.square(inner[:, own]).sum(axis=0)
+                lost = power[own] < LOST * total[own]
+                found[:, lost], inner[:, own[lost]], power[own[lost]] = 0.0, 0.0, 0.0
                 match[own] = y[rows] @ found
                 white[k][:, part] = found
-        return Seen(self._supports, white, support, slot, inner, match, total)
+        return Seen(self._supports, white, support, slot, inner, match, power, total)
 
     def _found(self, index: IntArray) -> tuple[IntArray, IntArray]:
         """Return the support of each column, and its place among the columns there."""
@@ -128,8 +129,8 @@ class Seen:
         Its part along the basis of what is fitted.
     match : (u,) array
         Its product with the residual.
-    total : (u,) array
-        The power that it had with all that is fitted in it.
+    power, total : (u,) arrays
+        Its squared length, and what that had been with all that is fitted in it.
     """
 
     supports: list[IntArray]
@@ -138,13 +139,8 @@ class Seen:
     slot: IntArray
     inner: FloatArray
     match: FloatArray
+    power: FloatArray
     total: FloatArray
-
-    def power(self, own: IntArray) -> FloatArray:
-        """Return the squares of the lengths of some columns."""
-        white, inner = self._white(own), self.inner[:, own]
-        power = np.einsum("ij,ij->j", white, white) - np.einsum("ij,ij->j", inner, inner)
-        return np.asarray(power)
 
     def gram(self, own: IntArray) -> FloatArray:
         """Return the products of some columns with each other."""

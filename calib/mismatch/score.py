@@ -42,6 +42,9 @@ SHARES = np.append(np.full(8, 0.1175), [0.02, 0.02, 0.01, 0.01])
 
 _LOG_SHARES = np.log(SHARES)
 
+MANY = 256
+"""Candidates that are mixed at a time: what they make of columns stays near the processor."""
+
 
 class Stack:
     """Columns that candidates share, so that whitening them is one product."""
@@ -148,7 +151,7 @@ def _several(make: Alike, seen: Seen, columns: IntArray) -> FloatArray:
     match = seen.match[own]
     if own.shape[1] > 1:
         return log_bayes_factors(np.stack([seen.gram(each) for each in own]), match)
-    power = seen.power(own[:, 0])
+    power = seen.power[own[:, 0]]
     return np.where(make.present, _present(power, match[:, 0]), _single(power, match[:, 0]))
 
 
@@ -163,18 +166,22 @@ def _sums(make: Sums, seen: Seen, columns: IntArray) -> FloatArray:
 
 def _mixed(make: Alike, gram: FloatArray, match: FloatArray) -> FloatArray:
     """Return log B of candidates that mix columns, of which the Gram matrix is known."""
-    own, mixing = make.index, make.mixing
-    assert mixing is not None
-    if (own == own[0]).all():
-        # All at once: a product with each alone would be one with a few columns.
-        n, k, r = mixing.shape
-        flat = np.swapaxes(mixing, 0, 1).reshape(k, n * r)
-        inner = np.swapaxes((gram[np.ix_(own[0], own[0])] @ flat).reshape(k, n, r), 0, 1)
-    else:
-        inner = gram[own[:, :, None], own[:, None, :]] @ mixing
-    return log_bayes_factors(
-        np.swapaxes(mixing, 1, 2) @ inner, np.einsum("nk,nkr->nr", match[own], mixing)
-    )
+    assert make.mixing is not None
+    out = np.empty(len(make.which))
+    for first in range(0, len(out), MANY):
+        part = slice(first, first + MANY)
+        own, mixing = make.index[part], make.mixing[part]
+        if (own == own[0]).all():
+            # All at once: a product with each alone would be one with a few columns.
+            n, k, r = mixing.shape
+            flat = np.swapaxes(mixing, 0, 1).reshape(k, n * r)
+            inner = np.swapaxes((gram[np.ix_(own[0], own[0])] @ flat).reshape(k, n, r), 0, 1)
+        else:
+            inner = gram[own[:, :, None], own[:, None, :]] @ mixing
+        out[part] = log_bayes_factors(
+            np.swapaxes(mixing, 1, 2) @ inner, np.einsum("nk,nkr->nr", match[own], mixing)
+        )
+    return out
 
 
 def _single(power: FloatArray, along: FloatArray) -> FloatArray:
