@@ -8,6 +8,9 @@ backwards.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 
 from calib.effects.base import Column, Effect
@@ -52,7 +55,10 @@ class Onset:
         if segment not in self._tables:
             own = np.flatnonzero(self._segment == segment)
             first, last = np.searchsorted(self._point_segment, (segment, segment + 1)).tolist()
-            felt = [f[own][:, first:last].toarray() for f in self._functional]
+            channels = {c for signals in self._signals.values() for c in signals}
+            felt = {
+                c: _dense(self._functional[CHANNELS.index(c)], own, first, last) for c in channels
+            }
             sums = {
                 name: np.cumsum(_each(felt, signals, first, last)[:, ::-1], axis=1)[:, ::-1]
                 for name, signals in self._signals.items()
@@ -61,9 +67,18 @@ class Onset:
         return self._tables[segment]
 
 
-def _each(felt: list[FloatArray], signals: Column, first: int, last: int) -> FloatArray:
-    """Return what each point of a segment adds to its rows, (rows, points)."""
-    out = np.zeros_like(felt[0])
-    for name, values in signals.items():
-        out += felt[CHANNELS.index(name)] * values[first:last]
+def _dense(functional: Any, rows: IntArray, first: int, last: int) -> FloatArray:
+    """Return some rows of a sparse matrix that are zero but in columns ``[first, last)``."""
+    begins = functional.indptr[rows]
+    number = functional.indptr[rows + 1] - begins
+    at = np.repeat(begins - np.cumsum(number) + number, number) + np.arange(number.sum())
+    out = np.zeros((len(rows), last - first))
+    out[np.repeat(np.arange(len(rows)), number), functional.indices[at] - first] = functional.data[
+        at
+    ]
     return out
+
+
+def _each(felt: Mapping[str, FloatArray], signals: Column, first: int, last: int) -> FloatArray:
+    """Return what each point of a segment adds to its rows, (rows, points)."""
+    return np.asarray(sum(felt[name] * values[first:last] for name, values in signals.items()))

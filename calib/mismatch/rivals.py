@@ -200,12 +200,15 @@ def _drafts(
         kind: [start for own in places for name, start, _ in own if name == kind]
         for kind in ("slots", "segments")
     }
+    every = np.arange(max(stop for own in places for _, _, stop in own))
+    slots = first.tolist()
     for item in local:
         a, b = item.window
+        kind, low, high = "slots", slots[a], slots[b]
         if item.name == "gain in a window":
-            index = np.concatenate([start + np.arange(a, b) for start in starts["segments"]])
-        else:
-            index = np.concatenate([s + np.arange(first[a], first[b]) for s in starts["slots"]])
+            kind, low, high = "segments", a, b
+        own = [every[start + low : start + high] for start in starts[kind]]
+        index = own[0] if len(own) == 1 else np.concatenate(own)
         about = {
             "summed": item.mixing is None,
             "interval": item.interval,
