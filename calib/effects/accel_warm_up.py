@@ -8,6 +8,11 @@ import numpy as np
 
 from calib.effects.base import Column, Effect, G, ShapeParameter, State, axis_columns, per_axis
 
+FASTEST = 10.0
+"""s: below what a small board takes to warm up. Half a gram of it (1 J/gK, 10 W/m²K from 10 cm²)
+takes 50 s, 20 s with wires that cool it. The package follows its board in 2 s (0.03 J/K at 60 K/W),
+but the 10 mW of a sensor make that half a kelvin."""
+
 
 class AccelWarmUp(Effect):
     """``f_m,i += k_i exp(-t/tau), t since power-on``."""
@@ -20,7 +25,7 @@ class AccelWarmUp(Effect):
         "starts of consumer parts"
     )
     parameters = per_axis("accel", "k", "m/s²", 5e-3 * G)
-    shape = (ShapeParameter("tau", "s", 5.0, 1500.0),)
+    shape = (ShapeParameter("tau", "s", FASTEST, 1500.0),)
     follows = "time since power-on"
     needs = "a cold start, and statics long after it"
     sentence = (

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from calib.effects.accel_warm_up import FASTEST
 from calib.effects.base import Column, Effect, ShapeParameter, State, axis_columns, per_axis
 
 
@@ -20,7 +21,7 @@ class GyroWarmUp(Effect):
         "starts of consumer parts"
     )
     parameters = per_axis("gyro", "k", "rad/s", np.radians(0.1))
-    shape = (ShapeParameter("tau", "s", 5.0, 1500.0),)
+    shape = (ShapeParameter("tau", "s", FASTEST, 1500.0),)
     follows = "time since power-on"
     needs = "a cold start, and statics long after it"
     sentence = (

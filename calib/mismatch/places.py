@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from calib.mismatch.diagnosis import Interval, Unexplained
+from calib.mismatch.rivals import FROM_START
 from calib.mismatch.windows import WINDOWED
 from calib.recording import CHANNELS
 
@@ -93,7 +94,7 @@ def _are_one(one: Unexplained, other: Unexplained) -> bool:
 
 def _is_local(item: Unexplained) -> bool:
     """Whether an item is somewhere in time: in the rows, or in the samples of rests."""
-    return item.follows in WINDOWED or item.follows.endswith(SEEN)
+    return item.follows in (*WINDOWED, FROM_START) or item.follows.endswith(SEEN)
 
 
 def _hull(one: Interval, other: Interval) -> Interval:

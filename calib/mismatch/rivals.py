@@ -42,30 +42,45 @@ from calib.types import FloatArray, IntArray
 RIVAL = 0.4
 """Prior probability of all rivals together."""
 
+FROM_START = "fading from the start"
+
 _KINDS = {
-    "bias in a window": 0.17,
+    "bias in a window": 0.16,
     "gain in a window": 0.10,
     "fluctuation in a window": 0.17,
-    "wave in a window": 0.13,
+    "wave in a window": 0.12,
     THROUGHOUT: 0.03,
     "time": 0.02,
     "temperature": 0.02,
-    "direction of gravity": 0.12,
+    "direction of gravity": 0.11,
     "orientation": 0.03,
     "speed of rotation": 0.05,
     "its own rate": 0.02,
     "rate about the other axes": 0.02,
     "the pose before": 0.02,
     "the turn before": 0.01,
+    FROM_START: 0.015,
 }
 """Share of each. What follows temperature, time or its own rate smoothly has names in the
 catalogue, or is drift: only odd shapes are left."""
 
-_OF_TRIADS = {"bias in a window": 0.02, "gain in a window": 0.02, "fluctuation in a window": 0.05}
+_OF_TRIADS = {
+    "bias in a window": 0.02,
+    "gain in a window": 0.02,
+    "fluctuation in a window": 0.05,
+    FROM_START: 0.015,
+}
 """The same for what three channels have at once: their supply, cable or package."""
 
 RIPPLES = (2.0, 3.0, 4.0, 5.0)
 """How fast a function of one component of gravity's direction varies, rad per unit."""
+
+FADING = np.geomspace(1.0, 16.0, 7)
+"""s in which what disturbed the first rest fades: a hand has let go, a cable or a stand gives way.
+That is what warming up looks like; only it takes longer, and shows in other rests too."""
+
+FADED = 3.0
+"""Time constants after which it is gone."""
 
 CAP = 6.0
 """How steeply what acts near one direction only falls off: to a half at 28 degrees."""
@@ -88,6 +103,8 @@ def add_rivals(stack: Stack, rows: Rows, *, skip: tuple[str, ...] = ()) -> None:
     times = rows.interval.tobytes(), slots.middle.tobytes(), slots.first.tobytes()
     bank, weights = _sorted(*times, layout, skip)
     stack.extend(bank)
+    if "time" not in skip:
+        stack.candidates += list(_fading(stack, rows))
     if "direction of gravity" in skip:
         return
     ripples = list(_ripples(rows, slots))
@@ -120,12 +137,16 @@ def _add_columns(stack: Stack, rows: Rows, slots: Slots) -> tuple[tuple[_Place, 
             other = np.delete(_scaled_rates(state), c, axis=1)
             parts.append(("rate about the other axes", rows.columns(c, other)))
         places = []
-        touched = np.flatnonzero((rows.channel == c) | (rows.channel < 0))
         for label, columns in parts:
-            index = stack.columns.add(size * columns, touched)
+            index = stack.columns.add(size * columns, _touched(rows, c))
             places.append((label, int(index[0]), int(index[-1]) + 1))
         layout.append(tuple(places))
     return tuple(layout)
+
+
+def _touched(rows: Rows, c: int) -> IntArray:
+    """Return the rows that a channel can show in."""
+    return np.flatnonzero((rows.channel == c) | (rows.channel < 0))
 
 
 @lru_cache(maxsize=1)
@@ -250,6 +271,26 @@ def _of_triad(item: Local, first: IntArray) -> Local:
     each = np.zeros((3, n, 3, k))
     each[range(3), :, range(3)] = mixing
     return replace(item, mixing=each.reshape(3 * n, -1))
+
+
+def _fading(stack: Stack, rows: Rows) -> Iterator[Candidate]:
+    """Yield what a channel, or a triad, may have from the recording's start on, while it fades."""
+    began, share = rows.state.power_on, RIVAL / len(FADING)
+    every, alone = _OF_TRIADS[FROM_START] * share / 2, _KINDS[FROM_START] * share / len(CHANNELS)
+    shapes = np.exp(-(rows.state.time - began)[:, None] / FADING)
+    for triad in (CHANNELS[:3], CHANNELS[3:]):
+        size = typical_size(triad[0].split(".")[0])
+        index = np.stack(
+            [
+                stack.columns.add(size * rows.columns(c, shapes), _touched(rows, c))
+                for c in map(CHANNELS.index, triad)
+            ]
+        )
+        for k, tau in enumerate(FADING.tolist()):
+            interval = (began, began + FADED * tau)
+            yield Candidate(FROM_START, index[:, k], every, False, triad, interval=interval)
+            for channel, own in zip(triad, index[:, k : k + 1], strict=True):
+                yield Candidate(FROM_START, own, alone, False, (channel,), interval=interval)
 
 
 def _ripples(rows: Rows, slots: Slots) -> Iterator[tuple[float, FloatArray]]:

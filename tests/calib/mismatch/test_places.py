@@ -6,6 +6,7 @@ import pytest
 
 from calib.mismatch.diagnosis import Unexplained
 from calib.mismatch.places import gathered, joined
+from calib.mismatch.rivals import FROM_START
 
 
 def piece(
@@ -38,6 +39,12 @@ def test_waves_of_several_periods_throughout_are_one_that_is_no_sine():
     other = piece("gyro.y", 0, 100, "wave throughout")
     found = joined([items[0], other, items[1]])
     assert [item.channels for item in found] == [("gyro.x",), ("gyro.y",)]
+
+
+def test_what_fades_from_the_start_is_a_piece_of_what_the_first_rest_has():
+    items = [piece("gyro.x", 0, 16), piece("gyro.x", 0, 3, FROM_START)]
+    (found,) = joined(items)
+    assert found.intervals == ((0, 16),)
 
 
 def test_what_goes_with_the_direction_everywhere_is_no_piece_of_a_window():

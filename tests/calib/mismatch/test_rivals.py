@@ -7,11 +7,12 @@ from collections.abc import Callable, Mapping
 import numpy as np
 import pytest
 
+from calib.effects import get_effect
 from calib.effects.base import State, Term
 from calib.mismatch import diagnose_recording
 from calib.mismatch.candidates import Candidate
 from calib.mismatch.ranking import make_stack
-from calib.mismatch.rivals import RIVAL
+from calib.mismatch.rivals import FADED, FADING, FROM_START, RIVAL
 from calib.mismatch.score import Stack
 from calib.mismatch.windows import WINDOWED, moved_window, nearby_windows, window_columns
 from calib.recording import CHANNELS, Recording
@@ -51,6 +52,45 @@ def test_rivals_share_one_prior_and_a_window_is_the_same_column_wherever_it_come
         # The grid takes functions of time as constant in a part of a segment; ends do not matter.
         like = np.square((on_grid * exact).sum()) / np.square(on_grid).sum() / (exact**2).sum()
         assert like > 0.95, candidate.name
+
+
+def test_what_fades_from_the_start_is_warming_up_but_faster():
+    _, made = problem()
+    rows = made.rows()
+    stack = make_stack(rows, skip=(), reference=False)
+    found = rivals(stack, FROM_START)
+    assert {c.channels for c in found} == {CHANNELS[:3], CHANNELS[3:], *((c,) for c in CHANNELS)}
+    effect = get_effect("gyro_warm_up")
+    lasting = effect.shape[0].low
+    assert lasting is not None
+    for candidate in (c for c in found if c.channels == CHANNELS[3:]):
+        assert candidate.interval is not None
+        start, stop = candidate.interval
+        assert start == rows.state.power_on
+        tau = (stop - start) / FADED
+        signals = effect.columns(rows.state, {"tau": tau})
+        exact = np.stack([rows.column(signals[f"k{a}"]) for a in "xyz"], axis=1)
+        on_grid = stack.of(candidate)
+        np.testing.assert_allclose(on_grid, exact * (np.abs(on_grid).max() / np.abs(exact).max()))
+    # Between the two there is no gap, and where both are meant warming up is more probable.
+    assert FADING[0] < 2.0 < lasting < FADING[-1]
+    own = sum(c.weight for c in found if "accel.x" in c.channels) / len(FADING)
+    warm = [c for c in stack.candidates if c.name == "accel_warm_up" and "kx" in c.parameters]
+    assert own < sum(c.weight for c in warm) / len({c.shape["tau"] for c in warm})
+    # Without a clock nobody knows how fast anything fades.
+    assert not rivals(make_stack(rows, skip=("time",), reference=False), FROM_START)
+
+
+@pytest.mark.parametrize(("triad", "size"), [("accel", 0.06), ("gyro", 0.01)])
+def test_a_first_rest_that_settles_has_not_warmed_up(triad, size):
+    real = recording(seed=21)
+    fading = size * np.exp(-(real.time - real.time[0]) / 2.5)
+    real = with_added(real, {f"{triad}.x": fading, f"{triad}.z": -0.7 * fading})
+    found = diagnose_recording(real, gravity=GRAVITY)
+    assert not found.findings
+    (left,) = found.unexplained
+    assert {f"{triad}.x", f"{triad}.z"} <= set(left.channels)
+    assert overlap(left.intervals[0], (0.0, 7.5)) > 0.5
 
 
 def test_a_moved_window_holds_what_is_as_fast_in_seconds():
