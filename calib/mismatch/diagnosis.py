@@ -18,6 +18,7 @@ from calib.calibration import (
 )
 from calib.effects import get_effect
 from calib.effects.base import Term
+from calib.errors import InsufficientMotionError
 from calib.mismatch.aliases import Alias
 from calib.mismatch.evidence import Evidence
 from calib.mismatch.heldout import HeldOut
@@ -192,7 +193,18 @@ class Diagnosis:
     aliases: tuple[Alias, ...] = ()
 
     def calibration(self, recording: Recording, *, gravity: Gravity) -> Calibration:
-        """Return the sensor model that was found, as a calibration; events are kept apart."""
+        """Return the sensor model that was found, as a calibration; events are kept apart.
+
+        Raises
+        ------
+        InsufficientMotionError
+            If nothing could be fitted to the recording.
+        """
+        if not self.names:
+            raise InsufficientMotionError(
+                "nothing could be fitted to this recording, and no model is written: it lacks "
+                + "; ".join(self.missing)
+            )
         temperature = None
         if recording.temperature is not None:
             low, high = float(recording.temperature.min()), float(recording.temperature.max())

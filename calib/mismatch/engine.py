@@ -9,10 +9,9 @@ import numpy as np
 from calib.calibration import Quantity
 from calib.effects import effects
 from calib.effects.base import TransformEffect
-from calib.errors import InsufficientMotionError
 from calib.mismatch.aliases import find_aliases
 from calib.mismatch.choice import choose_poses, distinct_directions
-from calib.mismatch.diagnosis import Diagnosis, Finding, summarise
+from calib.mismatch.diagnosis import Diagnosis, Finding, Verdict, summarise
 from calib.mismatch.explain import changes, explain, verdict
 from calib.mismatch.grid import (
     SHORTEST_CELL,
@@ -47,6 +46,11 @@ _CLOCKED = ("_warm_up", "_bias_step", "_settling")
 SPOILT = 0.1
 """Share of a rest's samples that no model can explain above which its means are not looked at."""
 
+RESTLESS = (
+    "a moment of rest: without gravity to compare with, only a simulation or a reference can tell "
+    "what is wrong (--against, --reference)"
+)
+
 LEAST_TURNS = 3
 """Turns below which nothing that shows in motion alone is named."""
 
@@ -69,11 +73,6 @@ def diagnose_recording(
     model : SensorModel, optional
         A calibration: the twin then has its misalignment and further terms too. Otherwise the
         twin has the paper's model. Either way the baseline is fitted to the recording.
-
-    Raises
-    ------
-    InsufficientMotionError
-        If the recording holds no rest.
     """
     return diagnose_thinned(thin(lambda: (recording,)), gravity=gravity, model=model)
 
@@ -84,15 +83,16 @@ def diagnose_thinned(
     """Do what `diagnose_recording` does, to a recording that `calib.mismatch.thin` has read."""
     recording, poses, seen = thinned.recording, thinned.poses, thinned.seen
     if not len(poses):
-        raise InsufficientMotionError(
-            "the recording has no moment of rest: without gravity to compare with, only a "
-            "simulation or a reference can tell what is wrong (--against, --reference)"
-        )
+        return _unfit(thinned, (), RESTLESS, "undetermined")
     missing = _missing(recording, poses)
     if seen.fatal:
-        return _unfit(thinned, missing)
+        stuck = bool(seen.unexplained)
+        need = "channels that move: one is stuck" if stuck else "right units and axes"
+        return _unfit(thinned, missing, f"{need}: mend that and diagnose again", "explained")
     noisy = (*look_at_spectrum(recording, poses), *look_within(recording, poses))
     poses = _whole(connected(untouched(recording, steady(poses))), seen.spoilt)
+    if not len(poses):
+        return _unfit(thinned, missing, RESTLESS, "undetermined")
     poses = poses.select(
         choose_poses(poses.accel, poses.start, poses.stop, interval=recording.interval)
     )
@@ -206,16 +206,14 @@ def _spoilt_turns(grid: Grid, recording: Recording, spoilt: BoolArray) -> BoolAr
     return ~grid.is_rest & (count[b] > count[a])
 
 
-def _unfit(thinned: Thinned, missing: tuple[str, ...]) -> Diagnosis:
-    """Return the diagnosis of a recording with a fault that must be mended before all else."""
+def _unfit(thinned: Thinned, missing: tuple[str, ...], need: str, otherwise: Verdict) -> Diagnosis:
+    """Return the diagnosis of a recording of which no twin can be made, for what it needs first."""
     seen = thinned.seen
-    stuck = bool(seen.unexplained)
-    need = "channels that move: one is stuck" if stuck else "right units and axes"
     return Diagnosis(
-        verdict="unexplained" if stuck else "explained",
+        verdict="unexplained" if seen.unexplained else otherwise,
         findings=seen.findings,
         unexplained=seen.unexplained,
-        missing=(*missing, f"{need}: mend that and diagnose again"),
+        missing=(*missing, need),
         hidden={},
         changes=(),
         log_likelihood=None,

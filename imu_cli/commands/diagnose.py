@@ -100,9 +100,8 @@ def diagnose(
         found = diagnose_reference(real, other, gravity=local.value, model=model)
     else:
         found, real = _by_itself(recording, profile, imu, gravity=local.value, model=model)
-    if output is not None:
-        made = found.calibration(real, gravity=local)
-        save_calibration(_signed(made, recording), output)
+    if output is not None and found.names:
+        save_calibration(_signed(found.calibration(real, gravity=local), recording), output)
     if report is not None:
         from drivers.calibration_file import write_atomic
         from imu_cli.report.diagnosis import diagnosis_report
@@ -113,6 +112,9 @@ def diagnose(
         print_json(found.to_json())
     else:
         _show(found)
+    if output is not None and not found.names:
+        # The verdict is said before what it leaves nothing to write for.
+        found.calibration(real, gravity=local)
 
 
 def _by_itself(

@@ -49,6 +49,23 @@ def test_the_screen_says_what_where_and_how_sure(log: Path) -> None:
         assert words in result.stdout
 
 
+def test_without_a_rest_the_verdict_says_so_and_no_model_is_written(tmp_path: Path) -> None:
+    log, out = tmp_path / "paper.csv", tmp_path / "model.json"
+    made = ["simulate", "--motion", "paper", "--duration", "20s", "--seed", "3", "-o", str(log)]
+    assert CliRunner().invoke(app, made).exit_code == 0
+    result = CliRunner().invoke(app, ["diagnose", str(log), "--json"])
+    assert result.exit_code == 0, result.stderr
+    document = json.loads(result.stdout)
+    assert document["verdict"] == "undetermined"
+    assert document["findings"] == []
+    assert "a moment of rest" in document["missing"][0]
+    refused = CliRunner().invoke(app, ["diagnose", str(log), "-o", str(out)])
+    assert "Undetermined" in refused.stdout
+    assert refused.exit_code == 4
+    assert "no model is written" in refused.stderr
+    assert not out.exists()
+
+
 def test_a_missing_file_and_a_wrong_gravity_are_refused(log: Path, tmp_path: Path) -> None:
     assert CliRunner().invoke(app, ["diagnose", str(tmp_path / "no.csv")]).exit_code == 3
     wrong = CliRunner().invoke(app, ["diagnose", str(log), "--gravity", "32.2"])

@@ -140,15 +140,20 @@ def test_one_pose_cannot_tell():
     assert any("pose" in text for text in found.missing)
 
 
-def test_a_recording_that_only_moves_is_refused():
+def test_of_a_recording_that_only_moves_nothing_is_known():
     time = np.arange(0, 20, 0.02)
     rng = np.random.default_rng(0)
     gyro = 3 * np.sin(2 * np.pi * time[:, None] * [0.9, 1.1, 1.3]) + rng.normal(0, 0.01, (1000, 3))
     accel = 9.8 * np.cos(2 * np.pi * time[:, None] * [0.7, 1.2, 0.8]) + rng.normal(
         0, 0.1, (1000, 3)
     )
-    with pytest.raises(InsufficientMotionError, match="rest"):
-        diagnose_recording(Recording(time, accel, gyro, "device"), gravity=GRAVITY)
+    recording = Recording(time, accel, gyro, "device")
+    found = diagnose_recording(recording, gravity=GRAVITY)
+    assert found.verdict == "undetermined"
+    assert not found.findings
+    assert any("a moment of rest" in text for text in found.missing)
+    with pytest.raises(InsufficientMotionError, match="no model is written"):
+        found.calibration(recording, gravity=Gravity(GRAVITY, "given"))
 
 
 def test_a_low_pass_that_both_triads_share_is_named() -> None:
