@@ -11,6 +11,7 @@ wave, whose window is too short: in each window all kinds are weighed against ea
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import replace
 
 import numpy as np
@@ -40,6 +41,9 @@ LASTING = (0.5, 2.0, 8.0)
 AT_ONCE = 1e-3
 """How long it does then."""
 
+PERIODS = np.geomspace(0.6, 1.0 / 0.6, 7)
+"""Periods that a wave in a window may have, relative to that of the window it was found in."""
+
 TUNES = 21
 """Periods between those of the grid, half a cycle apart, that are tried for a wave."""
 
@@ -53,14 +57,12 @@ def place_window(rows: Rows, candidate: Candidate, whitener: Whitener, y: FloatA
     number = len(rows.interval)
     longest = max(number // 2, 1)
     one = len(candidate.channels) == 1
-    kinds = [candidate, *(replace(candidate, name=n, shape={}) for n in _SUMS if one)]
-    summed = {
-        c.name: _sums(rows, c, whitener, y, longest)
-        for c in kinds
-        if c.name != "fluctuation in a window"
-    }
+    kinds = [] if candidate.name == "fluctuation in a window" else _retuned(candidate)
+    kinds += [replace(candidate, name=n, shape={}) for n in _SUMS if one and n != candidate.name]
+    alike = Counter(c.name for c in kinds)
+    summed = [_sums(rows, c, whitener, y, longest) - np.log(alike[c.name]) for c in kinds]
     wander = _wanders(rows, candidate, whitener, y, longest)
-    value = np.logaddexp.reduce([*summed.values(), wander])
+    value = np.logaddexp.reduce([*summed, wander])
     # Every length, by its logarithm, is as likely as any other, and so is every place.
     first, last = np.nonzero(np.isfinite(value))
     of = value[first, last] - np.log(last - first) - np.log(number + 1.0 - (last - first))
@@ -70,11 +72,18 @@ def place_window(rows: Rows, candidate: Candidate, whitener: Whitener, y: FloatA
     where = expected_overlap(rows.interval[first, 0], rows.interval[last - 1, 1], weight)
     a = int(np.searchsorted(rows.interval[:, 0], where[0]))
     b = int(np.searchsorted(rows.interval[:, 1], where[1])) + 1
-    name = max(summed, key=lambda n: summed[n][a, b], default="")
-    if not name or wander[a, b] > summed[name][a, b]:
+    best = int(np.argmax([wander[a, b], *(v[a, b] for v in summed)]))
+    if not best:
         return fluctuating(candidate, *where, segments=b - a)
-    kind = next(c for c in kinds if c.name == name)
-    return moved_window(kind, *where)
+    return moved_window(kinds[best - 1], *where)
+
+
+def _retuned(candidate: Candidate) -> list[Candidate]:
+    """Return a candidate; a wave with periods around its own: it had that of a part of it."""
+    if "period" not in candidate.shape:
+        return [candidate]
+    period = candidate.shape["period"]
+    return [replace(candidate, shape={"period": period * k}) for k in PERIODS]
 
 
 _SUMS = ("bias in a window", "gain in a window")

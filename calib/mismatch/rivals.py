@@ -82,6 +82,12 @@ That is what warming up looks like; only it takes longer, and shows in other res
 FADED = 3.0
 """Time constants after which it is gone."""
 
+MEMORIES = np.array([0.5, 2.0, 8.0])
+"""How long what creeps remembers poses, in times from one to the next."""
+
+OWN_RIPPLES = (7.0, 10.0, 14.0, 20.0)
+"""The same for an accelerometer's own axis, whose converter may have steps of uneven height."""
+
 CAP = 6.0
 """How steeply what acts near one direction only falls off: to a half at 28 degrees."""
 
@@ -107,14 +113,16 @@ def add_rivals(stack: Stack, rows: Rows, *, skip: tuple[str, ...] = ()) -> None:
         stack.candidates += list(_fading(stack, rows))
     if "direction of gravity" in skip:
         return
-    ripples = list(_ripples(rows, slots))
-    for channel, places in zip(CHANNELS, layout, strict=True):
+    up = _up(rows, slots)
+    ripples = list(_ripples(up))
+    for c, (channel, places) in enumerate(zip(CHANNELS, layout, strict=True)):
         (parts,) = (np.arange(a, b) for name, a, b in places if name == "slots")
+        own = [(ripple, _wave(ripple * up[:, c])) for ripple in OWN_RIPPLES if c < 3]
         stack.candidates += [
             Candidate(
                 "direction of gravity", parts, weights[ripple], False, (channel,), mixing=mixing
             )
-            for ripple, mixing in ripples
+            for ripple, mixing in [*ripples, *own]
         ]
 
 
@@ -192,6 +200,8 @@ def _sorted(
         for ripple in (0.0, *RIPPLES):
             count = len(CHANNELS) * len(_axes(ripple))
             number["direction of gravity", 1, f"ripple {ripple}"] = count
+        for ripple in OWN_RIPPLES:
+            number["direction of gravity", 1, f"ripple {ripple}"] = 3
     lengths = Counter((name, many) for name, many, _ in number)
 
     def weight(name: str, many: int, part: str) -> float:
@@ -206,7 +216,8 @@ def _sorted(
     )
     if "direction of gravity" in skip:
         return bank, {}
-    known = {r: weight("direction of gravity", 1, f"ripple {r}") for r in (0.0, *RIPPLES)}
+    ripples = (0.0, *RIPPLES, *OWN_RIPPLES)
+    known = {r: weight("direction of gravity", 1, f"ripple {r}") for r in ripples}
     return bank, known
 
 
@@ -293,18 +304,26 @@ def _fading(stack: Stack, rows: Rows) -> Iterator[Candidate]:
                 yield Candidate(FROM_START, own, alone, False, (channel,), interval=interval)
 
 
-def _ripples(rows: Rows, slots: Slots) -> Iterator[tuple[float, FloatArray]]:
+def _up(rows: Rows, slots: Slots) -> FloatArray:
+    """Return the mean direction of gravity in each slot, (n, 3)."""
+    count = np.maximum(slots.member.sum(axis=0).A1, 1.0)
+    return np.asarray((slots.member.T @ rows.state.gravity_direction) / count[:, None])
+
+
+def _ripples(up: FloatArray) -> Iterator[tuple[float, FloatArray]]:
     """Yield how fast a function of gravity's direction varies, and what each slot has of it.
 
     Waves over one component of the direction; and what acts near one direction only (0).
     """
-    count = np.maximum(slots.member.sum(axis=0).A1, 1.0)
-    up = (slots.member.T @ rows.state.gravity_direction) / count[:, None]
     for ripple in RIPPLES:
         for phase in ripple * (_axes(ripple) @ up.T):
-            yield ripple, np.stack((np.cos(phase), np.sin(phase)), axis=1)
+            yield ripple, _wave(phase)
     for near in _axes(0.0) @ up.T:
         yield 0.0, np.exp(CAP * (near - 1.0))[:, None]
+
+
+def _wave(phase: FloatArray) -> FloatArray:
+    return np.stack((np.cos(phase), np.sin(phase)), axis=1)
 
 
 def _axes(ripple: float) -> FloatArray:
@@ -343,28 +362,39 @@ def _smooth(state: State) -> Iterator[tuple[str, FloatArray]]:
 
 
 def _history(rows: Rows) -> Iterator[tuple[str, FloatArray]]:
-    """Yield what came before: the direction of gravity in the last pose, and the last turn.
+    """Yield what came before: the direction of gravity in the last poses, and the last turn.
 
-    What has play or sticks remembers them. A turn belongs to the rest before it.
+    What has play or sticks remembers the last one, what creeps forgets it slowly. A turn belongs to
+    the rest before it.
     """
     rests = np.flatnonzero(rows.is_rest)
     if len(rests) < 2:
         return
-    state, segment = rows.state, rows.point_segment
-    number = len(rows.interval)
-    count = np.maximum(np.bincount(segment, minlength=number), 1)
-    up = np.stack(
-        [np.bincount(segment, v, number) / count for v in state.gravity_direction.T], axis=1
+    state, segment, number = rows.state, rows.point_segment, len(rows.interval)
+    count = np.maximum(np.bincount(segment, minlength=number), 1)[:, None]
+    up, rate = (
+        np.stack([np.bincount(segment, v, number) for v in signal.T], axis=1) / count
+        for signal in (state.gravity_direction, state.rate)
     )
-    mean = np.stack([np.bincount(segment, v, number) / count for v in state.rate.T], axis=1)
-    turn = mean * np.ptp(rows.interval, axis=1)[:, None]
+    turn = rate * np.ptp(rows.interval, axis=1)[:, None]
     turn /= np.maximum(np.linalg.norm(turn, axis=1, keepdims=True), 1.0)
     pose = np.cumsum(rows.is_rest)[segment] - 1
-    before = np.zeros((len(rests) + 1, 3)), np.zeros((len(rests) + 1, 3))
-    before[0][1:-1] = up[rests[:-1]]
-    before[1][1:-1] = turn[rests[1:] - 1]
-    yield "the pose before", before[0][pose]
-    yield "the turn before", before[1][pose]
+    for name, what, last in (
+        ("the pose before", up, rests[:-1]),
+        ("the turn before", turn, rests[1:] - 1),
+    ):
+        # Nothing was before the first rest, and nothing is after the last.
+        before = np.zeros((len(rests) + 1, 3))
+        before[1:-1] = what[last]
+        yield name, before[pose]
+    start = rows.interval[:, 0]
+    for memory in MEMORIES * float(np.median(np.diff(rows.interval[rests].mean(axis=1)))):
+        known = up.copy()
+        for k in range(1, number):
+            kept = np.exp(-(start[k] - start[k - 1]) / memory)
+            known[k] = up[k - 1] + kept * (known[k - 1] - up[k - 1])
+        kept = np.exp(-(state.time - start[segment]) / memory)[:, None]
+        yield "the pose before", up[segment] + kept * (known - up)[segment]
 
 
 def _own_rate(state: State, c: int) -> FloatArray:
