@@ -85,7 +85,7 @@ FADED = 3.0
 MEMORIES = np.array([0.5, 2.0, 8.0])
 """How long what creeps remembers poses, in times from one to the next."""
 
-OWN_RIPPLES = (7.0, 10.0, 14.0, 20.0)
+OWN_RIPPLES = np.arange(6.0, 21.0)
 """The same for an accelerometer's own axis, whose converter may have steps of uneven height."""
 
 CAP = 6.0
@@ -117,7 +117,7 @@ def add_rivals(stack: Stack, rows: Rows, *, skip: tuple[str, ...] = ()) -> None:
     ripples = list(_ripples(up))
     for c, (channel, places) in enumerate(zip(CHANNELS, layout, strict=True)):
         (parts,) = (np.arange(a, b) for name, a, b in places if name == "slots")
-        own = [(ripple, _wave(ripple * up[:, c])) for ripple in OWN_RIPPLES if c < 3]
+        own = [(ripple, _wave(ripple * up[:, c])) for ripple in OWN_RIPPLES.tolist() if c < 3]
         stack.candidates += [
             Candidate(
                 "direction of gravity", parts, weights[ripple], False, (channel,), mixing=mixing
@@ -200,8 +200,7 @@ def _sorted(
         for ripple in (0.0, *RIPPLES):
             count = len(CHANNELS) * len(_axes(ripple))
             number["direction of gravity", 1, f"ripple {ripple}"] = count
-        for ripple in OWN_RIPPLES:
-            number["direction of gravity", 1, f"ripple {ripple}"] = 3
+        number["direction of gravity", 1, "own ripples"] = 3 * len(OWN_RIPPLES)
     lengths = Counter((name, many) for name, many, _ in number)
 
     def weight(name: str, many: int, part: str) -> float:
@@ -216,8 +215,8 @@ def _sorted(
     )
     if "direction of gravity" in skip:
         return bank, {}
-    ripples = (0.0, *RIPPLES, *OWN_RIPPLES)
-    known = {r: weight("direction of gravity", 1, f"ripple {r}") for r in ripples}
+    known = {r: weight("direction of gravity", 1, f"ripple {r}") for r in (0.0, *RIPPLES)}
+    known |= dict.fromkeys(OWN_RIPPLES.tolist(), weight("direction of gravity", 1, "own ripples"))
     return bank, known
 
 

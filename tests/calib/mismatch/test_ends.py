@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.mismatch.ends import place_window
+from calib.mismatch.ends import place_window, tune_wave
 from calib.mismatch.noise import expected_levels, make_whitener
 from calib.mismatch.ranking import fitted, make_stack
 from calib.mismatch.windows import moved_window, segment_columns, window_columns
@@ -61,3 +61,44 @@ def test_columns_of_a_window_are_sums_over_its_segments():
             parts = segment_columns(rows, alike[0])
             whole = window_columns(rows, moved_window(alike[0], *window))
             np.testing.assert_allclose(parts[:, a:b].sum(axis=1), whole, atol=1e-12)
+
+
+def test_what_jumps_about_is_placed_whole_though_it_was_found_as_the_bias_of_a_part():
+    _, made = problem()
+    rows = made.rows()
+    stack = make_stack(rows, skip=(), reference=False)
+    start, stop = float(rows.interval[8, 0]), float(rows.interval[20, 1])
+    whitener = make_whitener(rows, expected_levels(rows), rows.white_diagonal, fitted(rows, []))
+    found = [c for c in stack.candidates if c.name == "bias in a window"]
+    part = next(c for c in found if c.channels == ("gyro.x",) and c.index.size >= 4)
+    parts = segment_columns(rows, part)[:, 8:21, 0]
+    overlaps, names = [], set()
+    for seed in range(5):
+        rng = np.random.default_rng(seed)
+        true = whitener.project(parts @ rng.normal(size=parts.shape[1]))
+        noise = rng.normal(size=len(true))
+        noise -= whitener.basis @ (whitener.basis.T @ noise)
+        placed = place_window(rows, part, whitener, 15.0 * true / np.linalg.norm(true) + noise)
+        assert placed.interval is not None
+        overlaps.append(overlap(placed.interval, (start, stop)))
+        names.add(placed.name)
+    assert np.median(overlaps) > 0.7
+    assert "fluctuation in a window" in names
+    assert "bias in a window" not in names
+
+
+def test_a_wave_throughout_gets_its_period_between_those_of_the_grid():
+    _, made = problem()
+    rows = made.rows()
+    stack = make_stack(rows, skip=(), reference=False)
+    whitener = make_whitener(rows, expected_levels(rows), rows.white_diagonal, fitted(rows, []))
+    waves = [c for c in stack.candidates if c.group == "wave throughout accel.y"]
+    periods = np.array([c.shape["period"] for c in waves])
+    true = 0.5 * (periods[7] + periods[8])
+    signal = np.sin(2 * np.pi * rows.state.time / true + 1.0)
+    y = whitener.project(rows.column({"accel.y": signal}))
+    found, columns = tune_wave(rows, waves[7], whitener, 30.0 * y / np.linalg.norm(y))
+    assert found.shape["period"] == pytest.approx(true, rel=0.01)
+    mimicked = whitener.project(columns)
+    left = y - mimicked @ np.linalg.lstsq(mimicked, y, rcond=None)[0]
+    assert np.linalg.norm(left) < 0.1 * np.linalg.norm(y)
