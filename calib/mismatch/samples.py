@@ -268,9 +268,10 @@ def _coarse(
     finest = {s.name.split("_")[0]: s.low or 0.0 for s in get_effect("quantization").shape}
     out = []
     for first, triad, unit in ((0, "accel", "m/s²"), (3, "gyro", "rad/s")):
-        part, lsb = change[:, first : first + 3], step[first : first + 3]
+        part, whole = change[:, first : first + 3], moved[:, first : first + 3]
+        lsb = _refined(whole, step[first : first + 3])
         count, grid = _counts(part, lsb)
-        every = _counts(moved[:, first : first + 3], lsb)[1]
+        every = _counts(whole, lsb)[1]
         # Differences of white noise have twice its variance; rounding adds a twelfth of a count².
         # Coarse ones are no more than two counts apart: what is, is where rests begin and end.
         few = np.minimum(count, 2.0)
@@ -286,6 +287,19 @@ def _coarse(
             }
             out.append(_finding("quantization", recording, names, found))
     return out
+
+
+def _refined(change: FloatArray, lsb: FloatArray) -> FloatArray:
+    """Return the size of a count (3,) as changes of many counts (n, 3) tell it, step by step.
+
+    A size that is off by a thousandth, as decimals make it, is off by half a count in 500.
+    """
+    for most in (4.0, 32.0, 256.0, 2048.0):
+        count = np.rint(change / np.where(lsb > 0, lsb, 1.0))
+        own = np.where(count <= most, count, 0.0)
+        square = np.square(own).sum(axis=0)
+        lsb = np.where(square > 0, (own * change).sum(axis=0) / np.maximum(square, 1.0), lsb)
+    return np.asarray(lsb)
 
 
 def _counts(change: FloatArray, lsb: FloatArray) -> tuple[FloatArray, BoolArray]:

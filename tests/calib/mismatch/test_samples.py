@@ -126,6 +126,14 @@ def test_a_bias_that_sticks_to_a_coarse_count_at_rest_is_no_second_finding() -> 
         assert not found.unexplained
 
 
+def test_counts_are_coarse_though_decimals_cut_their_size() -> None:
+    recording = simulated(seed=3)
+    lsb = 2 * np.radians(2000.0) / 65536
+    gyro = np.round(np.round(recording.gyro / 1.5 / lsb) * lsb, 6)
+    (finding,) = look_at_samples(replace(recording, gyro=gyro), find_poses(recording)).findings
+    assert finding.parameters["gyro_lsb"].value == pytest.approx(lsb, rel=1e-4)
+
+
 def test_counts_are_coarse_though_a_rest_has_a_few_jerks() -> None:
     recording = simulated(seed=3)
     poses = find_poses(recording)
