@@ -145,9 +145,14 @@ class _Closures:
         spans = Spans(grid.time[points], first)
         ended = integrate_turns(spans, state.force[points], state.rate[points])
         left = self._residuals(turns, ended, spans.duration)
-        size = ROBUST * np.median(np.abs(left), axis=0)
-        self._scatter = np.repeat([size[:2].mean(), size[2:].mean()], (2, 3))
-        self.scores = self._sizes(left)
+        # White noise of a rate turns the frame by the root of time, and gravity in it by time more.
+        longer = np.maximum(spans.duration / np.median(spans.duration), 1.0)
+        scale = np.repeat(np.sqrt([longer, longer**3]).T, (2, 3), axis=1)
+        size = ROBUST * np.median(np.abs(left / scale), axis=0)
+        scatter = np.repeat([size[:2].mean(), size[2:].mean()], (2, 3))
+        self._scatter = np.zeros((len(grid.first), 5))
+        self._scatter[turns] = scatter * scale
+        self.scores = self._sizes(left, turns)
 
     def mended(self, s: int) -> Loss:
         """Return the loss in one turn that leaves least of its closure."""
@@ -165,7 +170,8 @@ class _Closures:
             at, number = (values.ravel() for values in grid)
             mended, longer = _mended(signals, path, at, number)
             duration = signals[0][-1] - signals[0][0] + longer
-            size = self._sizes(self._residuals(np.full(len(at), s), mended, duration))
+            turns = np.full(len(at), s)
+            size = self._sizes(self._residuals(turns, mended, duration), turns)
             return np.stack((at, number, size, 5 * size**2 + jump[number, at]))
 
         # A long shot first; then where the signals themselves jump, and about the better of them.
@@ -208,7 +214,7 @@ class _Closures:
         flat = values.reshape(-1, 6)
         ended = integrate_turns(spans, flat[:, :3], flat[:, 3:])
         turns = np.full(len(near), s)
-        return float(self._sizes(self._residuals(turns, ended, spans.duration)).min())
+        return float(self._sizes(self._residuals(turns, ended, spans.duration), turns).min())
 
     def _residuals(self, turns: IntArray, ended: Ended, duration: FloatArray) -> FloatArray:
         """Return the five residuals of each, (k, 5)."""
@@ -216,8 +222,8 @@ class _Closures:
         before, after = up[self._grid.before[turns]], up[self._grid.after[turns]]
         return open_ends(ended, before, after, duration, gravity=gravity)
 
-    def _sizes(self, closures: FloatArray) -> FloatArray:
-        return np.asarray(np.sqrt(np.mean(np.square(closures / self._scatter), axis=1)))
+    def _sizes(self, closures: FloatArray, turns: IntArray) -> FloatArray:
+        return np.asarray(np.sqrt(np.mean(np.square(closures / self._scatter[turns]), axis=1)))
 
 
 def _jump(values: FloatArray) -> FloatArray:

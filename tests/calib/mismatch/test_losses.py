@@ -10,7 +10,7 @@ from calib.effects.base import Term
 from calib.mismatch import diagnose_recording
 from calib.mismatch.closure import Spans, follow_turns, integrate_turns
 from calib.mismatch.grid import make_grid
-from calib.mismatch.losses import PART, Loss, _mended, _put_back, find_losses
+from calib.mismatch.losses import PART, Loss, _Closures, _mended, _put_back, find_losses
 from calib.mismatch.selfmode import SelfProblem
 from calib.recording import Recording
 from calib.statics import find_poses
@@ -44,6 +44,19 @@ def test_where_and_how_many_are_found_to_the_sample() -> None:
         assert loss.number == count
         assert abs(loss.moment - whole.time[at]) < 0.5 * whole.interval
         assert loss.after < 0.05 * loss.before
+
+
+@pytest.mark.parametrize("seed", [4, 5, 6])
+def test_a_long_turn_misses_its_closure_by_as_much_more_as_it_is_longer(seed: int) -> None:
+    whole = recording(rate=100.0, seed=seed)
+    poses = find_poses(whole)
+    known = np.ones(len(poses), bool)
+    known[6:11] = False  # a turn of 27 s, where others take one or two
+    grid = make_grid(whole, poses.select(known))
+    twin = SelfProblem(grid, None, gravity=GRAVITY, full_gyro=False).twin
+    turns = np.flatnonzero(~grid.is_rest)
+    scores = _Closures(grid, twin, turns).scores
+    assert scores[np.argmax(np.ptp(grid.interval[turns], axis=1))] < 4.0
 
 
 @pytest.mark.parametrize(("seed", "pose"), [(5, 3), (6, 5), (7, 3)])
