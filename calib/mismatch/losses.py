@@ -23,10 +23,11 @@ from calib.mismatch.twinfit import fit_twin
 from calib.spline import spline_between, spline_slopes
 from calib.types import FloatArray, IntArray
 
-SURE = 100.0
+SURE = 1000.0
 """Odds of a loss, against a turn that errs by as much for another reason, from which it is one. Of
 such errors, five numbers of any direction, a share of ``(after / before)**5`` is mended as well at
-one place; so many places are tried."""
+one place; so many places are tried. Three turns may be looked at in a recording, and at most one in
+two hundred recordings may have a false name."""
 
 SHARP = 0.5
 """Share of the greatest jump of the signals in a turn from which others are as likely a loss."""
