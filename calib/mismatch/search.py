@@ -47,6 +47,10 @@ TWIN = 0.01
 """The same for another effect of the catalogue: what sizes are typical is a weak argument between
 two that a recording cannot tell apart."""
 
+FIRST = float(np.log(2.0))
+"""Log odds by which rivals must lead before what physics explains nearly as well is unexplained.
+Either way both are said. A technician who is told a name can check it."""
+
 SHOWN = 1e-3
 """Posterior probability below which nothing is said of a group."""
 
@@ -168,7 +172,7 @@ def choose(rows: Rows, ranking: Ranking, accepted: list[Accepted]) -> Candidate 
         return best[top]
     for_physics = logsumexp([groups[g] for g in physical])
     for_rivals = logsumexp([groups[g] for g in rival])
-    if for_physics >= for_rivals:
+    if for_physics + FIRST >= for_rivals:
         return best[top]
     # Two causes at once can look like one smooth rival: let physics try twice.
     if groups[top] > np.log(CLAIM):
