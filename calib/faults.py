@@ -166,7 +166,7 @@ def find_stuck(
         long = stop + 1 - start >= longest
         start, stop = start[long], stop[long] + 1
         coarse = _mostly_constant(constant, moving)
-        still = _inside(turns, start, stop)
+        around = _around(turns, start, stop)
         for k, (begin, end) in enumerate(zip(start.tolist(), stop.tolist(), strict=True)):
             if clipped[begin:end, c].all():
                 continue
@@ -174,8 +174,8 @@ def find_stuck(
             elsewhere = np.delete(constant, np.r_[inside])
             moved = moving[begin:end].sum() * interval >= 0.2
             if coarse:
-                mine = _inside(turns, start[[k]], stop[[k]])
-                moved = mine.any() and (still & ~mine).sum() < OFTEN * len(turns)
+                others = ((around >= 0) & (around != k)).sum()
+                moved = (around == k).any() and others < OFTEN * len(turns)
             if moved or (elsewhere.size > 4 and elsewhere.mean() < 0.02):
                 out.append((c, begin, end))
     return out
@@ -187,12 +187,12 @@ def _mostly_constant(constant: BoolArray, moving: BoolArray) -> bool:
     return bool(at_rest.sum() > 4 and constant[at_rest].mean() > 0.5)
 
 
-def _inside(turns: IntArray, start: IntArray, stop: IntArray) -> BoolArray:
-    """Return which of the (k, 2) turns lie within one of the stretches, from rest to rest."""
+def _around(turns: IntArray, start: IntArray, stop: IntArray) -> IntArray:
+    """Return which stretch each of the (k, 2) turns lies in, from rest to rest; -1 for none."""
     if not len(start):
-        return np.zeros(len(turns), bool)
-    which = np.maximum(np.searchsorted(start, turns[:, 0], side="left") - 1, 0)
-    return np.asarray((start[which] < turns[:, 0]) & (turns[:, 1] < stop[which]))
+        return np.full(len(turns), -1)
+    which = np.searchsorted(start, turns[:, 0], side="left") - 1
+    return np.where((which >= 0) & (turns[:, 1] < stop[which]), which, -1)
 
 
 def find_spikes(values: FloatArray, *, lsb: FloatArray) -> list[tuple[int, int]]:

@@ -258,7 +258,7 @@ class Effect(ABC):
     def size_if(self, common: float, *, gravity: float) -> float | None:
         """Return its size if it were what the scale factors of `absorbed_by` have in common.
 
-        None, as for most, if it would look different.
+        In proportion to it. None, as for most, if it would look different.
         """
         return None
 

@@ -87,10 +87,12 @@ def find_aliases(
     """
     out = []
     for effect in effects().values():
-        (group, *more) = (*effect.absorbed_by, "")
+        size = effect.size_if(1.0, gravity=gravity)
+        if size is None:
+            continue
+        (group,), (parameter,) = effect.absorbed_by, effect.parameters
         own = [f"{group}.{a}" for a in AXES]
-        # Only what is scale factors, and nothing else, is an exact alias.
-        if len(more) > 1 or effect.size_if(1.0, gravity=gravity) is None or set(own) - set(names):
+        if set(own) - set(names):
             continue
         triad = group.split(".")[0]
         now, before = (getattr(m, triad).scale_factor_error for m in (model, start))
@@ -98,23 +100,20 @@ def find_aliases(
         index = [names.index(n) for n in own]
         weight = np.linalg.pinv(covariance[np.ix_(index, index)])
         variance = 1.0 / max(float(weight.sum()), 1e-300)
-        common = float(variance * weight.sum(axis=0) @ shift)
+        common, sigma = float(variance * weight.sum(axis=0) @ shift), float(np.sqrt(variance))
         left = shift - common
-        apart = np.sqrt(np.max(np.diag(covariance)[index]))
+        # What is clear of the worst axis is clear of all together.
         alike = (
-            abs(common) > CLEAR * np.sqrt(variance)
-            and abs(common) > CLEAR * apart
+            abs(common) > CLEAR * np.sqrt(np.diag(covariance)[index].max())
             and float(left @ weight @ left) < DIFFERENT
         )
-        (parameter,) = effect.parameters
-        values = [effect.size_if(v, gravity=gravity) or 0.0 for v in (common, np.sqrt(variance))]
         unit = parameter_unit(f"{effect.slug}.{parameter.name}")
         out.append(
             Alias(
                 effect=effect.slug,
                 alias_of=group,
-                common=Quantity(common, float(np.sqrt(variance)), "1"),
-                parameters={parameter.name: Quantity(values[0], abs(values[1]), unit)},
+                common=Quantity(common, sigma, "1"),
+                parameters={parameter.name: Quantity(size * common, size * sigma, unit)},
                 alike=bool(alike),
                 needs=effect.needs,
             )

@@ -41,6 +41,8 @@ is much finer than a step."""
 DIFFERENCES = np.array([-1.0, 3.0, -3.0, 1.0])
 """Third differences: a parabola costs nothing."""
 
+ORDER = len(DIFFERENCES) - 1
+
 LENGTHS = np.geomspace(CELLS / 6, 0.5, 14)
 """Smoothing lengths that are tried, in cells."""
 
@@ -203,7 +205,7 @@ def _path(
     readings: _Readings, path: FloatArray, noise: float, length: float
 ) -> tuple[FloatArray, float]:
     """Return the most probable path for one noise and smoothing length, and the evidence."""
-    stiff = length ** (2 * (len(DIFFERENCES) - 1))
+    stiff = length ** (2 * ORDER)
     rough = stiff * _roughness(len(path))
     half = np.full(len(readings.value), max(readings.half / noise, NARROW))
     top, move, log_det = -np.inf, np.zeros(len(path)), 0.0
@@ -227,7 +229,7 @@ def _path(
         move = cho_solve_banded((factor, True), push)
         if gained < 1e-2:
             break
-    return path, top + 0.5 * (len(path) - 3) * np.log(stiff) - log_det
+    return path, top + 0.5 * (len(path) - ORDER) * np.log(stiff) - log_det
 
 
 def _bent(path: FloatArray, *, back: bool = False) -> FloatArray:
@@ -239,11 +241,10 @@ def _bent(path: FloatArray, *, back: bool = False) -> FloatArray:
 
 def _roughness(n: int) -> FloatArray:
     """Return ``D'D`` of n cells, as the lower bands of a symmetric matrix."""
-    order = len(DIFFERENCES)
-    out = np.zeros((order, n))
-    for i in range(order):
-        for j in range(i, order):
-            out[j - i, i : n - order + 1 + i] += DIFFERENCES[i] * DIFFERENCES[j]
+    out = np.zeros((ORDER + 1, n))
+    for i in range(ORDER + 1):
+        for j in range(i, ORDER + 1):
+            out[j - i, i : n - ORDER + i] += DIFFERENCES[i] * DIFFERENCES[j]
     return out
 
 

@@ -12,7 +12,6 @@ from imu_cli.options import HeightOption, ImuOption, LatitudeOption, ProfileOpti
 if TYPE_CHECKING:
     from calib.calibration import Calibration, Quantity
     from calib.mismatch import Diagnosis, Finding
-    from calib.mismatch.aliases import Alias
     from calib.model import SensorModel
     from calib.recording import Recording
 
@@ -162,6 +161,7 @@ def _signed(made: Calibration, recording: Path) -> Calibration:
 
 def _show(found: Diagnosis) -> None:
     from imu_cli.output import console, warn
+    from imu_cli.report.diagnosis import alias_sentence
 
     out = console()
     out.print(f"[bold]{_VERDICTS[found.verdict]}[/]", soft_wrap=True)
@@ -179,7 +179,8 @@ def _show(found: Diagnosis) -> None:
             out.print(f"  or: {rival.effect} (odds {rival.odds:.2g})")
     for alias in found.aliases:
         if alias.alike:
-            _show_alias(alias)
+            sentence = alias_sentence(alias.to_json())
+            out.print(f"\n[bold]Cannot be known[/]: {sentence}", soft_wrap=True)
     if found.findings or found.unexplained:
         from rich.table import Table
 
@@ -212,17 +213,6 @@ _VERDICTS = {
     "unexplained": "Unexplained: it differs from its simulation, and no known physics fits.",
     "undetermined": "Undetermined: this recording cannot tell.",
 }
-
-
-def _show_alias(alias: Alias) -> None:
-    from imu_cli.output import console
-
-    sizes = ", ".join(f"{name} = {_quantity(q)}" for name, q in alias.parameters.items())
-    console().print(
-        f"\n[bold]Cannot be known[/]: {alias.alias_of} is {_quantity(alias.common)} on all axes "
-        f"alike; {alias.effect} ({sizes}) would look the same. It needs {alias.needs}.",
-        soft_wrap=True,
-    )
 
 
 def _show_finding(number: int, item: Finding) -> None:
@@ -274,7 +264,6 @@ def _in_unit(unit: str, *values: float) -> str:
 
 
 def _quantity(q: Quantity) -> str:
-    from imu_cli.report.units import with_error
+    from imu_cli.report.units import said
 
-    value, error, unit = with_error(q.value, q.sigma, q.unit)
-    return f"{value} {unit}" if error == "-" else f"{value} ± {error} {unit}"
+    return said(q.value, q.sigma, q.unit)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from imu_cli.report.model import Block, Paragraph, Plot, Report, Series, Table
-from imu_cli.report.units import people_unit, with_error
+from imu_cli.report.units import people_unit, said, with_error
 
 VERDICTS = {
     "consistent": ("Consistent: nothing beyond noise.", "good"),
@@ -36,7 +36,7 @@ def diagnosis_report(document: Mapping[str, Any]) -> Report:
         blocks.append(_unexplained(document["unexplained"]))
     for alias in document.get("aliases", ()):
         if alias["alike"]:
-            blocks.append(_alias(alias))
+            blocks.append(Paragraph("What cannot be known", (alias_sentence(alias),)))
     residuals = (document.get("fit") or {}).get("residuals")
     if residuals:
         blocks.append(_residuals(residuals))
@@ -67,18 +67,12 @@ def _facts(document: Mapping[str, Any]) -> tuple[tuple[str, str], ...]:
     return tuple(facts)
 
 
-def _alias(alias: Mapping[str, Any]) -> Paragraph:
-    def said(q: Mapping[str, Any]) -> str:
-        value, error, unit = with_error(q["value"], q["sigma"], q["unit"])
-        return f"{value} ± {error} {unit}"
-
-    sizes = ", ".join(f"{name} = {said(q)}" for name, q in alias["parameters"].items())
-    return Paragraph(
-        "What cannot be known",
-        (
-            f"{alias['alias_of']} is {said(alias['common'])} on all axes alike; "
-            f"{alias['effect']} ({sizes}) would look the same. It needs {alias['needs']}.",
-        ),
+def alias_sentence(alias: Mapping[str, Any]) -> str:
+    """Return what cannot be known, of one entry of ``aliases``."""
+    sizes = ", ".join(f"{name} = {said(**q)}" for name, q in alias["parameters"].items())
+    return (
+        f"{alias['alias_of']} is {said(**alias['common'])} on all axes alike; "
+        f"{alias['effect']} ({sizes}) would look the same. It needs {alias['needs']}."
     )
 
 

@@ -45,6 +45,12 @@ def with_error(value: float, error: float | None, unit: str) -> tuple[str, str, 
     return f"{value:.{digits}f}", f"{error:.{digits}f}", name
 
 
+def said(value: float, sigma: float | None, unit: str) -> str:
+    """Return `with_error` as words of a sentence."""
+    number, spread, name = with_error(value, sigma, unit)
+    return f"{number} {name}" if spread == "-" else f"{number} ± {spread} {name}"
+
+
 def parameter_text(name: str, value: float, error: float | None) -> tuple[str, str, str]:
     """Return `with_error` for a parameter by its full name."""
     return with_error(value, error, parameter_unit(name))
