@@ -18,6 +18,7 @@ References
 from __future__ import annotations
 
 import numpy as np
+from scipy.linalg import lapack
 from scipy.special import log_ndtr
 
 from calib.mismatch.candidates import Alike, Bank, Candidate, Sums
@@ -41,6 +42,9 @@ SHARES = np.append(np.full(8, 0.1175), [0.02, 0.02, 0.01, 0.01])
 """How probable each of them is."""
 
 _LOG_SHARES = np.log(SHARES)
+
+ALL_AT_ONCE = 8
+"""Columns of candidates up to which these are reduced side by side; of more, one by one."""
 
 MANY = 256
 """Candidates that are mixed at a time: what they make of columns stays near the processor."""
@@ -207,14 +211,53 @@ def _present(power: FloatArray, along: FloatArray) -> FloatArray:
 
 
 def log_bayes_factors(gram: FloatArray, match: FloatArray) -> FloatArray:
-    """Return log B of n hypotheses with Gram matrices (n, k, k) and matches (n, k)."""
-    values, vectors = np.linalg.eigh(gram)
-    values = np.maximum(values, 0.0)
-    along = np.square(np.einsum("nij,ni->nj", vectors, match))
-    square = np.square(SCALES)[:, None, None]
-    strength = square * values
-    gain = 0.5 * (along * square / (1 + strength)).sum(axis=2)
-    return _average(gain - 0.5 * np.log1p(strength).sum(axis=2) + _LOG_SHARES[:, None])
+    """Return log B of n hypotheses with Gram matrices (n, k, k) and matches (n, k).
+
+    In a basis that begins with the match and has a tridiagonal Gram matrix T, only the corner of
+    the inverse of ``I + s² T`` counts, which elimination from the other end gives with the
+    determinant, for all scales at once.
+    """
+    diagonal, beside = _tridiagonal(gram, match)
+    square = np.square(SCALES)[:, None]
+    # What is left of a pivot is never below one: the rest is rounding.
+    pivot = np.maximum(1.0 + square * diagonal[-1], 1.0)
+    log_det = np.log(pivot)
+    for d, b in zip(diagonal[-2::-1], beside[:0:-1], strict=True):
+        pivot = np.maximum(1.0 + square * (d - square * (np.square(b) / pivot)), 1.0)
+        log_det += np.log(pivot)
+    gain = square * (np.square(beside[0]) / pivot)
+    return _average(0.5 * (gain - log_det) + _LOG_SHARES[:, None])
+
+
+def _tridiagonal(gram: FloatArray, match: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return n Gram matrices as tridiagonal ones: their diagonals and what is beside, (k, n) each.
+
+    The first of what is beside is the length of the match, which lies along the first direction:
+    Householder's reduction of a matrix that has the match as its first row leaves that row alone.
+    """
+    n, k = match.shape
+    left = np.zeros((n, k + 1, k + 1))
+    left[:, 0, 1:] = left[:, 1:, 0] = match
+    left[:, 1:, 1:] = gram
+    diagonal, beside = np.empty((k + 1, n)), np.empty((k, n))
+    if k > ALL_AT_ONCE:
+        for i, one in enumerate(left):
+            _, diagonal[:, i], beside[:, i], _, _ = lapack.dsytrd(one.T, lower=1, overwrite_a=1)
+        return diagonal[1:], beside
+    for j in range(k):
+        diagonal[j], first, left = left[:, 0, 0], left[:, 1:, 0], left[:, 1:, 1:]
+        beside[j] = size = np.sqrt(np.einsum("ni,ni->n", first, first))
+        if j < k - 1:
+            mirror = first.copy()
+            mirror[:, 0] += np.copysign(size, first[:, 0])
+            square = np.einsum("ni,ni->n", mirror, mirror)
+            mirror *= np.sqrt(2.0 / np.where(square > 0, square, 1.0))[:, None]
+            along = np.einsum("nij,nj->ni", left, mirror)
+            along -= 0.5 * np.einsum("ni,ni->n", along, mirror)[:, None] * mirror
+            change = mirror[:, :, None] * along[:, None, :]
+            left -= change + np.swapaxes(change, 1, 2)
+    diagonal[k] = left[:, 0, 0]
+    return diagonal[1:], beside
 
 
 def average_of_scales(log_factors: FloatArray) -> FloatArray:
