@@ -18,6 +18,12 @@ BLOCK = 64
 """Samples over which local scatter and chances are estimated."""
 NEARBY = 16
 """Samples over which the scatter about a spike is estimated; turns begin and end within few."""
+FASTEST = 150.0
+"""rad/s, twice the largest full scale that MEMS gyroscopes have."""
+LARGEST = np.array([1e4] * 3 + [FASTEST] * 3)
+"""Of each channel: 1000 g, and what no gyroscope measures."""
+WILD = 100.0
+"""Times what is beside it, from which a value that no sensor measures is one on its own."""
 FALSE_ALARM = 1e-6
 """Probability, for a whole recording, that chance alone makes a finding."""
 SPIKE, ISOLATED, OTHERS = 9.0, 4.0, 4.0
@@ -69,6 +75,21 @@ def jitter(recording: Recording) -> float:
 def values_of(recording: Recording) -> FloatArray:
     """Return all six channels side by side, (n, 6)."""
     return np.hstack([recording.accel, recording.gyro])
+
+
+def find_wild(values: FloatArray) -> BoolArray:
+    """Return which values (n, 6) no sensor measures, alone among others that one could, (n, 6).
+
+    Values in another unit are as large, but so are those beside them. What is wrong by that much
+    came about on the way: a bit that was flipped, or a byte that was lost.
+    """
+    size = np.abs(values)
+    beyond = size > LARGEST
+    if not beyond.any():
+        return np.asarray(beyond)
+    padded = np.pad(size, ((2, 2), (0, 0)), mode="reflect") if len(size) > 2 else size
+    around = [padded[k : k + len(size)] for k in (0, 1, 3, 4)] if len(size) > 2 else [size]
+    return np.asarray(beyond & (size > WILD * np.median(around, axis=0)))
 
 
 def find_repeats(values: FloatArray) -> IntArray:

@@ -292,7 +292,7 @@ def _rate_at_rest(
     for path in (range(centre, len(groups)), range(centre, -1, -1)):
         bias = rate[densest]
         for g in path:
-            near = np.linalg.norm(rate[groups[g]] - bias, axis=1) < reach
+            near = np.linalg.norm(rate[groups[g]] - bias, axis=1) <= reach
             if near.any():
                 bias = np.median(rate[groups[g]][near], axis=0)
                 known[g] = bias

@@ -19,6 +19,7 @@ import numpy as np
 
 from calib.closure import TurnSteps, closure_residual
 from calib.errors import UnitError
+from calib.faults import FASTEST
 from calib.poses import Poses
 from calib.recording import Recording
 from calib.rotation import cumulative_quat_segments, mat_from_quat, quat_from_rotvec
@@ -51,6 +52,11 @@ ACCEL_FACTORS = {
 GYRO_FACTORS = {
     1 / DEGREE: "the gyroscope is in deg/s",
     1000 / DEGREE: "the gyroscope is in mdeg/s",
+    **{
+        per_second: f"the time is in {unit}, or the gyroscope in {_rate}"
+        for unit, _rate, per_second in (("ms", "mrad/s", 1e3), ("µs", "µrad/s", 1e6))
+    },
+    1e9: "the time is in ns",
     DEGREE: "the gyroscope was in rad/s already and was converted from deg/s again",
     **{
         scale: f"the gyroscope's full scale is {_times} what was assumed"
@@ -86,17 +92,23 @@ ENOUGH = 12
 """Turns."""
 MOST = 0.7
 """Of the turns must close: two axes swapped leave turns about the third as they are."""
-FASTEST = 150.0
-"""rad/s, twice the largest full scale that MEMS gyroscopes have."""
+FEWEST = 6
+"""Turns that are not all explained by chance if factors that nobody knows are tried."""
+ROUND = 0.1
+"""By how much, relative to 1, ellipsoids miss squares of gravity that noise and axes explain."""
 
 
 @dataclass(frozen=True)
 class UnitFault:
-    """One sensor that is not in its unit: ``measured = factor * true``."""
+    """One sensor that is not in its unit: ``measured = factor * true``.
+
+    ``channel`` (0 to 2) is its only axis that is not; None if all are not.
+    """
 
     triad: str
     factor: float
     message: str
+    channel: int | None = None
 
 
 def check_units(recording: Recording, poses: Poses | None = None) -> None:
@@ -141,6 +153,16 @@ def _accel_fault(recording: Recording, poses: Poses) -> UnitFault | None:
         norm = np.linalg.norm(recording.accel, axis=1)
         where = f"the median of |a| is {np.median(norm):.4g} m/s²"
     factor = float(np.median(norm)) / G
+    gains = _gains(poses.accel)
+    if gains is not None and (odd := _odd(gains)) is not None:
+        factor = float(gains[odd])
+        return UnitFault(
+            "accel",
+            factor,
+            f"accelerometer {'xyz'[odd]} measures {factor * G:.4g} m/s² of gravity, expected "
+            f"{G:.2f}, a factor of {factor:.4g}{_name(factor, ACCEL_FACTORS)}",
+            odd,
+        )
     if low <= factor <= high:
         return None
     if factor < REMOVED:
@@ -157,16 +179,47 @@ def _accel_fault(recording: Recording, poses: Poses) -> UnitFault | None:
     )
 
 
+def _gains(accel: FloatArray) -> FloatArray | None:
+    """Return the gain of each axis, (3,): semi-axes of the ellipsoid of (n, 3) poses, over g.
+
+    None if the poses do not lie on one that they determine.
+    """
+    if len(accel) < 9:
+        return None
+    scale = np.abs(accel).max(axis=0)
+    if not scale.all():
+        return None
+    unit = accel / scale
+    design = np.hstack((np.square(unit), unit))
+    if np.linalg.cond(design) > 30:
+        return None
+    found = np.linalg.lstsq(design, np.ones(len(unit)), rcond=None)[0]
+    square, linear = found[:3], found[3:]
+    if (square <= 0).any() or np.std(design @ found - 1) > ROUND:
+        return None
+    size = 1 + np.sum(np.square(linear) / (4 * square))
+    return np.asarray(scale * np.sqrt(size / square) / G)
+
+
+def _odd(gains: FloatArray) -> int | None:
+    """Return the one axis of which the gain is not that of a sensor; None if there is not one."""
+    low, high = AT_REST
+    wrong = np.flatnonzero((gains < low) | (gains > high))
+    return int(wrong[0]) if len(wrong) == 1 else None
+
+
 def _gyro_fault(recording: Recording, closure: Closure | None) -> UnitFault | None:
     if closure is not None:
-        factor = closure.factor
+        factor, odd = closure.factor, closure.channel
         if factor == 1.0:
             return None
+        what = "the gyroscope" if odd is None else f"gyroscope {'xyz'[odd]}"
         return UnitFault(
             "gyro",
             factor,
-            f"turns are {factor:.4g} times as large by the gyroscope as by the direction of "
+            f"turns are {factor:.4g} times as large by {what} as by the direction of "
             f"gravity{_name(factor, GYRO_FACTORS)}",
+            odd,
         )
     rate = np.linalg.norm(recording.gyro - np.median(recording.gyro, axis=0), axis=1)
     fast = float(np.quantile(rate, 0.99))
@@ -190,19 +243,22 @@ class Closure:
         Integral of the rate over each step, bias taken out; `first` as in `TurnSteps`.
     before, after : (m, 3) arrays
         Direction of gravity at both ends of each turn.
+    interval : (m, 2) array, s
     """
 
     angle: FloatArray
     first: IntArray
     before: FloatArray
     after: FloatArray
+    interval: FloatArray
 
     @classmethod
     def of(cls, recording: Recording, poses: Poses) -> Closure | None:
         """Return the turns of a recording, or None if none tilted the sensor without a gap."""
         turns = find_turns(recording, poses)
         assert recording.lost is not None
-        up = poses.accel / np.linalg.norm(poses.accel, axis=1, keepdims=True)
+        norm = np.linalg.norm(poses.accel, axis=1, keepdims=True)
+        up = poses.accel / np.where(norm > 0, norm, 1.0)
         before, after = up[turns.before], up[turns.after]
         tilt = np.linalg.norm(closure_residual(before, after), axis=1)
         lost = np.concatenate([[0], np.cumsum(recording.lost)])
@@ -215,18 +271,21 @@ class Closure:
         which = np.sort(which[shortest])
         steps = TurnSteps.of(recording, turns.select(which))
         angle = steps.angle - np.median(poses.gyro, axis=0) * steps.step[:, None]
-        return cls(angle, steps.first, before[which], after[which])
+        return cls(angle, steps.first, before[which], after[which], turns.interval[which])
 
     def __len__(self) -> int:
         return len(self.before)
 
     def error(self, matrix: FloatArray) -> float:
         """Return the angle, rad, by which most turns miss gravity if ``matrix @ rate`` is true."""
+        return float(np.quantile(self._errors(matrix), MOST))
+
+    def _errors(self, matrix: FloatArray) -> FloatArray:
+        """Return the angle, rad, by which each turn does, (m,)."""
         quat = cumulative_quat_segments(quat_from_rotvec(self.angle @ matrix.T), self.first)
         mat = mat_from_quat(quat[self.first[1:] - 1])
         predicted = np.einsum("mij,mj->mi", mat, self.after)
-        angle = np.linalg.norm(closure_residual(self.before, predicted), axis=1)
-        return float(np.quantile(angle, MOST))
+        return np.asarray(np.linalg.norm(closure_residual(self.before, predicted), axis=1))
 
     @cached_property
     def missed(self) -> float:
@@ -234,9 +293,12 @@ class Closure:
         return self.error(np.eye(3))
 
     @cached_property
-    def _explained(self) -> tuple[float, FloatArray]:
-        """The factor and the axes (columns of the file, signed) that explain the turns best."""
-        plain = 1.0, np.eye(3)
+    def _explained(self) -> tuple[float, int | None, FloatArray]:
+        """The factor, the only axis that has it (or None), and the axes that explain turns best.
+
+        Axes are columns of the file, signed.
+        """
+        plain = 1.0, None, np.eye(3)
         if self.missed < AGREE:
             return plain
         enough = min(AGREE, self.missed / 3)
@@ -246,10 +308,49 @@ class Closure:
         best = int(np.argmin(maps))
         # One or two turns fit some axes or other; a unit is the simpler explanation.
         if by_factor[factor] < enough and (len(self) < 3 or by_factor[factor] < 1.5 * maps[best]):
-            return factor, np.eye(3)
+            return factor, None, np.eye(3)
         if len(self) >= 3 and maps[best] < enough:
-            return 1.0, AXIS_MAPS[best]
-        return plain
+            return 1.0, None, AXIS_MAPS[best]
+        if len(self) < FEWEST:
+            return plain
+        by_axis = {
+            (factor, c): self.error(np.diag(np.where(np.arange(3) == c, 1 / factor, 1.0)))
+            for factor in GYRO_FACTORS
+            for c in range(3)
+        }
+        factor, odd = min(by_axis, key=by_axis.__getitem__)
+        if by_axis[factor, odd] < enough:
+            return factor, odd, np.eye(3)
+        if self._own:
+            return plain
+        unnamed = {float(f): self.error(np.eye(3) / f) for f in self._sizes()}
+        factor = min(unnamed, key=unnamed.__getitem__)
+        return (factor, None, np.eye(3)) if unnamed[factor] < enough else plain
+
+    @cached_property
+    def _own(self) -> bool:
+        """Whether a scale factor that is the sensor's own, if a poor one, explains the turns."""
+        low, high = AT_REST
+        return any(self.error(np.eye(3) / f) < AGREE for f in np.geomspace(low**2, high**2, 15))
+
+    def _sizes(self) -> FloatArray:
+        """Return factors that would make turns as large as gravity says, or up to 3 times so."""
+        total = np.add.reduceat(self.angle, self.first[:-1], axis=0)
+        tilt = np.linalg.norm(closure_residual(self.before, self.after), axis=1)
+        ratio = float(np.median(np.linalg.norm(total, axis=1) / tilt))
+        return np.asarray((ratio or 1.0) * np.geomspace(1 / 3, 1.1, 60))
+
+    @property
+    def agrees(self) -> bool:
+        """Whether most turns agree with gravity, by some factor and axes at least."""
+        factor, _, axes = self._explained
+        known = factor != 1.0 or not np.array_equal(axes, np.eye(3))
+        return self.missed < AGREE or known or self._own
+
+    @property
+    def disagreeing(self) -> FloatArray:
+        """The turns that miss gravity by more than a sensor's errors, (k, 2) s."""
+        return self.interval[self._errors(np.eye(3)) > AGREE]
 
     @property
     def factor(self) -> float:
@@ -257,9 +358,14 @@ class Closure:
         return self._explained[0]
 
     @property
+    def channel(self) -> int | None:
+        """The only axis (0 to 2) that has this factor; None if all have it."""
+        return self._explained[1]
+
+    @property
     def axes(self) -> FloatArray:
         """The signed permutation that makes the rate agree with gravity; identity if none does."""
-        return self._explained[1]
+        return self._explained[2]
 
 
 def _signed_permutations() -> list[FloatArray]:

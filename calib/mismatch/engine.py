@@ -25,7 +25,7 @@ from calib.mismatch.grid import (
 )
 from calib.mismatch.losses import find_losses
 from calib.mismatch.places import gathered, joined
-from calib.mismatch.samples import lost_samples
+from calib.mismatch.samples import BEYOND, DISAGREES, lost_samples
 from calib.mismatch.search import Outcome, search
 from calib.mismatch.selfmode import SelfProblem
 from calib.mismatch.spectrum import LOUDER_THERE, look_at_spectrum
@@ -50,6 +50,12 @@ RESTLESS = (
     "a moment of rest: without gravity to compare with, only a simulation or a reference can tell "
     "what is wrong (--against, --reference)"
 )
+
+NEEDED = {
+    DISAGREES: "a gyroscope and an accelerometer that agree on the turns",
+    BEYOND: "a gyroscope that reads less at rest",
+}
+"""What a recording lacks that ends with its samples, by what they are off by."""
 
 LEAST_TURNS = 3
 """Turns below which nothing that shows in motion alone is named."""
@@ -86,8 +92,9 @@ def diagnose_thinned(
         return _unfit(thinned, (), RESTLESS, "undetermined")
     missing = _missing(recording, poses)
     if seen.fatal:
-        stuck = bool(seen.unexplained)
-        need = "channels that move: one is stuck" if stuck else "right units and axes"
+        need = "right units and axes"
+        if seen.unexplained:
+            need = NEEDED.get(seen.unexplained[-1].follows, "channels that move: one is stuck")
         return _unfit(thinned, missing, f"{need}: mend that and diagnose again", "explained")
     noisy = (*look_at_spectrum(recording, poses), *look_within(recording, poses))
     poses = _whole(connected(untouched(recording, steady(poses))), seen.spoilt)

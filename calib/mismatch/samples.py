@@ -22,7 +22,7 @@ from calib.mismatch.losses import Loss
 from calib.poses import Poses
 from calib.recording import CHANNELS, Recording
 from calib.types import BoolArray, FloatArray, IntArray
-from calib.units import Closure, unit_faults
+from calib.units import FEWEST, Closure, unit_faults
 
 _JOIN = 1.0
 """Places closer than this are one interval, s."""
@@ -38,6 +38,11 @@ CERTAIN = 0.1
 
 MANY = 100_000
 """Samples that are looked at for whether they step in counts."""
+
+BEYOND = "nothing: no gyroscope reads that at rest"
+
+DISAGREES = "turns: by the gyroscope they are others than by the accelerometer"
+"""What is unexplained where neither a unit nor an order of axes explains most turns."""
 
 STUCK = 0.2
 """Share of the recording for which a channel that is stuck leaves nothing to compare with."""
@@ -60,11 +65,19 @@ class Samples(NamedTuple):
 
 def look_at_samples(recording: Recording, poses: Poses) -> Samples:
     """Look for what is wrong with single samples, units and axes."""
-    wrong = look_at_units(recording, poses)
+    wrong, odd = look_at_units(recording, poses)
     if wrong:
         return Samples(wrong, (), np.zeros(len(recording), bool), fatal=True)
     moving = outside_rests(recording, poses.start, poses.stop)
-    return look_at_faults(recording, moving, whole=True)
+    return with_disagreement(look_at_faults(recording, moving, whole=True), odd)
+
+
+def with_disagreement(seen: Samples, odd: tuple[Unexplained, ...]) -> Samples:
+    """Return what the samples show with turns that disagree, if nothing seen in them does it."""
+    known = {f.effect for f in seen.findings} & {"saturation", "dropped_samples"}
+    if not odd or seen.unexplained or (known and odd[0].follows == DISAGREES):
+        return seen
+    return seen._replace(unexplained=odd, fatal=True)
 
 
 def outside_rests(part: Recording, start: IntArray, stop: IntArray, *, begin: int = 0) -> BoolArray:
@@ -76,10 +89,60 @@ def outside_rests(part: Recording, start: IntArray, stop: IntArray, *, begin: in
     return moving
 
 
-def look_at_units(recording: Recording, poses: Poses) -> tuple[Finding, ...]:
-    """Look for wrong units and axes."""
-    closure = Closure.of(recording, poses) if len(poses) else None
-    return (*_units(recording, poses, closure), *_axes(recording, closure))
+def tamed(recording: Recording) -> tuple[Recording, tuple[Unexplained, ...]]:
+    """Return the recording without samples that no sensor measures; they count as lost."""
+    wild = faults.find_wild(faults.values_of(recording))
+    if not wild.any():
+        return recording, ()
+    what = tuple(
+        Unexplained(
+            (CHANNELS[c],),
+            intervals_of(recording.time, np.flatnonzero(wild[:, c])),
+            "nothing: single samples are larger than any sensor measures",
+            faults.FALSE_ALARM,
+        )
+        for c in np.flatnonzero(wild.any(axis=0))
+    )
+    keep: BoolArray = np.logical_not(wild.any(axis=1))
+    if not keep.any():
+        return recording, ()
+    assert recording.lost is not None
+    before = np.append(0, np.flatnonzero(keep)[:-1] + 1)
+    until = np.flatnonzero(keep)[-1] + 1
+    lost = np.add.reduceat(recording.lost[:until] + np.logical_not(keep[:until]), before)
+    return replace(rows_of(recording, keep), lost=lost), what
+
+
+def rows_of(part: Recording, which: BoolArray) -> Recording:
+    """Return some of the samples."""
+    assert part.lost is not None
+    return replace(
+        part,
+        time=part.time[which],
+        accel=part.accel[which],
+        gyro=part.gyro[which],
+        temperature=None if part.temperature is None else part.temperature[which],
+        lost=part.lost[which],
+    )
+
+
+def look_at_units(
+    recording: Recording, poses: Poses
+) -> tuple[tuple[Finding, ...], tuple[Unexplained, ...]]:
+    """Look for wrong units and axes; and for turns that no unit and no axes make agree."""
+    closure = None
+    if len(poses):
+        far = np.abs(np.median(poses.gyro, axis=0)) > faults.FASTEST
+        if far.any():
+            names = tuple(f"gyro.{a}" for a, off in zip("xyz", far, strict=True) if off)
+            whole = (float(recording.time[0]), float(recording.time[-1]))
+            return (), (Unexplained(names, (whole,), BEYOND, faults.FALSE_ALARM),)
+        closure = Closure.of(recording, poses)
+    wrong = (*_units(recording, poses, closure), *_axes(recording, closure))
+    if wrong or closure is None or len(closure) < FEWEST or closure.agrees:
+        return wrong, ()
+    where = _join_intervals([(float(a), float(b)) for a, b in closure.disagreeing])
+    return (), (Unexplained(CHANNELS, where, DISAGREES, faults.FALSE_ALARM),)
 
 
 def look_at_faults(recording: Recording, moving: BoolArray, *, whole: bool) -> Samples:
@@ -193,7 +256,8 @@ def _join_intervals(found: list[Interval], *, limit: int = 50) -> tuple[Interval
 def _units(recording: Recording, poses: Poses, closure: Closure | None) -> list[Finding]:
     out = []
     for fault in unit_faults(recording, poses, closure):
-        channels = tuple(c for c in CHANNELS if c.startswith(fault.triad))
+        own = "" if fault.channel is None else f".{'xyz'[fault.channel]}"
+        channels = tuple(c for c in CHANNELS if c.startswith(fault.triad + own))
         value = Quantity(fault.factor - 1.0, None, "1")
         out.append(_finding("unit_error", recording, channels, {fault.triad: value}, fault.message))
     return out

@@ -17,12 +17,13 @@ in which the recording arrives.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from calib.mismatch.choice import choose_poses
+from calib.mismatch.diagnosis import Unexplained
 from calib.mismatch.grid import LONGEST_TURN
 from calib.mismatch.samples import (
     Samples,
@@ -31,6 +32,9 @@ from calib.mismatch.samples import (
     look_at_samples,
     look_at_units,
     outside_rests,
+    rows_of,
+    tamed,
+    with_disagreement,
 )
 from calib.poses import Poses, average_poses
 from calib.recording import Recording, join
@@ -100,9 +104,15 @@ def thin(
     """
     head: list[Recording] = []
     finder: RestFinder | None = None
+    wild: dict[tuple[str, ...], Unexplained] = {}
     samples, first, last = 0, 0.0, 0.0
     for part in sections(batches(), section):
         progress(len(part))
+        part, what = tamed(part)
+        for left in what:
+            old = wild.get(left.channels)
+            where = () if old is None else old.intervals
+            wild[left.channels] = replace(left, intervals=(*where, *left.intervals))
         first = first if samples else float(part.time[0])
         last = float(part.time[-1])
         samples += len(part)
@@ -118,7 +128,7 @@ def thin(
     if finder is None:
         recording = evened(join(head))
         poses = find_poses(recording)
-        seen = look_at_samples(recording, poses)
+        seen = _and(look_at_samples(recording, poses), wild)
         return Thinned(recording, poses, seen, samples, first, recording.duration, len(poses))
     start, stop = finder.find()
     which = choose_poses(finder.accel(start, stop), start, stop, interval=finder.interval)
@@ -128,10 +138,16 @@ def thin(
     poses = average_poses(
         recording, np.searchsorted(index, start[which]), np.searchsorted(index, stop[which])
     )
-    wrong = look_at_units(recording, poses)
+    wrong, odd = look_at_units(recording, poses)
+    seen = with_disagreement(seen, odd)
     if wrong:
         seen = seen._replace(findings=wrong, unexplained=(), fatal=True)
+    seen = _and(seen, wild)
     return Thinned(recording, poses, seen, samples, first, last - first, len(start))
+
+
+def _and(seen: Samples, wild: Mapping[tuple[str, ...], Unexplained]) -> Samples:
+    return seen._replace(unexplained=(*wild.values(), *seen.unexplained))
 
 
 def sections(batches: Iterable[Recording], size: int) -> Iterator[Recording]:
@@ -201,7 +217,7 @@ def _gather(
     seen: list[Samples] = []
     spoilt: list[BoolArray] = []
     offset, before = 0, None
-    for part in map(evened, sections(batches(), section)):
+    for part in (evened(tamed(each)[0]) for each in sections(batches(), section)):
         progress(len(part))
         # One sample more, so that no step from sample to sample is missed.
         whole = part if before is None else join((before, part))
@@ -212,7 +228,7 @@ def _gather(
         for a, b in keep[(keep[:, 0] < offset + len(part)) & (keep[:, 1] > offset)] - offset:
             own[max(a, 0) : b] = True
         if own.any():
-            left.append(_rows(part, own))
+            left.append(rows_of(part, own))
             numbers.append(np.flatnonzero(own) + offset)
             spoilt.append(found.spoilt[len(whole) - len(part) :][own])
         seen.append(found._replace(spoilt=np.zeros(0, bool)))
@@ -224,15 +240,3 @@ def _gather(
     cut = np.diff(index, prepend=index[0] - 1) - 1
     merged = join_samples(seen)._replace(spoilt=np.concatenate(spoilt))
     return replace(recording, lost=recording.lost + cut), merged, index
-
-
-def _rows(part: Recording, which: BoolArray) -> Recording:
-    assert part.lost is not None
-    return replace(
-        part,
-        time=part.time[which],
-        accel=part.accel[which],
-        gyro=part.gyro[which],
-        temperature=None if part.temperature is None else part.temperature[which],
-        lost=part.lost[which],
-    )

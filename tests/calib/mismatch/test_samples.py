@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import norm
 
 from calib.mismatch import diagnose_recording
-from calib.mismatch.samples import look_at_samples
+from calib.mismatch.samples import DISAGREES, look_at_samples, tamed
 from calib.mismatch.selfmode import rounded_mean_variance
 from calib.model import SensorModel
 from calib.recording import Recording
@@ -166,3 +166,86 @@ def test_means_off_by_coarse_counts_are_no_second_finding() -> None:
         found = diagnose_recording(replace(recording, accel=accel), gravity=GRAVITY)
         assert [f.effect for f in found.findings] == ["quantization"]
         assert not found.unexplained
+
+
+def test_one_channel_in_another_unit_is_named() -> None:
+    recording = simulated()
+    for triad, axis, factor in (("gyro", 1, 180 / np.pi), ("accel", 2, 1 / 9.80665)):
+        values = getattr(recording, triad).copy()
+        values[:, axis] *= factor
+        wrong = replace(recording, **{triad: values})
+        found = diagnose_recording(wrong, gravity=GRAVITY)
+        (finding,) = found.findings
+        assert finding.effect == "unit_error"
+        assert finding.channels == (f"{triad}.{'xyz'[axis]}",)
+        assert finding.parameters[triad].value == pytest.approx(factor - 1, rel=0.1)
+
+
+@pytest.mark.parametrize(("factor", "what"), [(1e3, "ms"), (1e6, "µs"), (1e9, "ns"), (100.0, "")])
+def test_time_in_another_unit_is_named(factor: float, what: str) -> None:
+    recording = simulated()
+    (finding,) = diagnose_recording(
+        replace(recording, time=factor * recording.time), gravity=GRAVITY
+    ).findings
+    assert finding.effect == "unit_error"
+    assert finding.parameters["gyro"].value == pytest.approx(factor, rel=0.1)
+    assert f"in {what}" in finding.sentence or not what
+
+
+def test_turns_that_nothing_makes_agree_are_said_and_nothing_else() -> None:
+    recording = simulated()
+    copied, half, backwards = (recording.gyro.copy() for _ in range(3))
+    copied[:, 1] = copied[:, 0]
+    half[len(half) // 2 :] *= 57.3
+    backwards = backwards[::-1]
+    for gyro in (copied, half, backwards):
+        found = diagnose_recording(replace(recording, gyro=gyro), gravity=GRAVITY)
+        assert found.verdict == "unexplained"
+        assert not found.findings
+        assert [u.follows for u in found.unexplained] == [DISAGREES]
+
+
+def test_a_value_that_no_sensor_measures_is_left_out_and_said() -> None:
+    recording = simulated()
+    clean = diagnose_recording(recording, gravity=GRAVITY)
+    for value in (1e5, 1e12, 1e300):
+        accel = recording.accel.copy()
+        accel[len(accel) // 2, 0] = -value
+        found = diagnose_recording(replace(recording, accel=accel), gravity=GRAVITY)
+        assert [f.effect for f in found.findings] == [f.effect for f in clean.findings]
+        (left,) = found.unexplained
+        assert left.channels == ("accel.x",)
+        assert left.intervals[0][0] == recording.time[len(accel) // 2]
+
+
+def test_samples_left_out_count_as_lost() -> None:
+    recording = simulated()
+    lost = np.zeros(len(recording), np.int64)
+    lost[[50, 51]] = 2, 3
+    gyro = recording.gyro.copy()
+    gyro[[0, 50, 1000, -1], 2] = 1e9
+    part, what = tamed(replace(recording, gyro=gyro, lost=lost))
+    assert len(part) == len(recording) - 4
+    assert part.lost is not None
+    assert part.lost[0] == 1
+    assert part.lost[49] == 6
+    assert part.lost.sum() == 8
+    assert [u.channels for u in what] == [("gyro.z",)]
+
+
+def test_a_bias_that_no_gyroscope_has_is_said() -> None:
+    recording = simulated()
+    found = diagnose_recording(
+        replace(recording, gyro=recording.gyro + np.array([0.0, 1e6, 0.0])), gravity=GRAVITY
+    )
+    assert (found.verdict, found.findings) == ("unexplained", ())
+    assert found.unexplained[0].channels == ("gyro.y",)
+
+
+@pytest.mark.parametrize("triads", [("accel",), ("gyro",), ("accel", "gyro")])
+def test_zeros_end_with_a_verdict(triads: tuple[str, ...]) -> None:
+    recording = simulated()
+    zeros = {name: np.zeros_like(recording.accel) for name in triads}
+    found = diagnose_recording(replace(recording, **zeros), gravity=GRAVITY)
+    assert found.verdict in {"explained", "unexplained"}
+    assert {f.effect for f in found.findings} <= {"unit_error"}
