@@ -64,9 +64,10 @@ class Corrector:
 
     def __post_init__(self) -> None:
         terms = self.calibration.model.terms
-        reach = [get_effect(t.effect).reach(t.parameters, interval=self.interval) for t in terms]
-        self.margin = sum(reach)
+        known = [(get_effect(term.effect), term.parameters) for term in terms]
+        self.margin = sum(effect.reach(p, interval=self.interval) for effect, p in known)
         """How many samples the output lags behind the input; 0 for baseline."""
+        self._memory = sum(effect.memory(p, interval=self.interval) for effect, p in known)
         model, housing = self.calibration.model, self.calibration.housing
         rotation = np.eye(3) if housing is None else housing.mat_hs
         self._affine = []
@@ -127,7 +128,7 @@ class Corrector:
             return np.zeros((0, 3)), np.zeros((0, 3))
         accel, gyro = self._correct(whole)
         out = accel[self._context : stop], gyro[self._context : stop]
-        keep = max(0, stop - self.margin)
+        keep = max(0, stop - self._memory)
         self._held = None if last else _rows(whole, keep)
         self._context = stop - keep
         return out

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calib.effects.observed import observed_turns, since_and_during
+from calib.effects.vibration import vibration_variance
 from calib.poses import Poses
 from calib.recording import Recording
 from calib.types import BoolArray, FloatArray, IntArray
@@ -74,3 +76,28 @@ def find_turns(recording: Recording, poses: Poses) -> Turns:
     index = np.arange(max(len(poses) - 1, 0))
     interval = np.stack([recording.time[start], recording.time[stop - 1]], axis=1)
     return Turns(index, index + 1, start, stop, interval)
+
+
+def motion_of_turns(recording: Recording, poses: Poses) -> tuple[FloatArray, FloatArray]:
+    """Return when motion between poses begins and ends, (m, 2) s, and the vibration, (n, 3).
+
+    Both as `calib.effects.observed` finds them in a corrected recording, so that a calibration
+    corrects what a diagnosis finds. Where nothing turns, motion is over when the next pose begins.
+
+    Parameters
+    ----------
+    recording : Recording
+        Of n samples.
+    poses : Poses
+        Of it, in the order of time.
+    """
+    rate = recording.gyro - (np.median(poses.gyro, axis=0) if len(poses) else 0.0)
+    starts, ends = observed_turns(recording.time, rate)
+    _, turning = since_and_during(recording.time, starts, ends)
+    middle = poses.interval.mean(axis=1)
+    first = np.searchsorted(ends, middle[:-1])
+    last = np.searchsorted(ends, middle[1:]) - 1
+    over = np.repeat(poses.interval[1:, :1], 2, axis=1)
+    some = last >= first
+    over[some] = np.stack((starts[first[some]], ends[last[some]]), axis=1)
+    return over, vibration_variance(recording.time, recording.accel, turning)

@@ -16,7 +16,7 @@ from calib.effects.base import (
     per_axis,
     seconds_of_samples,
 )
-from calib.effects.observed import PAUSE
+from calib.effects.observed import TURN_REACH
 
 FADING, WHOLE, NONE = range(3)
 """What there is of it while the next turn lasts: it fades on from the last, it is all there (that
@@ -55,8 +55,11 @@ class AccelSettling(Effect):
     reads = ("since_turn", "turning")
 
     def reach(self, parameters: Mapping[str, float], *, interval: float) -> int:
+        return seconds_of_samples(TURN_REACH, interval)
+
+    def memory(self, parameters: Mapping[str, float], *, interval: float) -> int:
         # The last turn must be in sight as long as its settling is.
-        return seconds_of_samples(12 * parameters["tau"] + PAUSE, interval)
+        return seconds_of_samples(12 * parameters["tau"] + 2 * TURN_REACH, interval)
 
     def columns(self, state: State, shape: Mapping[str, float]) -> dict[str, Column]:
         """Return the exponential of the time since the last turn; nothing without turns."""

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from calib.effects.base import Column, Effect, G, State, axis_columns, per_axis, seconds_of_samples
-from calib.effects.observed import VIBRATION_WINDOW
+from calib.effects.observed import TURN_REACH
+from calib.effects.vibration import VIBRATION_REACH
 
 
 class AccelVibrationRectification(Effect):
@@ -27,7 +28,7 @@ class AccelVibrationRectification(Effect):
     reads = ("vibration",)
 
     def reach(self, parameters: Mapping[str, float], *, interval: float) -> int:
-        return seconds_of_samples(0.5 * VIBRATION_WINDOW, interval) + 1
+        return seconds_of_samples(VIBRATION_REACH + TURN_REACH, interval) + 8
 
     def columns(self, state: State, shape: Mapping[str, float]) -> dict[str, Column]:
         """Return each axis' own variance of specific force; nothing where it is not known."""

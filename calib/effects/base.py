@@ -24,7 +24,7 @@ import numpy as np
 
 from calib.recording import AXES
 from calib.spline import spline_slopes
-from calib.types import BoolArray, FloatArray
+from calib.types import BoolArray, FloatArray, IntArray
 
 EffectKind = Literal["sensor", "event", "setup"]
 """A ``sensor`` term belongs in the calibration; an ``event`` happened once in this recording; a
@@ -207,6 +207,30 @@ def local_slope(time: FloatArray, values: FloatArray, *, window: float) -> Float
     return slope
 
 
+def windows(
+    time: FloatArray, width: float, *, within: tuple[IntArray, IntArray] | None = None
+) -> tuple[IntArray, IntArray]:
+    """Return the samples ``[first, last)`` that are within half a width, s, of each of n times.
+
+    At least three, that low rates have some. None reaches out of ``within``, which is a range for
+    each sample.
+    """
+    half = 0.5001 * width  # samples at both edges count, however their times are rounded
+    low, high = (0, len(time)) if within is None else within
+    index = np.arange(len(time))
+    first = np.minimum(np.searchsorted(time, time - half), index - 1)
+    last = np.maximum(np.searchsorted(time, time + half, side="right"), index + 2)
+    return np.maximum(first, low), np.minimum(last, high)
+
+
+def window_mean(values: FloatArray, first: IntArray, last: IntArray) -> FloatArray:
+    """Return the means (n, k) of (n, k) values over samples ``[first, last)``."""
+    total = np.zeros((len(values) + 1, values.shape[1]))
+    np.cumsum(values, axis=0, out=total[1:])
+    mean: FloatArray = (total[last] - total[first]) / (last - first)[:, None]
+    return mean
+
+
 class Effect(ABC):
     """Physics that baseline leaves out. Subclasses set the class attributes and `columns`."""
 
@@ -250,6 +274,10 @@ class Effect(ABC):
         so many samples.
         """
         return 0
+
+    def memory(self, parameters: Mapping[str, float], *, interval: float) -> int:
+        """Return how many samples before one its correction looks at, if more than `reach`."""
+        return self.reach(parameters, interval=interval)
 
     def in_words(self, shape: Mapping[str, float]) -> str:
         """Return the sentence that states its form (the values of its integers); empty for none."""

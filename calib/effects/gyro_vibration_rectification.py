@@ -7,7 +7,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from calib.effects.base import Column, Effect, G, State, axis_columns, per_axis, seconds_of_samples
-from calib.effects.observed import VIBRATION_WINDOW
+from calib.effects.observed import TURN_REACH
+from calib.effects.vibration import VIBRATION_REACH
 
 
 class GyroVibrationRectification(Effect):
@@ -29,7 +30,7 @@ class GyroVibrationRectification(Effect):
     reads = ("vibration",)
 
     def reach(self, parameters: Mapping[str, float], *, interval: float) -> int:
-        return seconds_of_samples(0.5 * VIBRATION_WINDOW, interval) + 1
+        return seconds_of_samples(VIBRATION_REACH + TURN_REACH, interval) + 8
 
     def columns(self, state: State, shape: Mapping[str, float]) -> dict[str, Column]:
         """Return the variance of specific force, all axes together; nothing if not known."""

@@ -7,17 +7,27 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.effects.base import State
+from calib.effects.base import State, window_mean, windows
+from calib.effects.vibration import vibration_variance
 from calib.types import BoolArray, FloatArray
 
-VIBRATION_WINDOW = 1.0
-"""s over which the variance of vibration is averaged."""
-
 TURNING = 0.1
-"""rad/s above which the sensor turns; a hand holds it stiller, a turn's last tenth is slower."""
+"""rad/s above which the sensor turns, on average over `STEADY`: a hand holds it stiller."""
+
+STEADY = 0.25
+"""s over which a hand's tremor, and what shakes a sensor, averages out."""
 
 PAUSE = 0.4
 """s of rest that end a turn."""
+
+LOOK = 1.0
+"""s of rest at a turn's end, or before its start, that show what the gyroscope reads at rest."""
+
+MOVES = 5.0
+"""Standard deviations at rest from which on a rate is that of a turn."""
+
+TURN_REACH = STEADY + PAUSE + LOOK
+"""s on either side of a moment that decide whether a turn is under way."""
 
 
 def observed(state: State, reads: Collection[str]) -> State:
@@ -25,44 +35,56 @@ def observed(state: State, reads: Collection[str]) -> State:
 
     What the state already has stays. ``rate`` must be free of bias to much less than 0.1 rad/s.
     """
-    if "vibration" in reads and state.vibration is None:
-        state = replace(state, vibration=short_time_variance(state.time, state.force))
-    if {"since_turn", "turning"} & set(reads) and state.since_turn is None:
-        since, turning = observed_turns(state.time, state.rate)
-        state = replace(state, since_turn=since, turning=turning)
-    return state
+    shakes = "vibration" in reads and state.vibration is None
+    turns = bool({"since_turn", "turning"} & set(reads)) and state.since_turn is None
+    if not (shakes or turns):
+        return state
+    starts, ends = observed_turns(state.time, state.rate)
+    since, turning = since_and_during(state.time, starts, ends)
+    if shakes:
+        state = replace(state, vibration=vibration_variance(state.time, state.force, turning))
+    return replace(state, since_turn=since, turning=turning) if turns else state
 
 
-def short_time_variance(time: FloatArray, force: FloatArray) -> FloatArray:
-    """Return the variance (n, 3) of what is too fast for motion, over a second about each sample.
+def observed_turns(time: FloatArray, rate: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return when turns start and end, (k,) s each.
 
-    The mean of squared second differences over six: for vibration that is faster than the samples
-    (white when sampled) it is the variance; slow motion drops out. Output noise is part of it.
+    A turn is where the mean rate is above `TURNING`, until it stays below for `PAUSE`. It ends
+    with the last sample that stands out of what the gyroscope reads in the rest after it, and
+    starts likewise: a hand slows down over tenths of a second, in which much of a settling is gone.
     """
-    n = len(time)
-    square = np.zeros_like(force)
-    if n > 2:
-        square[1:-1] = np.square(force[2:] - 2 * force[1:-1] + force[:-2]) / 6
-        square[0], square[-1] = square[1], square[-2]
-    total = np.zeros((n + 1, 3))
-    np.cumsum(square, axis=0, out=total[1:])
-    first = np.searchsorted(time, time - 0.5 * VIBRATION_WINDOW)
-    last = np.searchsorted(time, time + 0.5 * VIBRATION_WINDOW, side="right")
-    mean: FloatArray = (total[last] - total[first]) / (last - first)[:, None]
-    return mean
+    mean = window_mean(rate, *windows(time, STEADY))
+    fast = np.flatnonzero(np.linalg.norm(mean, axis=1) > TURNING)
+    if not len(fast):
+        return np.zeros(0), np.zeros(0)
+    at = time[fast]
+    first = fast[np.diff(at, prepend=-np.inf) > PAUSE]
+    last = fast[np.diff(at, append=np.inf) > PAUSE]
+    starts = [
+        _edge(-time[::-1], rate[::-1], len(time) - 1 - b, -after)
+        for b, after in zip(first, np.append(-np.inf, time[last[:-1]]), strict=True)
+    ]
+    ends = [
+        _edge(time, rate, a, before)
+        for a, before in zip(last, np.append(time[first[1:]], np.inf), strict=True)
+    ]
+    return -np.array(starts), np.array(ends)
 
 
-def observed_turns(time: FloatArray, rate: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """Return the time since the last turn ended, (n,) s, and whether one is under way, (n,) bool.
+def _edge(time: FloatArray, rate: FloatArray, last: int, following: float) -> float:
+    """Return the time at which a turn ends whose mean rate is high until sample `last`.
 
-    The time goes on through the next turn, and is infinite before the first end. A turn ends where
-    the rate stays below `TURNING` for `PAUSE`.
+    At ``following`` s the next turn is under way; its start is not looked at.
     """
-    turning = np.flatnonzero(np.linalg.norm(rate, axis=1) > TURNING)
-    at = time[turning]
-    starts = at[np.diff(at, prepend=-np.inf) > PAUSE]
-    ends = at[np.diff(at, append=np.inf) > PAUSE]
-    return since_and_during(time, starts, ends)
+    now = float(time[last])
+    stop = int(np.searchsorted(time, min(now + LOOK, 0.5 * (now + following)), side="right"))
+    rest = rate[(last + stop) // 2 : stop]
+    if len(rest) < 2:
+        return now
+    a, b = np.searchsorted(time, (now - STEADY, now + LOOK - PAUSE))
+    off = np.abs(rate[a : min(b, stop)] - rest.mean(axis=0)) > MOVES * rest.std(axis=0)
+    moves = np.flatnonzero(off.any(axis=1))
+    return float(time[a + moves[-1]]) if len(moves) else now
 
 
 def since_and_during(

@@ -17,7 +17,7 @@ import numpy as np
 
 from calib.effects import effects, get_effect
 from calib.effects.base import State, Term, TransformEffect
-from calib.effects.observed import observed, short_time_variance
+from calib.effects.observed import observed
 from calib.errors import NoCommonMotionError
 from calib.mismatch.alignment import LEAST_OVERLAP, Alignment
 from calib.mismatch.captured import Known, sensor_densities
@@ -164,7 +164,10 @@ class ComparisonProblem:
                 self.densities = sensor_densities(raw, np.stack((poses.start, poses.stop), axis=1))
             edges = np.stack((raw.time[poses.start], raw.time[poses.stop - 1]), axis=1)
             self.rests = np.searchsorted(self.time, edges)
-        variance = short_time_variance(shaken.time, shaken.accel)
+        level = start.gyro.bias if not len(self.rests) else np.median(poses.gyro, axis=0)
+        still = State(shaken.time, shaken.accel, shaken.gyro - level)
+        variance = observed(still, ("vibration",)).vibration
+        assert variance is not None
         self.vibration = np.stack(
             [np.interp(self.time, shaken.time, v) for v in variance.T], axis=1
         )

@@ -7,6 +7,7 @@ is therefore that of the turns, not that of the recording.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -18,6 +19,7 @@ from calib.mismatch.closure import Spans
 from calib.mismatch.thermometer import smooth_temperature
 from calib.poses import Poses, average_poses
 from calib.recording import Recording
+from calib.turns import motion_of_turns
 from calib.types import BoolArray, FloatArray, IntArray
 
 REST_STEP = 0.25
@@ -70,7 +72,7 @@ class Grid:
     count : (n,) array of int
         Samples in each point.
     vibration : (n, 3) array, (m/s²)²
-        Short-time variance of the specific force above its level at rest.
+        Short-time variance of the specific force; that of quiet rests where nothing shakes.
     since_turn, turning : (n,) arrays
         Time since motion last ended, s, and whether there is some.
     near : (n,) array of int
@@ -304,7 +306,7 @@ def _fill(
     interval = np.stack(
         (recording.time[bounds[first, 0]], recording.time[bounds[last - 1, 1] - 1]), axis=1
     )
-    moving = _moving(recording, poses)
+    moving, vibration = motion_of_turns(recording, poses)
     ended = np.append(-np.inf, moving[:, 1])
     since = time - ended[np.searchsorted(ended, time, side="right") - 1]
     # Poses begin late and end early, to be sure: the rest of a rest is at the ends of its turns.
@@ -317,7 +319,7 @@ def _fill(
         gyro=mean(recording.gyro),
         temperature=temperature,
         count=count,
-        vibration=_vibration(recording, poses, near),
+        vibration=_told(vibration, poses, near, mean),
         since_turn=since,
         turning=near < 0,
         near=near,
@@ -332,40 +334,22 @@ def _fill(
     )
 
 
-def _moving(recording: Recording, poses: Poses) -> FloatArray:
-    """Return from when to when the sensor clearly turned between its rests, (k - 1, 2), s.
+def _told(
+    vibration: FloatArray, poses: Poses, near: IntArray, mean: Callable[[FloatArray], FloatArray]
+) -> FloatArray:
+    """Return the variance of the specific force at each point, from that of each sample.
 
-    A settling is counted from the end of motion itself.
+    Where it is no louder than in quiet rests it is theirs: that is the sensor's own noise.
     """
-    if len(poses) < 2:
-        return np.zeros((0, 2))
-    noise = np.array(
-        [recording.gyro[a:b].std(axis=0) for a, b in zip(poses.start, poses.stop, strict=True)]
+    level = np.stack(
+        [vibration[a:b].mean(axis=0) for a, b in zip(poses.start, poses.stop, strict=True)]
     )
-    limit = 5.0 * np.median(noise, axis=0)
-    out = np.empty((len(poses) - 1, 2))
-    for k in range(1, len(poses)):
-        a, b = int(poses.stop[k - 1]), int(poses.start[k]) + 1
-        moving = np.abs(recording.gyro[a:b] - poses.gyro[k]) > limit
-        at = np.flatnonzero(moving.any(axis=1))
-        out[k - 1] = recording.time[[a + at[0], a + at[-1]] if len(at) else [b - 1, b - 1]]
-    return out
-
-
-def _vibration(recording: Recording, poses: Poses, near: IntArray) -> FloatArray:
-    """Return the variance of the specific force in the pose near each point, above that at rest.
-
-    A hand's motion is no vibration, though some of it looks so: while the sensor moves, it is
-    shaken as much as it then seems, but no more than in the quieter of the rests beside.
-    """
-    level = _shaking(recording.accel, poses.start, poses.stop)
     quiet = np.array([quiet_level(own, SHAKEN) for own in level.T])
-    level = np.where(level > SHAKEN * quiet, level - quiet, 0.0)
-    on_the_way = _shaking(recording.accel, poses.stop[:-1], poses.start[1:]) - quiet
-    beside = np.minimum(level[:-1], level[1:])
-    beside = np.append(np.clip(on_the_way, 0.0, beside), level[-1:], axis=0)
-    at = np.maximum.accumulate(near)
-    return np.where(near[:, None] >= 0, level[at], beside[at])
+    shaken = np.asarray((level > SHAKEN * quiet).any(axis=1))
+    # In motion as long as both of the rests beside are.
+    here = np.maximum.accumulate(near)
+    there = np.where(near < 0, np.minimum(here + 1, len(poses) - 1), here)
+    return np.where((shaken[here] & shaken[there])[:, None], mean(vibration), quiet)
 
 
 def quiet_level(level: FloatArray, limit: FloatArray | float) -> float:
@@ -384,15 +368,6 @@ def quiet_level(level: FloatArray, limit: FloatArray | float) -> float:
         if not (more & ~quiet).any():
             return middle
         quiet |= more
-
-
-def _shaking(accel: FloatArray, start: IntArray, stop: IntArray) -> FloatArray:
-    """Return the `fast_power` of samples ``[start, stop)``, (k, 3)."""
-    out = np.zeros((len(start), 3))
-    for k, (a, b) in enumerate(zip(start, stop, strict=True)):
-        if b - a > 2:
-            out[k] = fast_power(accel[a:b])
-    return out
 
 
 def fast_power(accel: FloatArray) -> FloatArray:

@@ -81,6 +81,7 @@ def _still_shaken(grid: Grid, turn: int, moving: IntArray, floor: FloatArray) ->
     What is as fast there as in the louder rest: a hand may have taken the sensor off the bench.
     """
     beside = grid.vibration[[grid.first[turn] - 1, grid.last[turn]]].sum(axis=1).max()
+    beside -= grid.vibration.min(axis=0).sum()
     if len(moving) < 3 or not beside > 0:
         return 0.0
     seen = fast_power(grid.accel[moving]).sum() - floor[:3].sum()

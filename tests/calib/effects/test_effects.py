@@ -10,7 +10,6 @@ from calib.effects import effects, get_effect
 from calib.effects.accel_settling import FADING, NONE, WHOLE
 from calib.effects.bandwidth import low_pass
 from calib.effects.base import PRESENCE, Effect, Signals, State, Term, TransformEffect
-from calib.effects.observed import observed_turns, short_time_variance
 from calib.model import SensorModel, Triad
 from calib.recording import AXES, CHANNELS
 from calib.simulate import simulate
@@ -430,35 +429,6 @@ def test_says_what_it_reads(slug: str, state: State) -> None:
     for name in optional:
         lacking = replace(state, temperature_slope=None, **{name: None})
         assert (effect.columns(lacking, shape_of(effect)) == {}) == (name in effect.reads)
-
-
-def test_vibration_is_observed_and_motion_is_not() -> None:
-    time = np.arange(0.0, 20.0, 0.01)
-    force = 9.8 * np.stack([np.sin(time), np.cos(time), 0 * time], axis=1)
-    assert short_time_variance(time, force).max() < 1e-6
-    force += np.where(time > 10, 2.0, 0.0)[:, None] * np.random.default_rng(1).normal(
-        size=force.shape
-    )
-    found = short_time_variance(time, force)
-    assert found[:900].max() < 1e-6
-    assert found[1100:].mean() == pytest.approx(4.0, rel=0.05)
-
-
-def test_turns_are_observed() -> None:
-    time = np.arange(0.0, 10.0, 0.01)
-    rate = np.zeros((len(time), 3))
-    rate[200:300, 1] = 1.0
-    rate[240:250, 1] = 0.0  # on the way
-    rate[600:700, 2] = -1.0
-    since, turning = observed_turns(time, rate)
-    assert np.isinf(since[:299]).all()
-    np.testing.assert_allclose(since[[299, 399, 650, 799]], [0.0, 1.0, 3.51, 1.0], atol=1e-9)
-    expected = np.zeros(len(time), bool)
-    expected[200:299], expected[600:699] = True, True
-    np.testing.assert_array_equal(turning, expected)
-    since, turning = observed_turns(time, 0 * rate)
-    assert np.isinf(since).all()
-    assert not turning.any()
 
 
 def test_settling_has_a_form_for_what_there_is_in_turns(state: State) -> None:

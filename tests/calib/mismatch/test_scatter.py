@@ -7,7 +7,7 @@ import pytest
 from scipy.signal import butter, sosfilt
 
 from calib.effects.base import State
-from calib.effects.observed import short_time_variance
+from calib.effects.vibration import vibration_variance
 from calib.mismatch import diagnose_reference
 from calib.mismatch.band import zero_phase
 from calib.mismatch.colour import WHITE, Blur, Colour, gaussian, whitening
@@ -127,7 +127,7 @@ def test_what_a_sensor_that_nothing_shakes_hears_of_its_own_noise_is_no_vibratio
     own = np.fft.rfft(rng.normal(0, 0.1, (N, 6)), axis=0)
     own *= np.sqrt(colour.at(np.fft.rfftfreq(N, STEP)))[:, None]
     left = zero_phase(np.fft.irfft(own, N, axis=0), band * STEP)
-    heard = short_time_variance(tumbled.time, rng.normal(0, 0.02, (N, 3)))
+    heard = vibration_variance(tumbled.time, rng.normal(0, 0.02, (N, 3)), np.zeros(N, bool))
     state = replace(tumbled, vibration=heard)
     blur = whitening(tumbled.time, [colour, colour], STEP, band)
     columns = shown(state)
