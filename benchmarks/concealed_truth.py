@@ -182,10 +182,9 @@ def run(case: Case) -> Result:
                 result.errors.append((q.value - known.get(key, 0.0)) / q.sigma)
     for left in found.unexplained:
         result.unexplained.append((left.follows, left.intervals[0], left.channels))
-    # With an arm of centimetres the rows are not linear to the noise.
-    if term is not None and term.effect not in ALIGNED and case.kind != "profile":
+    if term is not None and term.effect not in ALIGNED:
         problem, skip = compared(case.kind, recording, truth)
-        rows, noise = problem.rows(), noise_of_both(case.kind)
+        rows, noise = with_setup(problem.rows(), expected, term.effect), noise_of_both(case.kind)
         result.known = named_with_noise_known(
             rows, term.effect, noise=noise, skip=skip, reference=True
         )
@@ -274,13 +273,22 @@ def make_truth(
 def compared(
     mode: str, recording: Recording, truth: Truth
 ) -> tuple[ComparisonProblem, tuple[str, ...]]:
-    """Return what the diagnosis compares, and what it does not try."""
+    """Return what the diagnosis compares, and what it does not try.
+
+    An arm of centimetres is in the model from the start: what it makes a sensor feel, the scale
+    factors and misalignments act on, and they can absorb what goes with it.
+    """
     seen = look_at_samples(recording, find_poses(recording))
+    model = None
+    if mode == "profile":
+        arm = Term("accel_lever_arm", dict(zip(("rx", "ry", "rz"), ARM, strict=True)))
+        middle = float(np.median(recording.temperature))
+        model = SensorModel(terms=(arm,), reference_temperature=middle)
     if mode == "simulation":
         assert isinstance(truth, Recording)
         problem, skip = compare_simulation(recording, truth, seen, gravity=GRAVITY)
     else:
-        problem, skip = compare_reference(recording, truth, seen, gravity=GRAVITY)
+        problem, skip = compare_reference(recording, truth, seen, gravity=GRAVITY, model=model)
     turned = ("reference_misalignment",) if problem.turned else ()
     return problem, (*skip, "clock_scale", *turned)
 
@@ -320,9 +328,7 @@ def sized(
     kept += [True] * (rows.nuisance.shape[1] - len(kept))
     mean = np.hstack((rows.baseline, rows.nuisance[:, kept]))
     levels = true_levels(rows, noise_of_both(case.kind))
-    # An arm of centimetres is in the differences of a clean recording too, and is no noise.
-    left = replace(rows, residual=rows.residual - mean @ np.linalg.lstsq(mean, rows.residual)[0])
-    whitener = make_whitener(rows, levels, contrast_of(left, reference=True), mean)
+    whitener = make_whitener(rows, levels, contrast_of(rows, reference=True), mean)
     effect = get_effect(case.names[0])
     term = sized_term(
         effect,
