@@ -115,7 +115,8 @@ def second_half(real: Recording, reference: Recording | ReferenceMotion) -> tupl
     whole = compared(real, reference)
     unseen = (whole.time > real.time[middle]) & (whole.time < real.time[fast[-1]])
     out = []
-    for setup in (plain, Setup(model, alignment, mat_from_rotvec(np.array(at["rotation"])))):
+    turned, errors = mat_from_rotvec(np.array(at["rotation"])), np.array(at["reference_gyro"])
+    for setup in (plain, Setup(model, alignment, turned, errors)):
         whole.setup = setup
         left = whole.residual(whole.state())[unseen, :3]
         out.append(float(np.sqrt(np.mean(np.square(left)))))

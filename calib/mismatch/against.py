@@ -191,6 +191,7 @@ def conclude(
                 "middle": alignment.middle,
                 "rotation": _rotvec(problem.setup.mat_sr).tolist(),
                 "correlation": alignment.correlation,
+                "reference_gyro": problem.setup.errors.tolist(),
             },
         },
     )
@@ -241,7 +242,7 @@ def _setups(
     out = []
     alignment, mat = problem.setup.alignment, problem.setup.mat_sr
     p = len(problem.names)
-    slugs = [name.split(".")[0] for name in problem.aligned]
+    slugs = [name.split(".")[0] for name in problem.alignments]
     # The fit's last small step is still to be taken from where the rows stand.
     step = fit.step[p : p + len(slugs)]
     turn = _rotvec(mat)
@@ -251,7 +252,7 @@ def _setups(
         if slug not in setups:
             continue
         own = np.array([i for i, s in enumerate(slugs) if s == slug])
-        names = [problem.aligned[i].split(".")[1] for i in own]
+        names = [problem.alignments[i].split(".")[1] for i in own]
         sizes = {x.name: x.typical for x in get_effect(slug).parameters}
         typical = np.array([sizes[n] for n in names])
         covariance = fit.covariance[np.ix_(p + own, p + own)]

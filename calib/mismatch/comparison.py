@@ -10,23 +10,24 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from itertools import product
 from typing import NamedTuple
 
 import numpy as np
 
-from calib.effects import effects, get_effect
-from calib.effects.base import State, Term, TransformEffect
+from calib.effects import get_effect
+from calib.effects.base import State, Term
 from calib.effects.observed import observed
 from calib.errors import NoCommonMotionError
 from calib.mismatch.alignment import LEAST_OVERLAP, Alignment
 from calib.mismatch.captured import Known, sensor_densities
+from calib.mismatch.carried import NAMES, SIZES, arm_of, carried, rough_arm, true_force
 from calib.mismatch.colour import WHITE, Colour, find_colour, gaussian, whitening
 from calib.mismatch.rows import Rows
 from calib.mismatch.scatter import scatter
 from calib.mismatch.thermometer import smooth_temperature
 from calib.mismatch.truths import RecordingTruth
 from calib.mismatch.twin import ACCEL_MISALIGNMENT, baseline_column
+from calib.mismatch.visible import catalogue_shapes
 from calib.mismatch.windowed import Shapes, find_shapes, make_rows, robust_step
 from calib.model import SensorModel
 from calib.recording import AXES, Recording
@@ -60,6 +61,7 @@ LOOSE = {
     "bias": 2.0,
     "scale_factor_error": 0.05,
     "misalignment": 0.05,
+    "zero_rate": 0.35,
     "delay": 0.1,
     "scale": 0.01,
     **dict.fromkeys(("rx", "ry", "rz"), 0.2),
@@ -67,8 +69,8 @@ LOOSE = {
 """How far (SI) baseline and alignment may be from where they start.
 
 Some more than data sheets say (MPU-6050 product specification rev. 3.4: 3 % of scale, 2 % across
-axes, 80 mg), and of the alignment what the correlation of rates and Wahba's problem leave open.
-What the motion does not determine (the heading of a sensor on a table that turns about the
+axes, 80 mg, 20 dps), and of the alignment what the correlation of rates and Wahba's problem leave
+open. What the motion does not determine (the heading of a sensor on a table that turns about the
 vertical) stays there.
 """
 
@@ -79,6 +81,8 @@ class Setup(NamedTuple):
     model: SensorModel
     alignment: Alignment
     mat_sr: FloatArray
+    errors: FloatArray
+    """Of the other gyroscope, as an arm carries them."""
 
 
 class ComparisonProblem:
@@ -174,7 +178,8 @@ class ComparisonProblem:
         self.given = start.terms
         self.power_on = float(real.time[0])
         mat = np.eye(3) if mat_sr is None else mat_sr
-        self.setup = Setup(start, alignment, mat)
+        self.gyroscopic = self.turned and truth.quat is None
+        self.setup = Setup(start, alignment, mat, np.zeros(len(NAMES)))
         self.names = BASELINE
         self.moved = np.zeros(len(BASELINE) + len(self.aligned))
         self.shapes: Shapes | None = None
@@ -182,14 +187,19 @@ class ComparisonProblem:
         self.fit()
 
     @property
-    def aligned(self) -> tuple[str, ...]:
-        """The parameters of alignment, in the order of the nuisances."""
+    def alignments(self) -> tuple[str, ...]:
+        """The parameters of alignment."""
         turned = tuple(f"reference_misalignment.r{a}" for a in AXES) if self.turned else ()
         return ("time_offset.delay", "clock_scale.scale", *turned)
 
+    @property
+    def aligned(self) -> tuple[str, ...]:
+        """The nuisances in their order: alignment, and the errors of another gyroscope."""
+        return (*self.alignments, *(NAMES if self.gyroscopic else ()))
+
     def state(self) -> State:
         """Return the true state at the recording's times, in frame s."""
-        model, alignment, mat = self.setup
+        model, alignment, mat, errors = self.setup
         state = self.truth.state(alignment.times(self.time))
         given = state.angular_acceleration
         state = replace(
@@ -208,6 +218,8 @@ class ComparisonProblem:
             turning=None,
             vibration=self.vibration,
         )
+        if self.gyroscopic:
+            state = replace(state, force=true_force(state, arm_of(self.setup.model), errors))
         return observed(state, ("since_turn", "turning"))
 
     def move(
@@ -215,7 +227,7 @@ class ComparisonProblem:
     ) -> None:
         """Move model and alignment by steps; set the further terms."""
         self.moved += np.append([baseline[n] for n in self.names], nuisance)
-        model, alignment, mat = self.setup
+        model, alignment, mat, errors = self.setup
         triads = []
         for name, triad in (("accel", model.accel), ("gyro", model.gyro)):
             now = triad.parameters(name)
@@ -226,7 +238,9 @@ class ComparisonProblem:
         if self.turned:
             # f x rho is -skew(rho) f: the frame turned by -rho.
             mat = mat_from_rotvec(-np.asarray(nuisance[2:5])) @ mat
-        self.setup = Setup(model, alignment, mat)
+        if self.gyroscopic:
+            errors = errors + nuisance[5:]
+        self.setup = Setup(model, alignment, mat, errors)
 
     def rows(self) -> Rows:
         """Return recording minus model of the truth."""
@@ -237,12 +251,12 @@ class ComparisonProblem:
         # that is not known: it would be noise, and the same in many columns.
         felt = state if self.unresolved else self.setup.model.felt(state)
         if self.shapes is None:
-            columns = list(self._shape_columns(felt))
+            columns = list(self._shape_columns(felt, left))
             rough = None
             if self.noisy:
                 rough = scatter(felt, left, columns, blur=self.blur, resolved=not self.unresolved)
             self.shapes = find_shapes(self.time, left, columns, blur=self.blur, scatter=rough)
-        turned = [n.startswith("reference_misalignment") for n in self.aligned]
+        turned = [n.startswith("reference_misalignment") for n in self.alignments]
         rows = make_rows(
             self.shapes,
             felt,
@@ -250,8 +264,11 @@ class ComparisonProblem:
             blur=self.blur,
             names=self.names,
             nuisance=[
-                self._nuisance(state if turn else felt, name)
-                for name, turn in zip(self.aligned, turned, strict=True)
+                *(
+                    self._nuisance(state if turn else felt, name)
+                    for name, turn in zip(self.alignments, turned, strict=True)
+                ),
+                *(carried(state, arm_of(self.setup.model)) if self.gyroscopic else ()),
             ],
             aligned=self.aligned,
             prior=np.stack((self.moved, self.loose), axis=1),
@@ -367,36 +384,23 @@ class ComparisonProblem:
         since = state.time - self.setup.alignment.middle
         return {c: since * values for c, values in delay.items()}
 
-    def _shape_columns(self, state: State) -> Iterator[tuple[str, FloatArray]]:
+    def _shape_columns(self, state: State, left: FloatArray) -> Iterator[tuple[str, FloatArray]]:
         """Yield what can show in the signals, in units of its typical size: channel and values."""
         for name in self.names:
             if ".bias." not in name:
                 for channel, values in baseline_column(name, state).items():
                     yield channel, 0.01 * values
-        for name, size in zip(self.aligned, (5e-3, 1e-4, 0.02, 0.02, 0.02), strict=False):
+        for name, size in zip(self.alignments, (5e-3, 1e-4, 0.02, 0.02, 0.02), strict=False):
             for channel, values in self._nuisance(state, name).items():
                 yield channel, size * values
-        for slug, effect in effects().items():
-            readout = isinstance(effect, TransformEffect) and effect.stage == "readout"
-            if readout or any(s.low is None or s.high is None for s in effect.shape):
-                continue
-            sizes = {p.name: p.typical for p in effect.parameters}
-            for shape in _few_shapes(slug):
-                for parameter, column in effect.columns(state, shape).items():
+        if self.gyroscopic:
+            arm = arm_of(self.setup.model) + rough_arm(state, left[:, :3])
+            if arm.any():
+                for size, column in zip(SIZES, carried(state, arm), strict=True):
                     for channel, values in column.items():
-                        yield channel, sizes[parameter] * values
+                        yield channel, size * values
+        yield from catalogue_shapes(state)
 
 
 def _spread(values: FloatArray) -> float:
     return float(np.linalg.norm(values - np.median(values, axis=0)))
-
-
-def _few_shapes(slug: str) -> Iterator[dict[str, float]]:
-    """Yield three values of each shape parameter of an effect."""
-    items = get_effect(slug).shape
-    optional = [s for s in items if s.optional and s.spacing != "integer"]
-    for choice in [[s] for s in optional] or [[]]:
-        used = [s for s in items if s.spacing != "integer" and not s.optional] + choice
-        grids = [np.geomspace(s.low or 1e-3, s.high or 1.0, 5)[1:4] for s in used]
-        for values in product(*grids):
-            yield {s.name: float(v) for s, v in zip(used, values, strict=True)}

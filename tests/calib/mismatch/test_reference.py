@@ -243,3 +243,21 @@ def test_a_reference_of_another_time_says_that_nothing_is_common():
     )
     with pytest.raises(NoCommonMotionError, match=r"does not turn|lasts"):
         diagnose_reference(real, rest, gravity=GRAVITY)
+
+
+@pytest.mark.parametrize("seed", [3, 4])
+def test_what_the_other_gyroscope_gets_wrong_is_no_error_of_the_accelerometer_at_an_arm(seed):
+    """Nobody knows the bias of either: what an arm makes of it follows the rate, and has no name.
+
+    Half a degree per second, and a per cent of scale, at 0.3 m.
+    """
+    arm = {"rx": 0.3, "ry": 0.0, "rz": 0.0}
+    rng = np.random.default_rng(seed)
+    wrong = Triad(rng.normal(0.0, 0.01, 3), rng.normal(0.0, 0.01, 3))
+    other = simulate(motion(), SensorModel(gyro=wrong), CONSUMER, rng=rng, rate=120.0)
+    real = recorded(Term("accel_lever_arm", arm), rate=104.0)
+    found = diagnose_reference(real, other, gravity=GRAVITY)
+    assert set(named(found)) == {"accel_lever_arm"}
+    assert not found.unexplained
+    q = named(found)["accel_lever_arm"]["rx"]
+    assert q.value == pytest.approx(arm["rx"], abs=4 * q.sigma)

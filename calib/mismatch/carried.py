@@ -1,0 +1,103 @@
+"""What the gyroscope of another IMU gets wrong, as an arm carries it to the accelerometer.
+
+The other one's rate ``w`` is off by ``e = b + E w``. Of what the two gyroscopes read only the
+difference shows, which is the sensor's own bias, scale factor error and misalignment beside that
+reference. But what an arm ``r`` makes the accelerometer feel follows from the rate itself::
+
+    A(w) = skew(w)² + skew(dw/dt)          A(w - e) r = A(w) r + columns @ (b, E) + ...
+
+A bias of half a degree per second at 180 dps and 10 cm is 5 mm/s² that follows the rate.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from calib.effects.base import Column, State
+from calib.model import SensorModel
+from calib.recording import AXES
+from calib.rotation import skew
+from calib.types import FloatArray
+
+SLUG = "reference_gyro"
+NAMES = (
+    *(f"{SLUG}.zero_rate.{a}" for a in AXES),
+    *(
+        f"{SLUG}.scale_factor_error.{a}" if a == b else f"{SLUG}.misalignment.{a}{b}"
+        for a in AXES
+        for b in AXES
+    ),
+)
+"""The errors that are fitted: b, and the rows of E."""
+
+SIZES = np.repeat([0.01, 0.01], [3, 9])
+"""What they typically are: 0.6 dps, 1 %."""
+
+SEEN = 5e-3
+"""m: an arm shorter than that carries less than anybody sees."""
+
+
+def gradient(state: State) -> FloatArray:
+    """Return ``A`` (n, 3, 3)."""
+    turn = skew(state.rate)
+    return np.asarray(turn @ turn + skew(state.rate_dot))
+
+
+def rough_arm(state: State, left: FloatArray) -> FloatArray:
+    """Return the arm (3,) by which differences (n, 3) of forces shrink most; 0 if it is short."""
+    means = left - left.mean(axis=0)
+    matrix = gradient(state)
+    matrix = (matrix - matrix.mean(axis=0)).reshape(-1, 3)
+    arm: FloatArray = np.linalg.lstsq(matrix, means.ravel(), rcond=1e-6)[0]
+    return arm if np.linalg.norm(arm) > SEEN else np.zeros(3)
+
+
+def carried(state: State, arm: FloatArray) -> list[Column]:
+    """Return what one unit of each of `NAMES` takes from the force that an arm (3,) makes."""
+    rate, turning = state.rate, state.rate_dot
+    out: list[Column] = []
+    zero = np.zeros_like(rate)
+    for k in range(len(NAMES)):
+        error, slope = zero.copy(), zero.copy()
+        if k < 3:
+            error[:, k] = 1.0
+        else:
+            i, j = divmod(k - 3, 3)
+            error[:, i], slope[:, i] = rate[:, j], turning[:, j]
+        # The derivative of w x (w x r) + dw/dt x r.
+        force = np.cross(error, np.cross(rate, arm)) + np.cross(rate, np.cross(error, arm))
+        force += np.cross(slope, arm)
+        out.append({f"accel.{a}": -force[:, i] for i, a in enumerate(AXES)})
+    return out
+
+
+def true_force(state: State, arm: FloatArray, errors: FloatArray) -> FloatArray:
+    """Return the force such that an arm in the measured rate makes of it what the true one would.
+
+    Parameters
+    ----------
+    state : State
+        As the other IMU has it, in the sensor's frame.
+    arm : (3,) array, m
+    errors : (12,) array
+        Of `NAMES`.
+    """
+    if not (arm.any() and errors.any()):
+        return state.force
+    bias, matrix = errors[:3], errors[3:].reshape(3, 3)
+    rate = state.rate - bias - state.rate @ matrix.T
+    turning = state.rate_dot - state.rate_dot @ matrix.T
+
+    def felt(w: FloatArray, slope: FloatArray) -> FloatArray:
+        return np.asarray(np.cross(w, np.cross(w, arm)) + np.cross(slope, arm))
+
+    return np.asarray(state.force + felt(rate, turning) - felt(state.rate, state.rate_dot))
+
+
+def arm_of(model: SensorModel) -> FloatArray:
+    """Return the lever arm of a model, (3,) m."""
+    arm = np.zeros(3)
+    for term in model.terms:
+        if term.effect == "accel_lever_arm":
+            arm += [term.parameters.get(f"r{a}", 0.0) for a in AXES]
+    return arm
