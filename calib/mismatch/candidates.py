@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
+from itertools import pairwise
 from typing import TypeVar
 
 import numpy as np
@@ -12,6 +14,9 @@ from scipy import sparse
 from calib.types import BoolArray, FloatArray, IntArray
 
 T = TypeVar("T", bound=Hashable)
+
+MANY = 256
+"""Candidates that are mixed at a time: what they make of columns stays near the processor."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -89,6 +94,18 @@ class Alike:
     index: IntArray
     mixing: FloatArray | None
     present: BoolArray
+
+    @cached_property
+    def parts(self) -> list[tuple[int, int, list[tuple[int, int]]]]:
+        """At most `MANY` of them at a time, and those of these that have the same columns."""
+        fresh = np.append(True, (self.index[1:] != self.index[:-1]).any(axis=1))
+        out = []
+        for first in range(0, len(fresh), MANY):
+            last = min(first + MANY, len(fresh))
+            begins = first + np.flatnonzero(fresh[first:last])
+            ends = np.unique([first, *begins.tolist(), last]).tolist()
+            out.append((first, last, list(pairwise(ends))))
+        return out
 
     def chosen(self, own: BoolArray) -> Alike:
         """Return those that are marked in `own`, (n,) bool."""

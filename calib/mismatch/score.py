@@ -21,7 +21,7 @@ import numpy as np
 from scipy.linalg import lapack
 from scipy.special import log_ndtr
 
-from calib.mismatch.candidates import Alike, Bank, Candidate, Sums
+from calib.mismatch.candidates import MANY, Alike, Bank, Candidate, Sums
 from calib.mismatch.columns import LOST, Columns, Seen
 from calib.mismatch.noise import Whitener
 from calib.types import BoolArray, FloatArray, IntArray
@@ -45,9 +45,6 @@ _LOG_SHARES = np.log(SHARES)
 
 ALL_AT_ONCE = 8
 """Columns of candidates up to which these are reduced side by side; of more, one by one."""
-
-MANY = 256
-"""Candidates that are mixed at a time: what they make of columns stays near the processor."""
 
 
 class Stack:
@@ -171,21 +168,27 @@ def _sums(make: Sums, seen: Seen, columns: IntArray) -> FloatArray:
 def _mixed(make: Alike, gram: FloatArray, match: FloatArray) -> FloatArray:
     """Return log B of candidates that mix columns, of which the Gram matrix is known."""
     assert make.mixing is not None
-    out = np.empty(len(make.which))
-    for first in range(0, len(out), MANY):
-        part = slice(first, first + MANY)
-        own, mixing = make.index[part], make.mixing[part]
-        if (own == own[0]).all():
-            # All at once: a product with each alone would be one with a few columns.
-            n, k, r = mixing.shape
-            flat = np.swapaxes(mixing, 0, 1).reshape(k, n * r)
-            inner = np.swapaxes((gram[np.ix_(own[0], own[0])] @ flat).reshape(k, n, r), 0, 1)
-        else:
-            inner = gram[own[:, :, None], own[:, None, :]] @ mixing
-        out[part] = log_bayes_factors(
-            np.swapaxes(mixing, 1, 2) @ inner, np.einsum("nk,nkr->nr", match[own], mixing)
+    mixing, index = make.mixing, make.index
+    n, k, r = mixing.shape
+    inner, along = np.empty((n, r, r)), match[index][:, None] @ mixing
+    both = np.empty((MANY, k, r))
+    for first, last, runs in make.parts:
+        for start, stop in runs:
+            # A window's columns lie side by side: no copy. And all at once: a product with each
+            # alone would be one with a few columns.
+            own = index[start]
+            side = slice(own[0], own[-1] + 1)
+            part = gram[side, side] if own[-1] - own[0] == k - 1 else gram[np.ix_(own, own)]
+            if stop - start == 1:
+                np.matmul(part, mixing[start], out=both[start - first])
+                continue
+            flat = mixing[start:stop].transpose(1, 0, 2).reshape(k, -1)
+            found = (part @ flat).reshape(k, stop - start, r)
+            both[start - first : stop - first] = found.transpose(1, 0, 2)
+        np.matmul(
+            mixing[first:last].transpose(0, 2, 1), both[: last - first], out=inner[first:last]
         )
-    return out
+    return log_bayes_factors(inner, along[:, 0])
 
 
 def _single(power: FloatArray, along: FloatArray) -> FloatArray:
