@@ -14,49 +14,33 @@ order of the rows this is the Cholesky factor of the whole, but for zeros that n
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 from scipy import linalg, sparse
 
+from calib.mismatch.banded import Banded, Part, placed
 from calib.types import BoolArray, FloatArray, IntArray
 
 
-class Part(Protocol):
-    """One unknown variance, as `calib.mismatch.rows.Component` has it."""
-
-    @property
-    def index(self) -> IntArray:
-        """Dense rows that it acts on, (k,)."""
-        ...
-
-    @property
-    def response(self) -> Any:
-        """What each of them feels of the drift in each segment, sparse (k, s)."""
-        ...
-
-    @property
-    def kernel(self) -> FloatArray:
-        """Covariance of that drift for a level of one, (s, s)."""
-        ...
-
-
 @dataclass(frozen=True, eq=False)
-class Block:
-    """Rows of one channel, and what the border feels of it.
+class Blocks:
+    """Rows of q channels that are alike in shape, and what the border feels of each.
 
     Parameters
     ----------
-    rows : (n,) array of int
-    white : (n, n) array
-    which : (k,) array of int
+    rows : (q, n) array of int
+    white : (q, n, n) array
+    which : (q, k) array of int
         Components that act here.
-    own, cross, far : (k, n, n), (k, t, n), (k, t, t) arrays
+    own, cross, far : (q, k, n, n), (q, k, t, n), (q, k, t, t) arrays
         Each component's covariance of the rows, of the drift in turns with them, and of that drift.
-    response : sparse (b, t) matrix
+    responses : q sparse (b, t) matrices
         What the border feels of the drift in turns.
+    response : sparse (b, q t) matrix
+        All of these, side by side.
     """
 
     rows: IntArray
@@ -65,16 +49,34 @@ class Block:
     own: FloatArray
     cross: FloatArray
     far: FloatArray
+    responses: tuple[sparse.csr_matrix, ...]
     response: sparse.csr_matrix
 
 
 class Known(NamedTuple):
-    """A factored block: lower triangle (n, n), and what its rows tell of the drift in turns."""
+    """Factored blocks: lower triangles (q, n, n) and their inverses, and what rows tell of turns.
+
+    ``told`` is (q, n, t); rows and responses are as in `Blocks`.
+    """
 
     rows: IntArray
     lower: FloatArray
+    inverse: FloatArray
     told: FloatArray
+    responses: tuple[sparse.csr_matrix, ...]
     response: sparse.csr_matrix
+
+    def chosen(self, place: IntArray) -> Known | None:
+        """Return those blocks of which `place` says where their rows are, None if there is none."""
+        rows = place[self.rows]
+        own = np.flatnonzero((rows >= 0).any(axis=1))
+        if len(own) == len(rows):
+            return self._replace(rows=rows)
+        if not len(own):
+            return None
+        some = tuple(self.responses[i] for i in own)
+        beside = some[0] if len(some) == 1 else sparse.hstack(some, format="csr")
+        return Known(rows[own], self.lower[own], self.inverse[own], self.told[own], some, beside)
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,116 +94,63 @@ class Factor:
 
     def solve(self, values: FloatArray) -> FloatArray:
         """Return ``L^-1 values`` for (n, ...) values."""
-        out = np.empty(values.shape, order="F")
-        rest = values[self.border]
-        for rows, lower, told, response in self.blocks:
-            white = _solve(lower, values[rows])
-            out[rows] = white
-            if response.nnz:
-                rest -= response @ (told.T @ white)
+        columns = values.reshape(len(values), -1)
+        out, rest = np.empty(columns.shape), columns[self.border]
+        for known in self.blocks:
+            white = known.inverse @ columns[known.rows]
+            out[known.rows] = white
+            if known.response.nnz:
+                told = np.swapaxes(known.told, 1, 2) @ white
+                rest -= known.response @ told.reshape(-1, rest.shape[1])
         out[self.border] = _solve(self.lower, rest)
-        return out
+        return out.reshape(values.shape)
 
     def solve_transposed(self, values: FloatArray) -> FloatArray:
         """Return ``L'^-1 values`` for (n, ...) values."""
-        out = np.empty(values.shape, order="F")
-        last = _solve(self.lower, values[self.border], transposed=True)
+        columns = values.reshape(len(values), -1)
+        out = np.empty(columns.shape)
+        last = _solve(self.lower, columns[self.border], transposed=True)
         out[self.border] = last
-        for rows, lower, told, response in self.blocks:
-            own = values[rows]
-            if response.nnz:
-                own = own - told @ (response.T @ last)
-            out[rows] = _solve(lower, own, transposed=True)
-        return out
+        for known in self.blocks:
+            own = columns[known.rows]
+            if known.response.nnz:
+                felt = (known.response.T @ last).reshape(len(own), -1, last.shape[1])
+                own -= known.told @ felt
+            out[known.rows] = np.swapaxes(known.inverse, 1, 2) @ own
+        return out.reshape(values.shape)
 
     def restricted(self, rows: IntArray) -> Factor:
         """Return what solves for values that are zero but on some rows, of which it takes those.
 
         They are those of the border and of whole blocks, in their order.
         """
-        place = np.full(len(self.border) + sum(len(b.rows) for b in self.blocks), -1)
+        place = np.full(len(self.border) + sum(known.rows.size for known in self.blocks), -1)
         place[rows] = np.arange(len(rows))
-        blocks = tuple(
-            block._replace(rows=place[block.rows])
-            for block in self.blocks
-            if (place[block.rows] >= 0).any()
-        )
+        some = (known.chosen(place) for known in self.blocks)
+        blocks = tuple(known for known in some if known is not None)
         border = place[self.border]
-        known = np.concatenate((border, *(block.rows for block in blocks)))
-        if (known < 0).any() or len(known) != len(rows):
+        found = np.concatenate((border, *(known.rows.ravel() for known in blocks)))
+        if (found < 0).any() or len(found) != len(rows):
             raise ValueError("`rows` must be the border and whole blocks")
         return Factor(blocks, border, self.lower)
 
     @property
     def log_det(self) -> float:
         """The logarithm of the determinant of the covariance."""
-        parts = [self.lower, *(block.lower for block in self.blocks)]
+        parts = [self.lower, *(lower for known in self.blocks for lower in known.lower)]
         return 2.0 * float(sum(np.log(np.diag(lower)).sum() for lower in parts))
 
     def dense(self) -> FloatArray:
         """Return the whole triangle."""
-        n = len(self.border) + sum(len(block.rows) for block in self.blocks)
+        n = len(self.border) + sum(known.rows.size for known in self.blocks)
         out = np.zeros((n, n))
         out[np.ix_(self.border, self.border)] = self.lower
-        for rows, lower, told, response in self.blocks:
-            out[np.ix_(rows, rows)] = lower
-            out[np.ix_(self.border, rows)] = response @ told.T
-        return out
-
-
-@dataclass(frozen=True, eq=False)
-class Banded:
-    """Symmetric matrices that are zero but near their diagonals: what is alike in one turn.
-
-    Parameters
-    ----------
-    which : (k,) array of int
-        The numbers of the components that have them.
-    bands : mapping of int to (k, n - d) array
-        The elements d below the diagonal, ``M[i + d, i]``.
-    """
-
-    which: IntArray
-    bands: Mapping[int, FloatArray]
-
-    @classmethod
-    def of(cls, which: IntArray, components: Sequence[Part], rows: IntArray) -> Banded:
-        """Return the covariance of some rows for a level of one of each component."""
-        bands: dict[int, FloatArray] = {}
-        for k, c in enumerate(components):
-            felt = _placed(c, rows)
-            found = (felt @ sparse.csr_matrix(c.kernel) @ felt.T).tocoo()
-            for d in np.unique(found.row - found.col).tolist():
-                own = found.row - found.col == d
-                if d >= 0:
-                    band = bands.setdefault(d, np.zeros((len(components), len(rows) - d)))
-                    band[k, found.col[own]] = found.data[own]
-        return cls(which, bands)
-
-    def add_to(self, matrix: FloatArray, levels: FloatArray) -> None:
-        """Add the sum of all, each times its level, to a matrix (n, n) in the order of C."""
-        n, flat = len(matrix), matrix.reshape(-1)
-        for d, band in self.bands.items():
-            values = levels[self.which] @ band
-            flat[d * n :: n + 1] += values
-            if d:
-                flat[d : (n - d) * n : n + 1] += values
-
-    def traces(self, columns: FloatArray) -> FloatArray:
-        """Return the traces of ``M C'C`` for the columns (m, n) of C, (k,)."""
-        out = np.zeros(len(self.which))
-        for d, band in self.bands.items():
-            inner = np.einsum("in,in->n", columns[:, d:], columns[:, : band.shape[1]])
-            out += (2.0 if d else 1.0) * (band @ inner)
-        return out
-
-    def times(self, values: FloatArray) -> FloatArray:
-        """Return the products with values (n,), (k, n)."""
-        out = np.zeros((len(self.which), len(values)))
-        for d, band in self.bands.items():
-            out[:, d:] += band * values[: band.shape[1]]
-            if d:
-                out[:, : band.shape[1]] += band * values[d:]
+        for known in self.blocks:
+            for rows, lower, told, response in zip(
+                known.rows, known.lower, known.told, known.responses, strict=True
+            ):
+                out[np.ix_(rows, rows)] = lower
+                out[np.ix_(self.border, rows)] = response @ told.T
         return out
 
 
@@ -209,7 +158,7 @@ class Banded:
 class Arrow:
     """The covariance of dense rows for any levels of its components."""
 
-    blocks: tuple[Block, ...]
+    blocks: tuple[Blocks, ...]
     border: IntArray
     white: FloatArray
     alone: Banded
@@ -231,24 +180,27 @@ class Arrow:
             which = np.flatnonzero([k in f for f in felt])
             rows = np.flatnonzero(channel == k)
             blocks.append(_block(white, rows, border, components, which, single))
-        return cls(tuple(blocks), border, white[np.ix_(border, border)], alone, len(components))
+        inner = white[np.ix_(border, border)]
+        return cls(_side_by_side(blocks), border, inner, alone, len(components))
 
     def factorise(self, levels: FloatArray) -> Factor:
         """Return the factor of the covariance at some levels."""
-        known, last = [], self.white.copy()
+        blocks, last = [], self.white.copy()
         for block in self.blocks:
             own, cross, far = (
-                (levels[block.which] @ _flat(part)).reshape(part.shape[1:])
+                (levels[block.which][:, None] @ _flat(part)).reshape(len(part), *part.shape[2:])
                 for part in (block.own, block.cross, block.far)
             )
-            lower = _factor(block.white + own)
-            told = _solve(lower, cross.T)
-            known.append(Known(block.rows, lower, told, block.response))
+            lower = np.asarray(np.linalg.cholesky(block.white + own), np.float64)
+            inverse = np.stack([_inverse(one) for one in lower])
+            told = inverse @ np.swapaxes(cross, 1, 2)
+            blocks.append(Known(block.rows, lower, inverse, told, block.responses, block.response))
             if block.response.nnz:
-                far -= told.T @ told
-                last += block.response @ (block.response @ far).T
+                far -= np.swapaxes(told, 1, 2) @ told
+                for response, left in zip(block.responses, far, strict=True):
+                    last += response @ (response @ left).T
         self.alone.add_to(last, levels)
-        return Factor(tuple(known), self.border, _factor(last))
+        return Factor(tuple(blocks), self.border, _factor(last))
 
     def slopes(
         self, factor: Factor, mean: FloatArray, left: FloatArray
@@ -263,33 +215,60 @@ class Arrow:
         mean, left : (n, p), (n,) arrays
             An orthonormal basis of the whitened mean, and what it leaves of the whitened y.
         """
-        half = factor.solve_transposed(np.column_stack((mean, left)))
-        half, py = half[:, :-1], half[:, -1]
+        half, py = factor.solve_transposed(mean), factor.solve_transposed(left)
         trace, pull = np.zeros(self.number), np.zeros((len(py), self.number))
         inverse = _inverse(factor.lower)
         for block, known in zip(self.blocks, factor.blocks, strict=True):
+            q, t = len(block.rows), block.far.shape[-1]
             felt = block.response.T
-            seen = felt @ inverse.T
-            inner = seen @ seen.T
-            whole = _inverse(known.lower)
-            told = known.told.T @ whole
-            here, there = half[block.rows], felt @ half[self.border]
-            own = whole.T @ whole + told.T @ inner @ told - here @ here.T
-            cross = -inner @ told - there @ here.T
-            trace[block.which] += (
-                _flat(block.own) @ own.ravel()
-                + 2.0 * _flat(block.cross) @ cross.ravel()
-                + _flat(block.far) @ (inner - there @ there.T).ravel()
-            )
-            y, y_far = py[block.rows], felt @ py[self.border]
-            pull[np.ix_(block.rows, block.which)] = (block.own @ y + y_far @ block.cross).T
-            pull[np.ix_(self.border, block.which)] += (
-                block.response @ (block.cross @ y + block.far @ y_far).T
-            )
+            seen = (felt @ inverse.T).reshape(q, t, len(self.border))
+            inner = seen @ np.swapaxes(seen, 1, 2)
+            whole = known.inverse
+            told = np.swapaxes(known.told, 1, 2) @ whole
+            here = half[block.rows]
+            there = (felt @ half[self.border]).reshape(q, t, half.shape[1])
+            here_too, there_too = np.swapaxes(here, 1, 2), np.swapaxes(there, 1, 2)
+            own = np.swapaxes(whole, 1, 2) @ whole - here @ here_too
+            own += np.swapaxes(told, 1, 2) @ inner @ told
+            cross = -inner @ told - there @ here_too
+            both = _flat(block.own) @ own.reshape(q, -1, 1)
+            both += 2.0 * _flat(block.cross) @ cross.reshape(q, -1, 1)
+            both += _flat(block.far) @ (inner - there @ there_too).reshape(q, -1, 1)
+            # One component may act on several channels.
+            np.add.at(trace, block.which, both[:, :, 0])
+            y = py[block.rows][:, None, :, None]
+            y_far = (felt @ py[self.border]).reshape(q, 1, t, 1)
+            near = block.own @ y + np.swapaxes(block.cross, 2, 3) @ y_far
+            pull[block.rows[:, None], block.which[:, :, None]] = near[..., 0]
+            drift = np.zeros((q, t, self.number))
+            drift[np.arange(q)[:, None, None], np.arange(t), block.which[:, :, None]] = (
+                block.cross @ y + block.far @ y_far
+            )[..., 0]
+            pull[self.border] += block.response @ drift.reshape(q * t, self.number)
         alone = self.alone
         trace[alone.which] += alone.traces(inverse) - alone.traces(half[self.border].T)
         pull[np.ix_(self.border, alone.which)] += alone.times(py[self.border]).T
         return py, trace, pull
+
+
+def _side_by_side(blocks: Sequence[Blocks]) -> tuple[Blocks, ...]:
+    """Return single blocks, those that are alike in shape together."""
+    alike: dict[tuple[int, ...], list[Blocks]] = {}
+    for block in blocks:
+        alike.setdefault(block.cross.shape, []).append(block)
+    return tuple(
+        Blocks(
+            rows=np.concatenate([block.rows for block in some]),
+            white=np.concatenate([block.white for block in some]),
+            which=np.concatenate([block.which for block in some]),
+            own=np.concatenate([block.own for block in some]),
+            cross=np.concatenate([block.cross for block in some]),
+            far=np.concatenate([block.far for block in some]),
+            responses=tuple(block.response for block in some),
+            response=sparse.hstack([block.response for block in some], format="csr"),
+        )
+        for some in alike.values()
+    )
 
 
 def _block(
@@ -299,9 +278,9 @@ def _block(
     components: Sequence[Part],
     which: IntArray,
     single: BoolArray,
-) -> Block:
-    near = [_placed(components[i], rows).toarray() for i in which]
-    far = [_placed(components[i], border) for i in which if single[i]]
+) -> Blocks:
+    near = [placed(components[i], rows).toarray() for i in which]
+    far = [placed(components[i], border) for i in which if single[i]]
     response = sparse.csr_matrix((len(border), 0))
     turns = np.zeros(0, np.int64)
     if any(f.nnz for f in far):
@@ -317,23 +296,21 @@ def _block(
         own[k] = near[k] @ felt
         if single[i]:
             cross[k], there[k] = felt[turns], kernel[np.ix_(turns, turns)]
-    return Block(rows, white[np.ix_(rows, rows)], which, own, cross, there, response)
-
-
-def _placed(part: Part, rows: IntArray) -> sparse.csr_matrix:
-    """Return the response of these rows, of which each is in its order, (len(rows), s)."""
-    place = np.full(int(max(rows.max(initial=-1), part.index.max(initial=-1))) + 1, -1)
-    place[rows] = np.arange(len(rows))
-    found = part.response.tocoo()
-    row = place[part.index[found.row]]
-    own = row >= 0
-    shape = (len(rows), found.shape[1])
-    return sparse.csr_matrix((found.data[own], (row[own], found.col[own])), shape=shape)
+    return Blocks(
+        rows=rows[None],
+        white=white[np.ix_(rows, rows)][None],
+        which=which[None],
+        own=own[None],
+        cross=cross[None],
+        far=there[None],
+        responses=(response,),
+        response=response,
+    )
 
 
 def _flat(parts: FloatArray) -> FloatArray:
-    """Return each of the k matrices as a row: a product with them is then one of a matrix."""
-    return parts.reshape(len(parts), int(np.prod(parts.shape[1:])))
+    """Return each of the (q, k) matrices as a row: a product with them is then one of a matrix."""
+    return parts.reshape(*parts.shape[:2], int(np.prod(parts.shape[2:])))
 
 
 def _factor(matrix: FloatArray) -> FloatArray:
@@ -349,9 +326,12 @@ def _inverse(lower: FloatArray) -> FloatArray:
 
 
 def _solve(lower: FloatArray, values: FloatArray, *, transposed: bool = False) -> FloatArray:
-    """Return ``L^-1 values`` or ``L'^-1 values``, without the checks of SciPy's own."""
+    """Return ``L^-1 values`` or ``L'^-1 values`` in the place of the values, which are nobody's."""
     if not lower.size:
         return values
-    columns = values if values.ndim > 1 else values[:, None]
-    found = linalg.blas.dtrsm(1.0, lower, columns, lower=1, trans_a=int(transposed))
+    # Rows that lie one after the other are columns of the transpose: LAPACK copies nothing.
+    rows = np.ascontiguousarray(values if values.ndim > 1 else values[:, None]).T
+    found = linalg.blas.dtrsm(
+        1.0, lower, rows, side=1, lower=1, trans_a=int(not transposed), overwrite_b=1
+    ).T
     return np.asarray(found if values.ndim > 1 else found[:, 0])

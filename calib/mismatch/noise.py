@@ -247,12 +247,11 @@ def _restricted(
     factor: Factor, basis: FloatArray, y: FloatArray
 ) -> tuple[float, FloatArray, FloatArray]:
     """Return the restricted log-likelihood, the whitened mean (orthonormal), and what it leaves."""
-    both = np.asfortranarray(factor.solve(np.column_stack((basis, y))))
-    mean, left = both[:, :-1], both[:, -1]
+    mean, left = factor.solve(basis), factor.solve(y)
     log_det = factor.log_det
     if basis.size:
         inner = linalg.cholesky(mean.T @ mean, lower=True, check_finite=False)
-        mean = linalg.blas.dtrsm(1.0, inner, mean, side=1, lower=1, trans_a=1)
+        mean = linalg.blas.dtrsm(1.0, inner, mean.T, lower=1, overwrite_b=1).T
         left = left - mean @ (mean.T @ left)
         log_det += 2 * np.log(np.diag(inner)).sum()
     return float(-0.5 * (log_det + left @ left)), mean, left
