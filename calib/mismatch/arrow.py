@@ -94,28 +94,28 @@ class Factor:
 
     def solve(self, values: FloatArray) -> FloatArray:
         """Return ``L^-1 values`` for (n, ...) values."""
-        columns = values.reshape(len(values), -1)
+        columns = values if values.ndim > 1 else values[:, None]
         out, rest = np.empty(columns.shape), columns[self.border]
         for known in self.blocks:
             white = known.inverse @ columns[known.rows]
             out[known.rows] = white
             if known.response.nnz:
                 told = np.swapaxes(known.told, 1, 2) @ white
-                rest -= known.response @ told.reshape(-1, rest.shape[1])
+                rest -= known.response @ told.reshape(known.response.shape[1], rest.shape[1])
         out[self.border] = _solve(self.lower, rest)
         return out.reshape(values.shape)
 
     def solve_transposed(self, values: FloatArray) -> FloatArray:
         """Return ``L'^-1 values`` for (n, ...) values."""
-        columns = values.reshape(len(values), -1)
+        columns = values if values.ndim > 1 else values[:, None]
         out = np.empty(columns.shape)
         last = _solve(self.lower, columns[self.border], transposed=True)
         out[self.border] = last
         for known in self.blocks:
             own = columns[known.rows]
             if known.response.nnz:
-                felt = (known.response.T @ last).reshape(len(own), -1, last.shape[1])
-                own -= known.told @ felt
+                felt = known.response.T @ last
+                own -= known.told @ felt.reshape(len(own), known.told.shape[2], last.shape[1])
             out[known.rows] = np.swapaxes(known.inverse, 1, 2) @ own
         return out.reshape(values.shape)
 

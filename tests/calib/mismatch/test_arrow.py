@@ -53,6 +53,8 @@ def test_the_factor_is_that_of_the_whole_covariance(rows):
     scale = np.abs(whole).max(axis=1)[:, None]
     np.testing.assert_allclose(factor.dense() / scale, whole / scale, atol=1e-12)
     assert factor.log_det == pytest.approx(2 * np.log(np.diag(whole)).sum())
+    assert factor.solve(np.zeros((rows.n_dense, 0))).shape == (rows.n_dense, 0)
+    assert factor.solve_transposed(np.zeros((rows.n_dense, 0))).shape == (rows.n_dense, 0)
     for values in (rng.normal(size=rows.n_dense), rng.normal(size=(rows.n_dense, 3))):
         there = np.linalg.solve(whole, values)
         np.testing.assert_allclose(factor.solve(values), there, rtol=1e-8, atol=1e-10 * there.max())
