@@ -6,6 +6,7 @@ rate of temperature, a delay, a low-pass): then the last samples of a batch wait
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -15,6 +16,7 @@ from calib.effects import get_effect
 from calib.effects.base import State
 from calib.model import affine
 from calib.recording import Recording
+from calib.thermometer import known_temperature
 from calib.types import BoolArray, FloatArray
 
 
@@ -51,6 +53,9 @@ class Corrector:
     calibration : Calibration
     interval : float, s
         Time between samples, by which time constants become numbers of samples.
+    temperature : function of (n,) times, s, or None
+        The temperature in °C, where it is known better than what the thermometer reads by itself
+        (`calib.thermometer.known_temperature`). A stream does not know what will be read next.
 
     Warm-up is counted from the stream's first sample.
     """
@@ -58,6 +63,7 @@ class Corrector:
     calibration: Calibration
     interval: float
     coverage: Coverage = field(default_factory=Coverage)
+    temperature: Callable[[FloatArray], FloatArray] | None = None
     _held: Block | None = None
     _context: int = 0
     _start: float | None = None
@@ -104,6 +110,8 @@ class Corrector:
         if self._start is None:
             self._start = float(block.time[0])
         whole, bad = _fill(block)
+        if self.temperature is not None:
+            whole = replace(whole, temperature=self.temperature(whole.time))
         signals = self.calibration.correct(
             State(
                 whole.time,
@@ -146,9 +154,16 @@ class Corrector:
                 cover.outside += int(np.count_nonzero((values < span.low) | (values > span.high)))
 
 
+def reads_temperature(calibration: Calibration) -> bool:
+    """Return whether what a calibration corrects goes with temperature."""
+    terms = calibration.model.terms
+    return any("temperature" in get_effect(term.effect).reads for term in terms)
+
+
 def correct_recording(calibration: Calibration, recording: Recording) -> Recording:
     """Return a whole recording in corrected units, in the housing's frame if that is known."""
-    corrector = Corrector(calibration, recording.interval)
+    known = known_temperature((recording,)) if reads_temperature(calibration) else None
+    corrector = Corrector(calibration, recording.interval, temperature=known)
     block = Block(recording.time, recording.accel, recording.gyro, recording.temperature)
     parts = [corrector.add(block), corrector.finish()]
     accel = np.concatenate([part[0] for part in parts])

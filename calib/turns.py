@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from calib.effects.observed import observed_turns, since_and_during
-from calib.effects.vibration import vibration_variance
+from calib.effects.vibration import SHAKEN, quiet_level, vibration_variance
 from calib.poses import Poses
 from calib.recording import Recording
 from calib.types import BoolArray, FloatArray, IntArray
@@ -78,26 +79,46 @@ def find_turns(recording: Recording, poses: Poses) -> Turns:
     return Turns(index, index + 1, start, stop, interval)
 
 
-def motion_of_turns(recording: Recording, poses: Poses) -> tuple[FloatArray, FloatArray]:
-    """Return when motion between poses begins and ends, (m, 2) s, and the vibration, (n, 3).
+class Shaking(NamedTuple):
+    """When a sensor is moved between m poses, (m - 1, 2) s, and how much it is shaken.
 
-    Both as `calib.effects.observed` finds them in a corrected recording, so that a calibration
-    corrects what a diagnosis finds. Where nothing turns, motion is over when the next pose begins.
+    ``vibration`` (n, 3) is the variance of each sample's specific force, (m/s²)²; in rests that are
+    no louder than quiet ones, and in turns beside them, it is ``quiet`` (3,): the sensor's noise.
+    """
+
+    moving: FloatArray
+    vibration: FloatArray
+    quiet: FloatArray
+
+
+def turns_and_shaking(recording: Recording, poses: Poses) -> Shaking:
+    """Find when motion begins and ends, and what shakes the sensor.
+
+    As `calib.effects.observed` finds both in signals without more, so that a calibration corrects
+    what a diagnosis finds. Where nothing turns, motion is over when the next pose begins.
 
     Parameters
     ----------
     recording : Recording
-        Of n samples.
     poses : Poses
-        Of it, in the order of time.
+        At least one, of it, in the order of time.
     """
-    rate = recording.gyro - (np.median(poses.gyro, axis=0) if len(poses) else 0.0)
-    starts, ends = observed_turns(recording.time, rate)
-    _, turning = since_and_during(recording.time, starts, ends)
+    time = recording.time
+    starts, ends = observed_turns(time, recording.gyro - np.median(poses.gyro, axis=0))
     middle = poses.interval.mean(axis=1)
     first = np.searchsorted(ends, middle[:-1])
     last = np.searchsorted(ends, middle[1:]) - 1
-    over = np.repeat(poses.interval[1:, :1], 2, axis=1)
+    moving = np.repeat(poses.interval[1:, :1], 2, axis=1)
     some = last >= first
-    over[some] = np.stack((starts[first[some]], ends[last[some]]), axis=1)
-    return over, vibration_variance(recording.time, recording.accel, turning)
+    moving[some] = np.stack((starts[first[some]], ends[last[some]]), axis=1)
+    _, turning = since_and_during(time, starts, ends)
+    vibration = vibration_variance(time, recording.accel, turning)
+    level = np.stack(
+        [vibration[a:b].mean(axis=0) for a, b in zip(poses.start, poses.stop, strict=True)]
+    )
+    quiet = np.array([quiet_level(own, SHAKEN) for own in level.T])
+    shaken = np.asarray((level > SHAKEN * quiet).any(axis=1))
+    begun = np.searchsorted(moving[:, 0], time, side="right")
+    ended = np.searchsorted(moving[:, 1], time, side="left")
+    shakes = (shaken[begun] & shaken[ended])[:, None]
+    return Shaking(moving, np.where(shakes, vibration, quiet), quiet)

@@ -6,11 +6,12 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
-from calib.apply import Block, Corrector, Coverage
+from calib.apply import Block, Corrector, Coverage, reads_temperature
 from calib.calibration import Calibration
 from calib.compare import device_mismatch
 from calib.errors import RecordingError
 from calib.recording import Recording
+from calib.thermometer import known_temperature
 from calib.types import FloatArray
 from drivers.formats import open_batches, open_writer
 
@@ -19,7 +20,12 @@ CORRECTED = "corrected_by"
 
 
 def corrected_batches(
-    calibration: Calibration, batches: Iterable[Recording], *, name: str, coverage: Coverage
+    calibration: Calibration,
+    batches: Iterable[Recording],
+    *,
+    name: str,
+    coverage: Coverage,
+    temperature: Callable[[FloatArray], FloatArray] | None = None,
 ) -> Iterator[Recording]:
     """Yield the corrected batches of one recording.
 
@@ -32,6 +38,8 @@ def corrected_batches(
         Of the calibration, for the recording's notes.
     coverage : Coverage
         Is filled in on the way.
+    temperature : function of (n,) times, s, or None
+        As in `calib.apply.Corrector`.
 
     Raises
     ------
@@ -43,7 +51,8 @@ def corrected_batches(
     for batch in batches:
         if corrector is None:
             refuse_corrected(batch)
-            corrector = Corrector(calibration, batch.interval or _interval(calibration), coverage)
+            interval = batch.interval or _interval(calibration)
+            corrector = Corrector(calibration, interval, coverage, temperature)
         waiting.append(batch)
         block = Block(batch.time, batch.accel, batch.gyro, batch.temperature)
         yield from _emit(waiting, *corrector.add(block), name)
@@ -66,11 +75,22 @@ def apply_file(
 
     ``check_device`` is told once if the recording is of another device than the calibration.
     """
-    coverage = Coverage()
-    batches = open_batches(log, profile=profile, imu=imu, drop_invalid=drop_invalid)
+    coverage, temperature = Coverage(), None
+    if reads_temperature(calibration):
+        # What a thermometer reads is rounded and noisy: what it was is known from all of it.
+        temperature = known_temperature(
+            open_batches(log, profile=profile, imu=imu, drop_invalid=drop_invalid)
+        )
+    batches = corrected_batches(
+        calibration,
+        open_batches(log, profile=profile, imu=imu, drop_invalid=drop_invalid),
+        name=name,
+        coverage=coverage,
+        temperature=temperature,
+    )
     first = True
     with open_writer(out, atomic=True) as writer:
-        for batch in corrected_batches(calibration, batches, name=name, coverage=coverage):
+        for batch in batches:
             if first:
                 first = False
                 mismatch = device_mismatch(calibration.provenance.device, batch.device)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from calib.effects.base import (
+    SLOPE_MEMORY,
     SLOPE_WINDOW,
     Column,
     Effect,
@@ -37,7 +38,11 @@ class AccelTemperatureRate(Effect):
     reads = ("temperature",)
 
     def reach(self, parameters: Mapping[str, float], *, interval: float) -> int:
-        return seconds_of_samples(0.5 * SLOPE_WINDOW, interval)
+        return seconds_of_samples(0.5 * SLOPE_WINDOW, interval) + 1
+
+    def memory(self, parameters: Mapping[str, float], *, interval: float) -> int:
+        # Beyond what the oldest sample that is corrected anew looks back to.
+        return seconds_of_samples(SLOPE_MEMORY, interval) + 1
 
     def columns(self, state: State, shape: Mapping[str, float]) -> dict[str, Column]:
         """Return the rate of temperature, on each axis; nothing if not measured."""

@@ -47,8 +47,11 @@ SPLINE_REACH = 32
 """Samples after which a cubic spline has forgotten its neighbours: it does by 0.27 a sample, and
 the fixed point of `SensorModel.correct` repeats it."""
 
-SLOPE_WINDOW = 20.0
-"""s through which the rate of temperature is fitted."""
+SLOPE_WINDOW, SLOPE_MEMORY = 20.0, 160.0
+"""s through which the rate of temperature is fitted; and at most so many before a moment."""
+
+STEPS = 4
+"""Changes of a thermometer's reading through which its rate is fitted, where that many are."""
 
 
 class Signals(NamedTuple):
@@ -182,25 +185,32 @@ class State:
     def temperature_rate(self) -> FloatArray | None:
         """Rate of temperature, K/s, (n,): the slope of a line through `SLOPE_WINDOW` s.
 
-        A sensor's thermometer is far too noisy to be differenced from sample to sample.
+        A sensor's thermometer is far too noisy to be differenced from sample to sample. Of one with
+        steps so coarse that it shows fewer than `STEPS` of them in that time, the line goes back
+        further, through up to `SLOPE_MEMORY` s: else each step would be a pulse of the rate.
         """
         if self.temperature is None or self.temperature_slope is not None:
             return self.temperature_slope
-        return local_slope(self.time, self.temperature, window=SLOPE_WINDOW)
+        first, last = windows(self.time, SLOPE_WINDOW)
+        changes = np.cumsum(np.diff(self.temperature, prepend=self.temperature[:1]) != 0)
+        for back in np.geomspace(SLOPE_WINDOW, SLOPE_MEMORY, 4):
+            few = changes[last - 1] - changes[first] < STEPS
+            first = np.where(few, np.searchsorted(self.time, self.time - back), first)
+        return line_slope(self.time, self.temperature, first, last)
 
 
 def local_slope(time: FloatArray, values: FloatArray, *, window: float) -> FloatArray:
     """Return the least-squares slope of (n,) values over `window` seconds about each time."""
+    return line_slope(time, values, *windows(time, window))
+
+
+def line_slope(time: FloatArray, values: FloatArray, first: IntArray, last: IntArray) -> FloatArray:
+    """Return the least-squares slopes of (n,) values over samples ``[first, last)``."""
     if len(time) < 2:
         return np.zeros_like(values)
     t, x = time - time.mean(), values - values.mean()
     sums = np.zeros((4, len(t) + 1))
     np.cumsum([t, x, t * t, t * x], axis=1, out=sums[:, 1:])
-    first = np.searchsorted(t, t - 0.5 * window)
-    last = np.searchsorted(t, t + 0.5 * window, side="right")
-    # At a gap at least the neighbours count.
-    index = np.arange(len(t))
-    first, last = np.minimum(first, np.maximum(index - 1, 0)), np.maximum(last, index + 1)
     count = last - first
     st, sx, stt, stx = sums[:, last] - sums[:, first]
     slope: FloatArray = (stx - st * sx / count) / (stt - st * st / count)

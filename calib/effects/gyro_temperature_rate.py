@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from calib.effects.base import (
+    SLOPE_MEMORY,
     SLOPE_WINDOW,
     Column,
     Effect,
@@ -38,7 +39,11 @@ class GyroTemperatureRate(Effect):
     reads = ("temperature",)
 
     def reach(self, parameters: Mapping[str, float], *, interval: float) -> int:
-        return seconds_of_samples(0.5 * SLOPE_WINDOW, interval)
+        return seconds_of_samples(0.5 * SLOPE_WINDOW, interval) + 1
+
+    def memory(self, parameters: Mapping[str, float], *, interval: float) -> int:
+        # Beyond what the oldest sample that is corrected anew looks back to.
+        return seconds_of_samples(SLOPE_MEMORY, interval) + 1
 
     def columns(self, state: State, shape: Mapping[str, float]) -> dict[str, Column]:
         """Return the rate of temperature, on each axis; nothing if not measured."""

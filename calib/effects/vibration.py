@@ -21,6 +21,12 @@ above 1.7 Hz is vibration, to 3 %; in motion what is above 17 Hz: a hand is slow
 BESIDE = 1.5
 """s from a rest within which motion is taken to be shaken as that is, or less."""
 
+SHAKEN = 1.5
+"""Noise power, relative to that of quiet rests, from which there is vibration."""
+
+QUIETEST = 0.3
+"""Share of the rests that is taken to be free of vibration."""
+
 VIBRATION_REACH = 1.5 * SLOW + 0.5 * WINDOW + BESIDE
 """s on either side of a moment that decide its variance, but for when turns are."""
 
@@ -69,3 +75,21 @@ def _variance(
     for _ in range(3):
         trend = window_mean(trend, *near)
     return window_mean(np.square(force - trend), *windows(time, WINDOW, within=within))
+
+
+def quiet_level(level: FloatArray, limit: FloatArray | float) -> float:
+    """Return the median of (k,) noise levels of rests; of those that are quiet, if most are not.
+
+    Where half of the rests are shaken, the median of all is a level that none has. So quiet are the
+    quietest, and whatever is not louder than `limit` times the median of those that are quiet.
+    """
+    every = float(np.median(level))
+    quiet = level <= np.quantile(level, QUIETEST)
+    while True:
+        middle = float(np.median(level[quiet]))
+        if every <= np.max(limit) * middle:
+            return every
+        more = level <= limit * middle
+        if not (more & ~quiet).any():
+            return middle
+        quiet |= more

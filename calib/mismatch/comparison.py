@@ -24,7 +24,6 @@ from calib.mismatch.carried import NAMES, SIZES, arm_of, carried, rough_arm, tru
 from calib.mismatch.colour import WHITE, Colour, find_colour, gaussian, whitening
 from calib.mismatch.rows import Rows
 from calib.mismatch.scatter import scatter
-from calib.mismatch.thermometer import smooth_temperature
 from calib.mismatch.truths import RecordingTruth
 from calib.mismatch.twin import ACCEL_MISALIGNMENT, baseline_column
 from calib.mismatch.visible import catalogue_shapes
@@ -33,6 +32,7 @@ from calib.model import SensorModel
 from calib.recording import AXES, Recording
 from calib.rotation import mat_from_rotvec
 from calib.statics import find_poses
+from calib.thermometer import smooth_temperature
 from calib.types import BoolArray, FloatArray
 
 UNLIKE = 0.3

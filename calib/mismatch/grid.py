@@ -7,7 +7,6 @@ is therefore that of the turns, not that of the recording.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -16,10 +15,10 @@ import numpy as np
 
 from calib.effects.base import SLOPE_WINDOW, local_slope
 from calib.mismatch.closure import Spans
-from calib.mismatch.thermometer import smooth_temperature
 from calib.poses import Poses, average_poses
 from calib.recording import Recording
-from calib.turns import motion_of_turns
+from calib.thermometer import smooth_temperature
+from calib.turns import turns_and_shaking
 from calib.types import BoolArray, FloatArray, IntArray
 
 REST_STEP = 0.25
@@ -37,12 +36,6 @@ LOUD = 9.0
 
 TOUCH = 2.0
 """s at either end of a rest in which a hand may be at the sensor; a third of a short rest."""
-
-SHAKEN = 1.5
-"""Noise power, relative to that of quiet rests, from which there is vibration."""
-
-QUIETEST = 0.3
-"""Share of the rests that is taken to be free of vibration."""
 
 FEW = 0.15
 """Share of louder poses up to which they are left out; where more are, that is how it was."""
@@ -306,7 +299,7 @@ def _fill(
     interval = np.stack(
         (recording.time[bounds[first, 0]], recording.time[bounds[last - 1, 1] - 1]), axis=1
     )
-    moving, vibration = motion_of_turns(recording, poses)
+    moving, vibration, _ = turns_and_shaking(recording, poses)
     ended = np.append(-np.inf, moving[:, 1])
     since = time - ended[np.searchsorted(ended, time, side="right") - 1]
     # Poses begin late and end early, to be sure: the rest of a rest is at the ends of its turns.
@@ -319,7 +312,7 @@ def _fill(
         gyro=mean(recording.gyro),
         temperature=temperature,
         count=count,
-        vibration=_told(vibration, poses, near, mean),
+        vibration=mean(vibration),
         since_turn=since,
         turning=near < 0,
         near=near,
@@ -332,42 +325,6 @@ def _fill(
         began=began,
         temperature_slope=slope,
     )
-
-
-def _told(
-    vibration: FloatArray, poses: Poses, near: IntArray, mean: Callable[[FloatArray], FloatArray]
-) -> FloatArray:
-    """Return the variance of the specific force at each point, from that of each sample.
-
-    Where it is no louder than in quiet rests it is theirs: that is the sensor's own noise.
-    """
-    level = np.stack(
-        [vibration[a:b].mean(axis=0) for a, b in zip(poses.start, poses.stop, strict=True)]
-    )
-    quiet = np.array([quiet_level(own, SHAKEN) for own in level.T])
-    shaken = np.asarray((level > SHAKEN * quiet).any(axis=1))
-    # In motion as long as both of the rests beside are.
-    here = np.maximum.accumulate(near)
-    there = np.where(near < 0, np.minimum(here + 1, len(poses) - 1), here)
-    return np.where((shaken[here] & shaken[there])[:, None], mean(vibration), quiet)
-
-
-def quiet_level(level: FloatArray, limit: FloatArray | float) -> float:
-    """Return the median of (k,) noise levels of rests; of those that are quiet, if most are not.
-
-    Where half of the rests are shaken, the median of all is a level that none has. So quiet are the
-    quietest, and whatever is not louder than `limit` times the median of those that are quiet.
-    """
-    every = float(np.median(level))
-    quiet = level <= np.quantile(level, QUIETEST)
-    while True:
-        middle = float(np.median(level[quiet]))
-        if every <= np.max(limit) * middle:
-            return every
-        more = level <= limit * middle
-        if not (more & ~quiet).any():
-            return middle
-        quiet |= more
 
 
 def fast_power(accel: FloatArray) -> FloatArray:

@@ -8,7 +8,8 @@ from __future__ import annotations
 import numpy as np
 from scipy import sparse
 
-from calib.mismatch.grid import Grid, fast_power, quiet_level
+from calib.effects.vibration import quiet_level
+from calib.mismatch.grid import Grid, fast_power
 from calib.mismatch.rows import Component
 from calib.types import BoolArray, FloatArray, IntArray
 

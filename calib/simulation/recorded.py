@@ -20,7 +20,6 @@ from scipy.signal import butter, sosfiltfilt
 from scipy.spatial.transform import Rotation, RotationSpline
 
 from calib.effects.base import State
-from calib.effects.observed import since_and_during
 from calib.model import SensorModel
 from calib.poses import Poses
 from calib.recording import Recording
@@ -31,8 +30,9 @@ from calib.rotation import (
     quat_multiply,
 )
 from calib.simulation.kinematics import Kinematics, Motion, Path, Segment, Turning
-from calib.turns import find_turns
-from calib.types import BoolArray, FloatArray
+from calib.thermometer import known_temperature
+from calib.turns import turns_and_shaking
+from calib.types import FloatArray
 
 UP = np.array([0.0, 0.0, 1.0])
 
@@ -70,36 +70,36 @@ def motion_of(
         Its time 0 is the recording's first sample.
     """
     time = recording.time - recording.time[0]
-    since, turning = _turns(recording, poses)
+    temperature = _temperature(recording)
     measured = State(
         recording.time,
         recording.accel,
         recording.gyro,
-        temperature=recording.temperature,
+        temperature=None if temperature is None else temperature(time),
         power_on=float(recording.time[0]),
-        since_turn=since,
-        turning=turning,
         gravity=gravity,
     )
     true = model.correct(measured)
-    force, rate = _without_noise(true.accel, poses), _without_noise(true.gyro, poses)
+    moving, shake = _moving(recording, poses)
+    force = _without_noise(true.accel, poses, shake)
+    rate = _without_noise(true.gyro, poses, np.zeros_like(shake))
     rate -= _rest_bias(time, true.gyro, poses)
     quat, acceleration = _smooth(time, force, rate, true.accel, poses, gravity)
     segments = [
         Segment("static", time[a], time[b - 1], f"pose {k + 1}")
         for k, (a, b) in enumerate(_pairs(poses))
     ]
-    turns = find_turns(recording, poses)
     segments += [
-        Segment("turn", time[a], time[b - 1], f"turn {k + 1}")
-        for k, (a, b) in enumerate(zip(turns.start, turns.stop, strict=True))
+        Segment("turn", a, b, f"turn {k + 1}")
+        for k, (a, b) in enumerate((moving - recording.time[0]).tolist())
     ]
     return Motion(
         "recording",
         float(time[-1]),
         _splines(time, quat, acceleration),
         tuple(sorted(segments, key=lambda segment: segment.start)),
-        temperature=_temperature(recording),
+        temperature=temperature,
+        vibration=_interpolated(time, np.sqrt(shake)) if shake.any() else None,
         gravity=gravity,
     )
 
@@ -309,8 +309,10 @@ def _continuous(quat: FloatArray) -> FloatArray:
     return np.asarray(quat * np.concatenate([[1.0], np.cumprod(flip)])[:, None])
 
 
-def _without_noise(values: FloatArray, poses: Poses) -> FloatArray:
+def _without_noise(values: FloatArray, poses: Poses, shake: FloatArray) -> FloatArray:
     """Return (n, 3) values through a local Wiener filter with the variance at rest as its noise.
+
+    Where something shakes, a variance of it is no motion either.
 
     References
     ----------
@@ -318,7 +320,10 @@ def _without_noise(values: FloatArray, poses: Poses) -> FloatArray:
     """
     if not len(poses) or len(values) < 5:
         return np.array(values)
-    noise = np.median([values[a:b].var(axis=0) for a, b in _pairs(poses)], axis=0)
+    noise = np.median(
+        [values[a:b].var(axis=0) - shake[a:b].mean(axis=0) for a, b in _pairs(poses)], axis=0
+    )
+    noise = np.maximum(noise, 0.0) + shake
     mean = uniform_filter1d(values, 5, axis=0, mode="nearest")
     variance = uniform_filter1d(values**2, 5, axis=0, mode="nearest") - mean**2
     gain = np.maximum(0.0, 1.0 - noise / np.maximum(variance, np.finfo(float).tiny))
@@ -350,16 +355,23 @@ def _rest_bias(time: FloatArray, rate: FloatArray, poses: Poses) -> FloatArray:
     return np.stack([np.interp(time, at, means[:, i]) for i in range(3)], axis=1)
 
 
-def _turns(recording: Recording, poses: Poses) -> tuple[FloatArray, BoolArray]:
-    time = recording.time
-    return since_and_during(time, time[poses.stop[:-1] - 1], time[poses.start[1:]])
+def _moving(recording: Recording, poses: Poses) -> tuple[FloatArray, FloatArray]:
+    """Return when turns begin and end, (k, 2) s, and what shakes beyond the noise, (n, 3)."""
+    if not len(poses):
+        return np.zeros((0, 2)), np.zeros_like(recording.accel)
+    moving, vibration, quiet = turns_and_shaking(recording, poses)
+    return moving, np.maximum(vibration - quiet, 0.0)
+
+
+def _interpolated(time: FloatArray, values: FloatArray) -> Callable[[FloatArray], FloatArray]:
+    """Return (n, k) values between their times, by straight lines."""
+    return lambda when: np.stack([np.interp(when, time, v) for v in values.T], axis=1)
 
 
 def _temperature(recording: Recording) -> Callable[[FloatArray], FloatArray] | None:
-    """Return the recorded temperature, its noise averaged over 5 s."""
-    if recording.temperature is None:
+    """Return the recorded temperature, without its thermometer's noise and steps."""
+    known = known_temperature((recording,))
+    if known is None:
         return None
-    width = max(1, round(5.0 / recording.interval)) if len(recording) > 1 else 1
-    smooth = uniform_filter1d(recording.temperature, width, mode="nearest")
-    time = recording.time - recording.time[0]
-    return lambda when: np.interp(when, time, smooth)
+    start = float(recording.time[0])
+    return lambda when: known(when + start)

@@ -1,5 +1,7 @@
 """Correcting a stream block by block is correcting it whole."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -135,3 +137,53 @@ def test_one_bad_sample_costs_only_itself() -> None:
     near = np.abs(np.arange(len(whole)) - 1000) < 20
     np.testing.assert_allclose(found[kept & ~near], expected.accel[kept & ~near], atol=1e-9)
     np.testing.assert_allclose(found[kept], expected.accel[kept], atol=1e-3)
+
+
+def coarse(rate: float = 20.0) -> tuple[Recording, np.ndarray]:
+    """Return a sensor at rest that warms up, its thermometer read once a second in half kelvins."""
+    time = np.arange(0.0, 600.0, 1 / rate)
+    true = 25.0 + 12.0 * (1.0 - np.exp(-time / 250.0))
+    second = np.floor(time) / 1.0
+    noise = np.random.default_rng(3).normal(0, 0.05, 600)[second.astype(int)]
+    seen = np.round(2.0 * (25.0 + 12.0 * (1.0 - np.exp(-second / 250.0)) + noise)) / 2.0
+    gyro = 0.01 * np.exp(-time / 250.0)[:, None] * (12.0 / 250.0) * np.ones(3)
+    still = Recording(
+        time=time,
+        accel=np.tile([0.0, 0.0, 9.8], (len(time), 1)),
+        gyro=gyro,
+        clock="device",
+        temperature=seen,
+    )
+    return still, true
+
+
+WARMING = Term("gyro_temperature_rate", dict.fromkeys(("kx", "ky", "kz"), 0.01))
+
+
+def test_a_coarse_thermometer_s_steps_do_not_reach_the_output() -> None:
+    seen, _ = coarse()
+    cal = Calibration(SensorModel(terms=(WARMING,)), (), np.zeros((0, 0)), (), Gravity(9.80665))
+    there = np.sqrt(np.mean(seen.gyro**2))
+    inside = slice(2000, -2000)
+    # Lines through 20 s of the readings each would leave two thirds of it.
+    whole = correct_recording(cal, seen).gyro
+    assert np.sqrt(np.mean(whole[inside] ** 2)) < 0.06 * there
+    # A stream that has not read what comes.
+    stream = Corrector(cal, seen.interval)
+    parts = [
+        stream.add(Block(p.time, p.accel, p.gyro, p.temperature))[1]
+        for p in (seen.slice(k, k + 500) for k in range(0, len(seen), 500))
+    ]
+    left = np.concatenate([*parts, stream.finish()[1]])
+    assert np.sqrt(np.mean(left[inside] ** 2)) < 0.4 * there
+
+
+def test_a_coarse_thermometer_s_steps_are_no_steps_of_a_bias() -> None:
+    seen, true = coarse()
+    term = Term("gyro_bias_temperature", {"kx": 1e-3, "ky": 0.0, "kz": 0.0})
+    model = SensorModel(terms=(term,), reference_temperature=30.0)
+    gyro = 1e-3 * (true - 30.0)[:, None] * [1.0, 0.0, 0.0]
+    cal = Calibration(model, (), np.zeros((0, 0)), (), Gravity(9.80665))
+    left = correct_recording(cal, replace(seen, gyro=gyro)).gyro[:, 0]
+    # Half a kelvin is 5e-4.
+    assert np.abs(left[500:-500]).max() < 1e-4

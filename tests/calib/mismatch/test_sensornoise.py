@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calib.effects.vibration import quiet_level
 from calib.mismatch import diagnose_recording
-from calib.mismatch.grid import make_grid, quiet_level
+from calib.mismatch.grid import make_grid
 from calib.mismatch.sensornoise import sample_noise
 from calib.recording import Recording
 from calib.statics import find_poses

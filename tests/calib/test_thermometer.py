@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from calib import thermometer
 from calib.effects.base import SLOPE_WINDOW, local_slope
-from calib.mismatch.thermometer import smooth_temperature
+from calib.recording import Recording
+from calib.thermometer import known_temperature, smooth_temperature
 from calib.types import FloatArray
 
 TIME = np.arange(0.0, 600.0, 0.01)
@@ -84,3 +87,16 @@ def test_a_quick_change_is_followed() -> None:
     path = 25.0 + 10.0 / (1.0 + np.exp(-(TIME - 200.0) / 3.0))
     reading = path + np.random.default_rng(6).normal(0, 0.1, len(TIME))
     assert np.abs(smooth_temperature(TIME, reading) - path).max() < 0.3
+
+
+def test_a_long_recording_s_temperature_is_known_in_little_memory(monkeypatch) -> None:
+    reading = WARM + np.random.default_rng(7).normal(0, 0.05, len(WARM))
+    still = np.zeros((len(TIME), 3))
+    whole = Recording(time=TIME, accel=still, gyro=still, clock="device", temperature=reading)
+    monkeypatch.setattr(thermometer, "MOST", 3000)
+    parts = [whole.slice(k, k + 777) for k in range(0, len(whole), 777)]
+    known = known_temperature(parts)
+    assert known is not None
+    assert np.abs(known(TIME) - WARM).max() < 0.06
+    assert known_temperature([replace(part, temperature=None) for part in parts]) is None
+    assert known_temperature([]) is None

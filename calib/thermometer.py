@@ -19,12 +19,14 @@ References
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import cho_solve_banded, cholesky_banded
 from scipy.special import log_ndtr
 
+from calib.recording import Recording
 from calib.spline import spline_at
 from calib.types import BoolArray, FloatArray, IntArray
 
@@ -33,6 +35,9 @@ CELLS, LEAST = 400, 100
 
 CELL = 1.0
 """s that a cell is long where neither that nor the thermometer says otherwise."""
+
+MOST = 1 << 19
+"""Readings at most that are kept: of a day, six a second."""
 
 FEW = 4
 """Different readings in a cell, on average, up to which a thermometer is coarse. Of more their mean
@@ -93,6 +98,34 @@ class _Readings:
     weight: FloatArray
     half: float
     noises: FloatArray
+
+
+def known_temperature(
+    batches: Iterable[Recording],
+) -> Callable[[FloatArray], FloatArray] | None:
+    """Return the temperature at any times of a recording, or None if it was not measured.
+
+    Of a recording of any length, in memory for `MOST` of its readings: of more, each second one is
+    left out, again and again.
+    """
+    parts: list[tuple[FloatArray, FloatArray]] = []
+    every, offset, kept = 1, 0, 0
+    for batch in batches:
+        if batch.temperature is None:
+            return None
+        some = slice(-offset % every, None, every)
+        parts.append((batch.time[some], batch.temperature[some]))
+        offset += len(batch)
+        kept += len(parts[-1][0])
+        if kept > MOST:
+            time, reading = map(np.concatenate, zip(*parts, strict=True))
+            parts, every = [(time[::2], reading[::2])], 2 * every
+            kept = len(parts[0][0])
+    if not parts:
+        return None
+    time, reading = map(np.concatenate, zip(*parts, strict=True))
+    smooth = smooth_temperature(time, reading)
+    return lambda when: np.interp(when, time, smooth)
 
 
 def smooth_temperature(time: FloatArray, reading: FloatArray) -> FloatArray:
