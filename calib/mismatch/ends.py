@@ -7,7 +7,8 @@ said whose overlap with the others, intersection over union, is largest on avera
 
 The evidence takes what disturbs for normal, and stationary. Pulses are not: a few stand out, the
 others hardly show, and the window of those that do would be told with far too much confidence. So
-evidence counts for as much less as it scatters more than normal errors would let it.
+evidence for where a disturbance of one kind is counts for as much less as it scatters more than
+normal errors would let it.
 
 Nor is the evidence that of one kind alone. A part of what jumps about looks like a bias, or like a
 wave, whose window is too short: in each window all kinds are weighed against each other.
@@ -24,6 +25,7 @@ from collections import Counter
 from dataclasses import replace
 
 import numpy as np
+from scipy.special import logsumexp, softmax
 
 from calib.mismatch.candidates import Candidate
 from calib.mismatch.diagnosis import Interval
@@ -76,14 +78,15 @@ def place_window(rows: Rows, candidate: Candidate, whitener: Whitener, y: FloatA
     alike = Counter(c.name for c in kinds)
     summed = [_sums(rows, c, whitener, y, longest) - np.log(alike[c.name]) for c in kinds]
     wander = _wanders(rows, candidate, whitener, y, longest)
-    value = np.logaddexp.reduce([*summed, wander])
+    first, last = np.nonzero(np.isfinite(wander))
+    value = np.stack([*summed, wander])[:, first, last]
     # Every length, by its logarithm, is as likely as any other, and so is every place.
-    first, last = np.nonzero(np.isfinite(value))
-    of = HEAVY * value[first, last] - np.log(last - first) - np.log(number + 1.0 - (last - first))
-    probable = of > of.max() + np.log(UNLIKELY)
+    prior = -np.log(last - first) - np.log(number + 1.0 - (last - first))
+    of_kind = softmax(logsumexp(value + prior, axis=1))
+    weight = of_kind @ softmax(HEAVY * value + prior, axis=1)
+    probable = weight > UNLIKELY * weight.max()
     first, last = first[probable], last[probable]
-    weight = np.exp(of[probable] - of.max())
-    where = expected_overlap(rows.interval[first, 0], rows.interval[last - 1, 1], weight)
+    where = expected_overlap(rows.interval[first, 0], rows.interval[last - 1, 1], weight[probable])
     a = int(np.searchsorted(rows.interval[:, 0], where[0]))
     b = int(np.searchsorted(rows.interval[:, 1], where[1])) + 1
     best = int(np.argmax([wander[a, b], *(v[a, b] for v in summed)]))
