@@ -16,15 +16,18 @@ import sys
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-import numpy as np
-from scipy.special import logsumexp
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
 
-from calib.mismatch.arrow import Factor
+import numpy as np
+
+from calib.mismatch.candidates import Sums
 from calib.mismatch.grid import make_grid
-from calib.mismatch.noise import Whitener, expected_levels, make_whitener
+from calib.mismatch.noise import expected_levels, make_whitener
 from calib.mismatch.ranking import CLAIM, fitted, make_stack
 from calib.mismatch.rows import Rows
-from calib.mismatch.score import Stack
+from calib.mismatch.score import SCALES, SHARES, Stack, present_factors
 from calib.mismatch.selfmode import SelfProblem
 from calib.model import SensorModel
 from calib.simulate import simulate
@@ -35,6 +38,8 @@ from calib.statics import find_poses
 GRAVITY = 9.80665
 THRESHOLDS = (2, CLAIM, 10, 20, 100)
 MOST = 0.005
+TOGETHER = 250
+"""Draws that are scored at a time."""
 
 
 def main() -> int:
@@ -61,20 +66,94 @@ def main() -> int:
 
 def e_values(rows: Rows, stack: Stack, rng: np.random.Generator, draws: int) -> np.ndarray:
     """Return the log e-values of draws of normal errors."""
-    variance = rows.white_diagonal
-    whitener = make_whitener(rows, expected_levels(rows), variance, fitted(rows, []))
-    weight = np.log([c.weight for c in stack.candidates])
-    # Whitened once: all draws share it.
-    plain = Stack(len(rows.residual))
-    plain.columns.add(whitener.project(stack.columns.take(np.arange(len(stack.columns)))))
-    plain.candidates = stack.candidates
-    unit = Whitener(Factor.unit(rows.n_dense), np.ones(len(variance)), whitener.basis, rows.n_dense)
-    out = np.empty(draws)
-    for k in range(draws):
-        y = rng.normal(size=len(rows.residual))
+    whitener = make_whitener(rows, expected_levels(rows), rows.white_diagonal, fitted(rows, []))
+    columns = whitener.project(stack.columns.take(np.arange(len(stack.columns))))
+    known = list(hypotheses(stack, columns.T @ columns))
+    out = np.zeros(draws)
+    for first in range(0, draws, TOGETHER):
+        some = slice(first, min(first + TOGETHER, draws))
+        y = rng.normal(size=(some.stop - first, len(rows.residual))).T
         y -= whitener.basis @ (whitener.basis.T @ y)
-        out[k] = logsumexp(plain.log_bayes_factors(unit, y) + weight)
-    return out
+        match = columns.T @ y
+        for each in known:
+            out[some] += each.e_value(match)
+    return np.log(out)
+
+
+@dataclass(frozen=True)
+class Alike:
+    """Hypotheses of some columns, each in directions that are independent of each other.
+
+    Parameters
+    ----------
+    weight : (n,) array
+        Prior probabilities.
+    power : (n, r) array
+        Of each direction.
+    columns : array of int
+        Columns of the stack, k for all of them or (n, k) for each its own.
+    directions : (n, r, k) array, or a sparse (n, k) one of sums
+    present : bool
+        Whether the one coefficient is 1 by nature.
+    """
+
+    weight: np.ndarray
+    power: np.ndarray
+    columns: np.ndarray
+    directions: Any
+    present: bool
+
+    def e_value(self, match: np.ndarray) -> np.ndarray:
+        """Return the weighted sum of Bayes factors, from what columns have of d residuals, (d,)."""
+        n, r = self.power.shape
+        if self.columns.ndim == 2:
+            along = self.directions @ match[self.columns]
+        else:
+            along = self.directions.reshape(n * r, -1) @ match[self.columns]
+        along = along.reshape(n, r, -1)
+        if self.present:
+            return self.weight @ np.exp(present_factors(self.power, along[:, 0]))
+        square = np.square(SCALES)[:, None]
+        strength = square * self.power[:, None]
+        gain = (0.5 * square / (1.0 + strength)) @ np.square(along)
+        scale = SHARES * np.exp(-0.5 * np.log1p(strength).sum(axis=2))
+        np.exp(gain, out=gain)
+        return (self.weight[:, None] * scale).ravel() @ gain.reshape(n * len(SCALES), -1)
+
+
+def hypotheses(stack: Stack, gram: np.ndarray) -> Iterator[Alike]:
+    """Yield all of a stack's candidates, of which the Gram matrix of all columns is known."""
+    for bank in stack.banks:
+        for make in bank.made(np.ones(len(bank.candidates), bool)):
+            weight = np.exp(bank.weight[make.which])
+            if isinstance(make, Sums):
+                inner = make.pick @ gram[np.ix_(make.columns, make.columns)]
+                power = np.asarray(make.pick.multiply(inner).sum(axis=1))
+                yield Alike(weight, np.maximum(power, 0.0), make.columns, make.pick, False)
+                continue
+            own = make.columns[make.index]
+            for first, last, runs in make.parts:
+                # Those of the same columns together, or all where each has few of its own.
+                for start, stop in [(first, last)] if make.mixing is None else runs:
+                    part = slice(start, stop)
+                    shared = own[start] if make.mixing is not None else own[part]
+                    inner = gram[shared[..., :, None], shared[..., None, :]]
+                    if make.mixing is not None:
+                        inner = np.swapaxes(make.mixing[part], 1, 2) @ inner @ make.mixing[part]
+                    power, vectors = np.linalg.eigh(inner)
+                    directions = np.swapaxes(vectors, 1, 2)
+                    if make.mixing is not None:
+                        directions = directions @ np.swapaxes(make.mixing[part], 1, 2)
+                    for kind in (False, True):
+                        mine = make.present[part] == kind
+                        if mine.any():
+                            yield Alike(
+                                weight[part][mine],
+                                np.maximum(power[mine], 0.0),
+                                shared[mine] if shared.ndim == 2 else shared,
+                                directions[mine],
+                                kind,
+                            )
 
 
 if __name__ == "__main__":

@@ -153,7 +153,7 @@ def _several(make: Alike, seen: Seen, columns: IntArray) -> FloatArray:
     if own.shape[1] > 1:
         return log_bayes_factors(np.stack([seen.gram(each) for each in own]), match)
     power = seen.power[own[:, 0]]
-    return np.where(make.present, _present(power, match[:, 0]), _single(power, match[:, 0]))
+    return np.where(make.present, present_factors(power, match[:, 0]), _single(power, match[:, 0]))
 
 
 def _sums(make: Sums, seen: Seen, columns: IntArray) -> FloatArray:
@@ -203,7 +203,7 @@ def log_bayes_factor(columns: FloatArray, y: FloatArray) -> float:
     return float(log_bayes_factors((columns.T @ columns)[None], (y @ columns)[None])[0])
 
 
-def _present(power: FloatArray, along: FloatArray) -> FloatArray:
+def present_factors(power: FloatArray, along: FloatArray) -> FloatArray:
     """Return log B of single columns with a positive coefficient from ``N(1, PRESENT²)``."""
     strength = PRESENT**2 * power
     more = along - power
