@@ -67,14 +67,21 @@ def _add(
     channels = {p.name: p.channels for p in effect.parameters}
     units = {p.name: p.unit for p in effect.parameters}
     refining = tuple(p.name for p in effect.parameters if p.refining)
+    found: list[tuple[Mapping[str, float], dict[str, FloatArray]]] = []
     for shape in shapes:
-        found = effect_columns(effect, rows, shape, reference=reference)
+        columns = effect_columns(effect, rows, shape, reference=reference)
         if effect.kind != "setup":
-            found = {n: v for n, v in found.items() if LARGE * np.linalg.norm(v / noise) > UNSEEN}
-        if not found:
-            continue
-        index = _added(stack, rows, found)
-        for names, share in _subsets(tuple(found), refining):
+            columns = {
+                n: v for n, v in columns.items() if LARGE * np.linalg.norm(v / noise) > UNSEEN
+            }
+        if columns:
+            found.append((shape, columns))
+    if not found:
+        return
+    number = _added(stack, rows, [v for _, columns in found for v in columns.values()])
+    for shape, columns in found:
+        index = dict(zip(columns, number, strict=False))
+        for names, share in _subsets(tuple(columns), refining):
             touched: tuple[str, ...] = tuple(dict.fromkeys(c for n in names for c in channels[n]))
             stack.candidates.append(
                 Candidate(
@@ -90,12 +97,11 @@ def _add(
             )
 
 
-def _added(stack: Stack, rows: Rows, found: Mapping[str, FloatArray]) -> dict[str, int]:
-    """Add the columns of parameters; return the number of each."""
-    columns = np.stack(list(found.values()), axis=1)
+def _added(stack: Stack, rows: Rows, found: list[FloatArray]) -> Iterator[int]:
+    """Add columns; return the number of each."""
+    columns = np.stack(found, axis=1)
     felt = np.append(rows.channel[columns.any(axis=1)], -1)
-    index = stack.columns.add(columns, np.flatnonzero(np.isin(rows.channel, felt)))
-    return dict(zip(found, index.tolist(), strict=True))
+    return iter(stack.columns.add(columns, np.flatnonzero(np.isin(rows.channel, felt))).tolist())
 
 
 def effect_columns(
