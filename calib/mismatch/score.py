@@ -119,14 +119,15 @@ class Stack:
         out = np.full(len(which), -np.inf)
         at, makes = 0, []
         for bank in self.banks:
-            own = slice(at, at + len(bank.candidates))
-            makes += [(out[own], make) for make in bank.made(which[own])]
-            at = own.stop
+            mine = slice(at, at + len(bank.candidates))
+            makes += [(out[mine], make) for make in bank.made(which[mine])]
+            at = mine.stop
         used = np.unique(np.concatenate([make.columns for _, make in makes]))
         place = np.zeros(len(self.columns), np.int64)
         place[used] = np.arange(len(used))
         seen = self.columns.project(whitener, y, used)
         gram: tuple[IntArray, FloatArray] = np.zeros(0, np.int64), np.zeros((0, 0))
+        mixed: dict[int, list[tuple[FloatArray, IntArray, FloatArray, FloatArray]]] = {}
         for values, make in makes:
             columns = place[make.columns]
             if isinstance(make, Sums):
@@ -134,9 +135,16 @@ class Stack:
             elif make.mixing is not None:
                 if gram[0] is not make.columns:
                     gram = make.columns, seen.gram(columns)
-                values[make.which] = _mixed(make, gram[1], seen.match[columns])
+                alike = mixed.setdefault(make.mixing.shape[2], [])
+                alike.append((values, make.which, *_mixed(make, gram[1], seen.match[columns])))
             else:
                 values[make.which] = _several(make, seen, columns)
+        for alike in mixed.values():
+            # Many at once: a few of them cost as much in calls as in numbers.
+            found = log_bayes_factors(*map(np.concatenate, list(zip(*alike, strict=True))[2:]))
+            ends = np.cumsum([len(own) for _, own, *_ in alike])[:-1]
+            for (values, own, *_), part in zip(alike, np.split(found, ends), strict=True):
+                values[own] = part
         return out
 
     def average(self, whitener: Whitener, y: FloatArray) -> float:
@@ -165,8 +173,8 @@ def _sums(make: Sums, seen: Seen, columns: IntArray) -> FloatArray:
     return _single(np.where(lost, 0.0, power), np.where(lost, 0.0, along))
 
 
-def _mixed(make: Alike, gram: FloatArray, match: FloatArray) -> FloatArray:
-    """Return log B of candidates that mix columns, of which the Gram matrix is known."""
+def _mixed(make: Alike, gram: FloatArray, match: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return Gram matrices and matches of candidates that mix columns, from those of these."""
     assert make.mixing is not None
     mixing, index = make.mixing, make.index
     n, k, r = mixing.shape
@@ -188,7 +196,7 @@ def _mixed(make: Alike, gram: FloatArray, match: FloatArray) -> FloatArray:
         np.matmul(
             mixing[first:last].transpose(0, 2, 1), both[: last - first], out=inner[first:last]
         )
-    return log_bayes_factors(inner, along[:, 0])
+    return inner, along[:, 0]
 
 
 def _single(power: FloatArray, along: FloatArray) -> FloatArray:
