@@ -28,6 +28,9 @@ level (a variance)."""
 INDEPENDENT = 1e-5
 """Share of a column's length that those before it must leave for it to be clearly independent."""
 
+ROUNDING = 1e-12
+"""Products of unit vectors up to which these are orthogonal."""
+
 
 @dataclass(frozen=True, eq=False)
 class Levels:
@@ -220,8 +223,8 @@ def range_basis(mean: FloatArray, *, tolerance: float = 1e-9) -> FloatArray:
 def _orthonormal(scaled: FloatArray) -> FloatArray | None:
     """Return an orthonormal basis of clearly independent columns; None of others.
 
-    Cholesky QR, twice: the second makes up for the rounding of the first, which squares how nearly
-    dependent the columns are [1]_. It is products alone, many times faster than pivoting.
+    Cholesky QR, twice if need be: the second makes up for the rounding of the first, which squares
+    how nearly dependent the columns are [1]_. It is products alone, many times faster than pivoting.
 
     References
     ----------
@@ -229,9 +232,12 @@ def _orthonormal(scaled: FloatArray) -> FloatArray | None:
        algorithm", ETNA 44, 2015, p. 306.
     """
     q = scaled
-    for distance in (np.inf, 0.1):
+    for most in (np.inf, 0.1):
         gram = q.T @ q
-        if np.abs(gram - np.eye(len(gram))).max() > distance:
+        off = np.abs(gram - np.eye(len(gram))).max()
+        if off < ROUNDING:
+            return q
+        if off > most:
             return None
         try:
             inner = linalg.cholesky(gram, lower=True, check_finite=False)
