@@ -6,7 +6,6 @@ from collections.abc import Mapping
 
 from calib.effects.base import SPLINE_REACH, Column, Effect, Parameter, State
 from calib.recording import AXES
-from calib.rotation import skew
 
 
 class AccelLeverArm(Effect):
@@ -35,8 +34,7 @@ class AccelLeverArm(Effect):
 
     def columns(self, state: State, shape: Mapping[str, float]) -> dict[str, Column]:
         """Return the columns of ``skew(w)² + skew(dw/dt)``."""
-        turn = skew(state.rate)
-        gradient = turn @ turn + skew(state.rate_dot)
+        gradient = state.gradient
         return {
             f"r{b}": {f"accel.{a}": gradient[:, i, j] for i, a in enumerate(AXES)}
             for j, b in enumerate(AXES)

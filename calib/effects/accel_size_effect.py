@@ -6,7 +6,6 @@ from collections.abc import Mapping
 
 from calib.effects.base import SPLINE_REACH, Column, Effect, Parameter, State
 from calib.recording import AXES
-from calib.rotation import skew
 
 
 class AccelSizeEffect(Effect):
@@ -32,8 +31,7 @@ class AccelSizeEffect(Effect):
 
     def columns(self, state: State, shape: Mapping[str, float]) -> dict[str, Column]:
         """Return rows y and z of ``skew(w)² + skew(dw/dt)``: positions relative to the x axis."""
-        turn = skew(state.rate)
-        gradient = turn @ turn + skew(state.rate_dot)
+        gradient = state.gradient
         return {
             f"r{a}{b}": {f"accel.{a}": gradient[:, AXES.index(a), j]}
             for a in ("y", "z")

@@ -23,6 +23,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from calib.recording import AXES
+from calib.rotation import skew
 from calib.spline import spline_slopes
 from calib.types import BoolArray, FloatArray, IntArray
 
@@ -129,6 +130,9 @@ class State:
     temperature_slope : (n,) array, K/s, or None
         The same of temperature; otherwise `temperature_rate` fits it.
     gravity : float, m/s²
+    known_gradient : (n, 3, 3) array, 1/s², or None
+        `gradient`, where it is known better than from the rate: that of signals that have passed a
+        low-pass is not what a low-pass leaves of it, as it has products of the rate.
     """
 
     time: FloatArray
@@ -144,6 +148,7 @@ class State:
     angular_acceleration: FloatArray | None = None
     temperature_slope: FloatArray | None = None
     gravity: float = 9.80665
+    known_gradient: FloatArray | None = None
 
     def derivative(self, values: FloatArray) -> FloatArray:
         """Return the time derivative of (n, ...) values, of their cubic spline through all times.
@@ -165,6 +170,14 @@ class State:
         if self.angular_acceleration is not None:
             return self.angular_acceleration
         return self.derivative(self.rate)
+
+    @cached_property
+    def gradient(self) -> FloatArray:
+        """What a metre of distance adds to the acceleration: ``skew(w)² + skew(dw/dt)``, 1/s²."""
+        if self.known_gradient is not None:
+            return self.known_gradient
+        turn = skew(self.rate)
+        return np.asarray(turn @ turn + skew(self.rate_dot))
 
     @cached_property
     def gravity_direction(self) -> FloatArray:

@@ -172,15 +172,18 @@ def limited(real: Recording, truth: RecordingTruth, bandwidth: float, spoilt: Bo
     """Return a recording and its truth through one low-pass, with as many samples as that needs.
 
     It is the signals in the sensors' own frames that pass: orientations and positions that had
-    passed it would give other ones, as a turn makes products of them.
+    passed it would give other ones, as a turn makes products of them. So would rates of what an arm
+    makes a sensor feel.
     """
     thin = max(1, int(1.0 / (KEPT * bandwidth * real.interval)))
     kept, wide = low_passed(real, bandwidth), widened(real, bandwidth, spoilt)
     other = truth.recording
+    gradient = truth.state(other.time).gradient.reshape(-1, 9)
     narrow = replace(
         truth,
         recording=low_passed(other, bandwidth),
         spoilt=widened(other, bandwidth, truth.spoilt),
+        gradient=smoothed(other.time, gradient, bandwidth).reshape(-1, 3, 3),
     )
     return Matched(thinned(kept, thin), narrow, wide[::thin], band=bandwidth)
 

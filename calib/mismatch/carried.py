@@ -13,12 +13,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.effects.base import Column, State
+from calib.effects.base import Column, State, Term
 from calib.model import SensorModel
 from calib.recording import AXES
-from calib.rotation import skew
 from calib.types import FloatArray
 
+ARM = "accel_lever_arm"
 SLUG = "reference_gyro"
 NAMES = (
     *(f"{SLUG}.zero_rate.{a}" for a in AXES),
@@ -37,16 +37,10 @@ SEEN = 5e-3
 """m: an arm shorter than that carries less than anybody sees."""
 
 
-def gradient(state: State) -> FloatArray:
-    """Return ``A`` (n, 3, 3)."""
-    turn = skew(state.rate)
-    return np.asarray(turn @ turn + skew(state.rate_dot))
-
-
 def rough_arm(state: State, left: FloatArray) -> FloatArray:
     """Return the arm (3,) by which differences (n, 3) of forces shrink most; 0 if it is short."""
     means = left - left.mean(axis=0)
-    matrix = gradient(state)
+    matrix = state.gradient
     matrix = (matrix - matrix.mean(axis=0)).reshape(-1, 3)
     arm: FloatArray = np.linalg.lstsq(matrix, means.ravel(), rcond=1e-6)[0]
     return arm if np.linalg.norm(arm) > SEEN else np.zeros(3)
@@ -98,6 +92,11 @@ def arm_of(model: SensorModel) -> FloatArray:
     """Return the lever arm of a model, (3,) m."""
     arm = np.zeros(3)
     for term in model.terms:
-        if term.effect == "accel_lever_arm":
+        if term.effect == ARM:
             arm += [term.parameters.get(f"r{a}", 0.0) for a in AXES]
     return arm
+
+
+def arm_term(arm: FloatArray) -> Term:
+    """Return the term of an arm, (3,) m."""
+    return Term(ARM, {f"r{a}": float(v) for a, v in zip(AXES, arm, strict=True)})

@@ -19,8 +19,17 @@ from calib.effects.base import State, Term
 from calib.effects.observed import observed
 from calib.errors import NoCommonMotionError
 from calib.mismatch.alignment import LEAST_OVERLAP, Alignment
+from calib.mismatch.alike import check_motion, check_units
 from calib.mismatch.captured import Known, sensor_densities
-from calib.mismatch.carried import NAMES, SIZES, arm_of, carried, rough_arm, true_force
+from calib.mismatch.carried import (
+    NAMES,
+    SIZES,
+    arm_of,
+    arm_term,
+    carried,
+    rough_arm,
+    true_force,
+)
 from calib.mismatch.colour import WHITE, Colour, find_colour, gaussian, whitening
 from calib.mismatch.rows import Rows
 from calib.mismatch.scatter import scatter
@@ -35,16 +44,8 @@ from calib.statics import find_poses
 from calib.thermometer import smooth_temperature
 from calib.types import BoolArray, FloatArray
 
-UNLIKE = 0.3
-"""Share of the power of rotation that differs, after the fit of the baseline, from which on the
-two are two motions."""
-
 FAST = 0.98
 """Share of the samples that turn slower than the motion at its fastest."""
-
-UNIT = 10.0
-"""Factor beyond which rates or forces are of other units, not of another scale. What a sensor feels
-far from the axis of a fast table, and the reference does not, may be more: the square of it."""
 
 ACCEL_BASELINE = (
     *(f"accel.bias.{a}" for a in AXES),
@@ -208,6 +209,7 @@ class ComparisonProblem:
             force=state.force @ mat.T,
             rate=state.rate @ mat.T,
             angular_acceleration=None if given is None else given @ mat.T,
+            known_gradient=self._gradient(state.known_gradient, mat),
             mat_ns=None if state.mat_ns is None else state.mat_ns @ mat.T,
             temperature=self.temperature,
             temperature_slope=None,
@@ -292,12 +294,23 @@ class ComparisonProblem:
 
     def _stilled(self, state: State) -> State:
         force, rate = state.force.copy(), state.rate.copy()
-        turning = state.rate_dot.copy()
+        turning, gradient = state.rate_dot.copy(), state.gradient.copy()
         for a, b in self.rests:
             if b > a:
                 force[a:b], rate[a:b] = force[a:b].mean(axis=0), rate[a:b].mean(axis=0)
-                turning[a:b] = 0.0
-        return replace(state, force=force, rate=rate, angular_acceleration=turning)
+                turning[a:b], gradient[a:b] = 0.0, 0.0
+        return replace(
+            state, force=force, rate=rate, angular_acceleration=turning, known_gradient=gradient
+        )
+
+    def _gradient(self, given: FloatArray | None, mat: FloatArray) -> FloatArray | None:
+        """Return a truth's gradient in frame s, without what squares of its noise are at rest."""
+        if given is None:
+            return None
+        still = [given[a:b].sum(axis=0) for a, b in self.rests if b > a]
+        if still:
+            given = given - np.sum(still, axis=0) / np.maximum(np.diff(self.rests), 0).sum()
+        return np.asarray(mat @ given @ mat.T)
 
     @property
     def loose(self) -> FloatArray:
@@ -311,8 +324,13 @@ class ComparisonProblem:
         return np.asarray(self.measured - np.hstack((predicted.accel, predicted.gyro)))
 
     def fit(self, *, iterations: int = 6) -> None:
-        """Fit baseline and alignment by robust Gauss-Newton."""
-        self._same_units()
+        """Fit baseline and alignment by robust Gauss-Newton.
+
+        Beside an arm, as far as it is roughly known: what half a metre makes a sensor feel would
+        draw scale factors and time with it. It is left to be found as any other effect.
+        """
+        check_units(self.state(), self.measured)
+        given, arm = self.given, np.zeros(3)
         for k in range(iterations):
             self.shapes = None if k < 3 else self.shapes
             if k == 2 and self.band:
@@ -324,20 +342,19 @@ class ComparisonProblem:
             self.move(dict(zip(self.names, step[:p], strict=True)), step[p:], terms)
             if k > 3 and np.abs(step).max() < 1e-7:
                 break
+            state = self.state()
+            arm = arm + rough_arm(self.setup.model.felt(state), self.residual(state)[:, :3])
+            self._give((*given, arm_term(arm)) if arm.any() else given)
+        self._give(given)
         self.shapes = None
         state = self.state()
-        left = np.square(self.residual(state)[:, 3:]).sum()
-        # Of the quieter of the two: what does not move leaves nothing where scales became zero.
-        total = min(
-            float(np.square(rate - rate.mean(axis=0)).sum())
-            for rate in (state.rate, self.measured[:, 3:])
-        )
-        if left > UNLIKE * total:
-            raise NoCommonMotionError(
-                "the two do not show the same motion: where they match best, "
-                f"{100 * min(left / total, 1.0):.0f} % of the rotation differs; check that they "
-                "belong together and that the axes are the same"
-            )
+        check_motion(state, self.measured, self.residual(state))
+
+    def _give(self, terms: tuple[Term, ...]) -> None:
+        model = self.setup.model
+        found = model.terms[len(self.given) :]
+        self.given = terms
+        self.setup = self.setup._replace(model=replace(model, terms=(*terms, *found)))
 
     def _whiten(self) -> None:
         """Look from here on through what makes the noise that is left white."""
@@ -352,29 +369,6 @@ class ComparisonProblem:
         ]
         self.blur = whitening(self.time, colours, self.interval, self.band)
         self.colours = colours
-
-    def _same_units(self) -> None:
-        """Refuse a truth in other units, which a scale factor would take up.
-
-        Raises
-        ------
-        NoCommonMotionError
-        """
-        state = self.state()
-        turns = _spread(state.rate) / max(_spread(self.measured[:, 3:]), 1e-12)
-        pulls = float(np.quantile(np.linalg.norm(state.force, axis=1), 0.95))
-        felt = float(np.quantile(np.linalg.norm(self.measured[:, :3], axis=1), 0.95))
-        if not 1 / UNIT < turns < UNIT:
-            raise NoCommonMotionError(
-                f"the reference turns {turns:.3g} times as fast as the recording: check its unit "
-                "(degrees or radians; 1 rad is 57.3 degrees)"
-            )
-        if not felt / UNIT**2 < pulls < felt * UNIT:
-            raise NoCommonMotionError(
-                f"the reference accelerates {pulls / felt:.3g} times as much as the recording "
-                "feels: check the unit of its positions (expected m) or of its accelerometer "
-                "(expected m/s²)"
-            )
 
     def _nuisance(self, state: State, name: str) -> Mapping[str, FloatArray]:
         slug, parameter = name.split(".")
@@ -400,7 +394,3 @@ class ComparisonProblem:
                     for channel, values in column.items():
                         yield channel, size * values
         yield from catalogue_shapes(state)
-
-
-def _spread(values: FloatArray) -> float:
-    return float(np.linalg.norm(values - np.median(values, axis=0)))

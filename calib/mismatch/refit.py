@@ -24,6 +24,14 @@ REFINED = 3
 """How often a shape is refined, at most, the noise being estimated anew each time."""
 
 
+STEPS = 4
+"""Steps of a fit beside a reference, at most."""
+
+BENT = 1.0
+"""Square of the standard errors by which rows may be off what a step promised: less than what one
+parameter more would fit. A delay times half a metre of arm is beyond, in the first step."""
+
+
 class Problem(Protocol):
     """Where rows come from: a recording and its twin, a simulation, or a reference."""
 
@@ -57,15 +65,36 @@ def refit(
             break
         # What a shape that was not yet right had left is noise no more.
         levels = find_levels(rows, fitted(rows, accepted)[: rows.n_dense], levels).values
+    for _ in range(STEPS):
+        expected = rows.residual
+        rows, accepted, change = _step(problem, rows, accepted, levels, contrast)
+        variance = np.concatenate((rows.variance(levels), contrast))
+        bent = np.square(rows.residual - (expected - change)) / variance
+        if not problem.reference or bent.sum() < BENT:
+            break
+    return rows, accepted
+
+
+def _step(
+    problem: Problem,
+    rows: Rows,
+    accepted: list[Accepted],
+    levels: FloatArray,
+    contrast: FloatArray,
+) -> tuple[Rows, list[Accepted], FloatArray]:
+    """Take one step; return also what it should have taken from the rows, were they linear."""
     step = solve(rows, accepted, levels, contrast)
     p, q = rows.baseline.shape[1], rows.nuisance.shape[1]
+    removed = rows.baseline @ step[:p] + rows.nuisance @ step[p : p + q]
     terms, at = [], p + q
     moved = []
     for a in accepted:
         k = a.columns.shape[1]
-        change = step[at : at + k] * a.typical
+        own = step[at : at + k]
+        change = own * a.typical
         at += k
         if _movable(a.candidate, signals=problem.moves_signals):
+            removed = removed + a.columns @ own
             a = replace(a, values=a.values + change, in_model=True)
             values = dict(zip(a.candidate.parameters, a.values, strict=True))
             terms.append(Term(a.candidate.name, {**values, **a.candidate.shape}))
@@ -73,7 +102,7 @@ def refit(
     baseline = dict(zip(rows.names, step[:p], strict=True))
     problem.move(baseline, step[p : p + q], tuple(terms))
     rows = problem.rows()
-    return rows, [_renew(a, rows, reference=problem.reference) for a in moved]
+    return rows, [_renew(a, rows, reference=problem.reference) for a in moved], removed
 
 
 def _movable(candidate: Candidate, *, signals: bool) -> bool:

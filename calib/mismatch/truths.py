@@ -45,13 +45,15 @@ class RecordingTruth:
     """The signals of another recording: of a simulated sensor, or of one on the same body.
 
     ``spoilt`` marks samples that are not to be believed (clipped). ``quat`` (n, 4) are orientations
-    ``mat_ns``, where they are known; neighbours have one sign.
+    ``mat_ns``, where they are known; neighbours have one sign. ``gradient`` (n, 3, 3) is that of
+    the motion, where the signals themselves do not tell it (`State.known_gradient`).
     """
 
     recording: Recording
     gravity: float
     spoilt: BoolArray | None = None
     quat: FloatArray | None = None
+    gradient: FloatArray | None = None
     _good: FloatArray = field(init=False)
     _spline: BSpline = field(init=False)
 
@@ -62,7 +64,9 @@ class RecordingTruth:
         good = np.ones(len(r), bool)
         if self.spoilt is not None:
             good = np.convolve(self.spoilt, np.ones(2 * REACH + 1), mode="same") < 0.5
-        signals = [r.accel, r.gyro] if self.quat is None else [r.accel, r.gyro, self.quat]
+        signals = [r.accel, r.gyro]
+        signals += [] if self.gradient is None else [self.gradient.reshape(-1, 9)]
+        signals += [] if self.quat is None else [self.quat]
         object.__setattr__(self, "_good", r.time[good])
         # Through all samples: a clipped one is nearer to the truth than what a spline makes of a
         # hole.
@@ -84,7 +88,7 @@ class RecordingTruth:
         """Return what was measured as the true state, its angular acceleration by spline."""
         inside = np.clip(time, *self.span)
         values = self._spline(inside)
-        quat = values[:, 6:]
+        quat = values[:, -4:]
         return State(
             time,
             values[:, :3],
@@ -94,4 +98,5 @@ class RecordingTruth:
             else mat_from_quat(quat / np.linalg.norm(quat, axis=1, keepdims=True)),
             angular_acceleration=self._spline(inside, nu=1)[:, 3:6],
             gravity=self.gravity,
+            known_gradient=None if self.gradient is None else values[:, 6:15].reshape(-1, 3, 3),
         )

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from calib.effects.base import State, Term
-from calib.mismatch.carried import NAMES, arm_of, carried, gradient, rough_arm, true_force
+from calib.mismatch.carried import NAMES, arm_of, carried, rough_arm, true_force
 from calib.model import SensorModel
 
 ARM = np.array([0.2, -0.1, 0.05])
@@ -39,11 +39,11 @@ def test_a_rate_without_its_errors_makes_the_force_that_is_felt():
         angular_acceleration=true.rate_dot @ inverse.T,
     )
     force = true_force(measured, ARM, np.concatenate((bias, matrix.ravel())))
-    np.testing.assert_allclose(force + gradient(measured) @ ARM, true.force + gradient(true) @ ARM)
+    np.testing.assert_allclose(force + measured.gradient @ ARM, true.force + true.gradient @ ARM)
 
 
 def test_an_arm_is_roughly_known_from_what_it_leaves_and_a_short_one_is_none():
-    left = gradient(state()) @ ARM + [0.3, -0.2, 0.1]
+    left = state().gradient @ ARM + [0.3, -0.2, 0.1]
     np.testing.assert_allclose(rough_arm(state(), left), ARM)
     assert not rough_arm(state(), left * 0.01).any()
 

@@ -1,5 +1,6 @@
 """A recording against a reference: another IMU on the same body, motion capture, a table."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -112,6 +113,40 @@ def test_what_a_captured_motion_predicts_is_what_a_sensor_feels(rate, other, ban
     assert known.mean() > 0.8
     assert np.sqrt(np.mean(accel**2)) < 0.1
     assert np.sqrt(np.mean(gyro**2)) < 0.1
+
+
+def test_a_low_pass_takes_as_much_of_what_an_arm_feels_as_of_all_else():
+    """Of the square of a rate it leaves less than the square of what it leaves of the rate."""
+    arm = np.array([0.5, 0.0, 0.0])
+    lever = SensorModel(terms=(Term("accel_lever_arm", {"rx": 0.5}),))
+    rng = np.random.default_rng(2)
+    real = simulate(motion(), lever, NoiseModel(), rng=rng, rate=100.0)
+    spoilt = np.zeros(len(real), bool)
+    common = limited(real, captured(start=0.0).truth(gravity=GRAVITY), 5.0, spoilt)
+    state = common.truth.state(common.real.time)
+    known = common.truth.covers(common.real.time) & ~common.spoilt
+    left = (common.real.accel - state.force - state.gradient @ arm)[known]
+    of_limited = (
+        common.real.accel - state.force - replace(state, known_gradient=None).gradient @ arm
+    )[known]
+    assert np.sqrt(np.mean(left**2)) < 0.1 * CONSUMER.accel_noise_density * np.sqrt(5.0)
+    assert np.sqrt(np.mean(of_limited**2)) > 10 * np.sqrt(np.mean(left**2))
+
+
+def test_half_a_metre_from_what_is_captured_there_is_an_arm_and_no_other_gravity():
+    rng = np.random.default_rng(4)
+    real = recorded(Term("accel_lever_arm", {"rx": 0.5}), rate=104.0)
+    exact = captured(start=0.0)
+    shake = quat_from_rotvec(rng.normal(0, np.radians(0.1), (len(exact.time), 3)))
+    assert exact.position is not None
+    noisy = ReferenceMotion(
+        exact.time,
+        quat_multiply(exact.quat, shake),
+        exact.position + rng.normal(0, 2e-4, exact.position.shape),
+    )
+    found = diagnose_reference(real, noisy, gravity=GRAVITY)
+    assert set(named(found)) == {"accel_lever_arm"}
+    assert not found.unexplained
 
 
 def test_noise_of_angles_makes_no_slow_force_of_the_noise_of_positions():

@@ -1,0 +1,64 @@
+"""Whether a recording and a truth are of one motion, in the same units."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from calib.effects.base import State
+from calib.errors import NoCommonMotionError
+from calib.types import FloatArray
+
+UNLIKE = 0.3
+"""Share of the power of rotation that differs, after the fit of the baseline, from which on the
+two are two motions."""
+
+UNIT = 10.0
+"""Factor beyond which rates or forces are of other units, not of another scale. What a sensor feels
+far from the axis of a fast table, and the reference does not, may be more: the square of it."""
+
+
+def check_motion(state: State, measured: FloatArray, left: FloatArray) -> None:
+    """Refuse a truth of another motion: (n, 6) `left` is what differs of the `measured`.
+
+    Raises
+    ------
+    NoCommonMotionError
+    """
+    power = np.square(left[:, 3:]).sum()
+    # Of the quieter of the two: what does not move leaves nothing where scales became zero.
+    total = min(
+        float(np.square(rate - rate.mean(axis=0)).sum()) for rate in (state.rate, measured[:, 3:])
+    )
+    if power > UNLIKE * total:
+        raise NoCommonMotionError(
+            "the two do not show the same motion: where they match best, "
+            f"{100 * min(power / total, 1.0):.0f} % of the rotation differs; check that they "
+            "belong together and that the axes are the same"
+        )
+
+
+def check_units(state: State, measured: FloatArray) -> None:
+    """Refuse a truth in other units, which a scale factor would take up.
+
+    Raises
+    ------
+    NoCommonMotionError
+    """
+    turns = _spread(state.rate) / max(_spread(measured[:, 3:]), 1e-12)
+    pulls = float(np.quantile(np.linalg.norm(state.force, axis=1), 0.95))
+    felt = float(np.quantile(np.linalg.norm(measured[:, :3], axis=1), 0.95))
+    if not 1 / UNIT < turns < UNIT:
+        raise NoCommonMotionError(
+            f"the reference turns {turns:.3g} times as fast as the recording: check its unit "
+            "(degrees or radians; 1 rad is 57.3 degrees)"
+        )
+    if not felt / UNIT**2 < pulls < felt * UNIT:
+        raise NoCommonMotionError(
+            f"the reference accelerates {pulls / felt:.3g} times as much as the recording "
+            "feels: check the unit of its positions (expected m) or of its accelerometer "
+            "(expected m/s²)"
+        )
+
+
+def _spread(values: FloatArray) -> float:
+    return float(np.linalg.norm(values - np.median(values, axis=0)))
