@@ -228,7 +228,7 @@ def _samples(recording: Recording, at_rest: BoolArray) -> list[Finding]:
                 (float(time[start]),),
             )
         )
-    repeats = faults.find_repeats(values)
+    repeats = faults.find_repeats(values, ~at_rest)
     if repeats.size:
         out.append(
             Finding(

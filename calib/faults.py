@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import pdtrc
+from scipy.special import ndtr, pdtrc
 
 from calib.recording import Recording
 from calib.types import BoolArray, FloatArray, IntArray
@@ -34,6 +34,10 @@ SHAKEN = 50.0
 """Local scatter over that at rest, above which a spike and a knock cannot be told apart."""
 OFTEN = 0.05
 """Share of turns in which a coarse channel stands still by itself."""
+BETWEEN = 0.25
+"""Noise in counts below which a channel may stay on one count for as long as nothing moves."""
+MOVED = 10.0
+"""Times the noise at rest, by which something changes that moves."""
 ROBUST = 1.4826
 """Standard deviation of a Gaussian over its median absolute deviation."""
 
@@ -92,11 +96,12 @@ def find_wild(values: FloatArray) -> BoolArray:
     return np.asarray(beyond & (size > WILD * np.median(around, axis=0)))
 
 
-def find_repeats(values: FloatArray) -> IntArray:
+def find_repeats(values: FloatArray, moving: BoolArray) -> IntArray:
     """Return samples that repeat the one before in all channels, if chance does not explain them.
 
     Rounding makes neighbours equal by chance. Channels are independent of each other, so that the
     chance of channel c is seen where *another* channel changes, and that of all is the product.
+    That holds where all of them move, or none: so rests and motion are looked at by themselves.
     Where nothing changes for longer than a block there is no noise to tell a repeat by; and if that
     is a fifth of the recording, as without noise rests are, pauses of any length are no repeats.
     """
@@ -110,6 +115,9 @@ def find_repeats(values: FloatArray) -> IntArray:
         whole[begin:end] = False
     if not whole.any():
         return np.zeros(0, np.int64)
+    count = int(whole.sum())
+    order = np.argsort(moving[1:], kind="stable")
+    equal = equal[order]
     others = equal.sum(axis=1)[:, None] - equal < values.shape[1] - 1
     seen = _block_sums(others)
     hits = _block_sums(others & equal)
@@ -118,7 +126,6 @@ def find_repeats(values: FloatArray) -> IntArray:
     if informed.any():
         chance[~informed] = np.quantile(chance[informed], 0.9, axis=0)
     expected = float((_block_sums(np.ones((len(whole), 1))) * chance.prod(axis=1)[:, None]).sum())
-    count = int(whole.sum())
     if pdtrc(count - 1, 1.2 * expected) > FALSE_ALARM:
         return np.zeros(0, np.int64)
     return np.flatnonzero(whole) + 1
@@ -173,7 +180,9 @@ def find_stuck(
     """
     n = len(values)
     out = []
-    turns = np.stack(runs(moving), axis=1)
+    step, noise = resolution(values), noise_at_rest(values)
+    turns = _turning(values, np.stack(runs(moving), axis=1), 2 * step + MOVED * noise)
+    counts = noise_in_counts(values, moving, step)
     for c in range(values.shape[1]):
         equal = values[1:, c] == values[:-1, c]
         share = _equal_share(values[:, c])
@@ -183,23 +192,49 @@ def find_stuck(
                 out.append((c, 0, n))
             continue
         longest = max(_longest(share[~constant], n), 8)
+        if BETWEEN <= counts[c] < 1.0:
+            # Halfway between two counts neighbours are equal unless either reaches another one.
+            equal_there = 1.0 - 4.0 * float(ndtr(-0.5 / counts[c]))
+            longest = max(longest, float(np.log(FALSE_ALARM / n) / np.log(equal_there)))
         start, stop = runs(equal)
         long = stop + 1 - start >= longest
         start, stop = start[long], stop[long] + 1
-        coarse = _mostly_constant(constant, moving)
+        coarse = _mostly_constant(constant, moving) or counts[c] < BETWEEN
         around = _around(turns, start, stop)
         for k, (begin, end) in enumerate(zip(start.tolist(), stop.tolist(), strict=True)):
             if clipped[begin:end, c].all():
                 continue
-            inside = slice(begin // BLOCK, -(-end // BLOCK))
-            elsewhere = np.delete(constant, np.r_[inside])
+            elsewhere = np.delete(constant, np.s_[begin // BLOCK : -(-end // BLOCK)])
             moved = moving[begin:end].sum() * interval >= 0.2
             if coarse:
                 others = ((around >= 0) & (around != k)).sum()
                 moved = (around == k).any() and others < OFTEN * len(turns)
-            if moved or (elsewhere.size > 4 and elsewhere.mean() < 0.02):
+            noisy = counts[c] >= BETWEEN and elsewhere.size > 4 and elsewhere.mean() < 0.02
+            if moved or noisy:
                 out.append((c, begin, end))
     return out
+
+
+def noise_in_counts(values: FloatArray, moving: BoolArray, step: FloatArray) -> FloatArray:
+    """Return the noise at rest of each channel in counts of `step`, (6,); infinite without rest.
+
+    From the mean size of changes, which rounding leaves as it is on average over where between two
+    counts a signal is; their square it does not. An axis that is at the edge of a count in all
+    rests changes more often than that, so that the quietest axis speaks for its triad.
+    """
+    still = ~(moving[1:] | moving[:-1])
+    if not still.any():
+        return np.full(6, np.inf)
+    change = np.abs(np.diff(values, axis=0))[still].mean(axis=0)
+    counts = 0.5 * np.sqrt(np.pi) * change / np.where(step > 0, step, np.inf)
+    counts = np.where(change > 0, counts, np.inf).reshape(2, 3)
+    return np.asarray(np.repeat(counts.min(axis=1), 3))
+
+
+def _turning(values: FloatArray, turns: IntArray, least: FloatArray) -> IntArray:
+    """Return the (k, 2) stretches in which some channel changes by more than `least` (c,)."""
+    change = [np.ptp(values[a:b], axis=0) for a, b in turns.tolist()]
+    return turns[[bool((own > least).any()) for own in change]] if len(turns) else turns
 
 
 def _mostly_constant(constant: BoolArray, moving: BoolArray) -> bool:

@@ -22,6 +22,7 @@ from calib.errors import InsufficientMotionError
 from calib.mismatch.aliases import Alias
 from calib.mismatch.evidence import Evidence
 from calib.mismatch.heldout import HeldOut
+from calib.mismatch.hush import HUSHED
 from calib.model import SensorModel
 from calib.recording import Recording
 from calib.timing import EVENED
@@ -266,4 +267,5 @@ def summarise(recording: Recording) -> dict[str, object]:
         "rate": 1.0 / recording.interval if recording.interval else 0.0,
         "clock": recording.clock,
         **({"stamps": recording.notes[EVENED]} if EVENED in recording.notes else {}),
+        **({"silent": recording.notes[HUSHED]} if HUSHED in recording.notes else {}),
     }

@@ -18,6 +18,7 @@ from calib.effects import get_effect
 from calib.effects.axis_error import ORDERS, signed_permutation
 from calib.mismatch.diagnosis import Finding, Interval, Unexplained
 from calib.mismatch.heldout import HeldOut
+from calib.mismatch.hush import silent
 from calib.mismatch.losses import Loss
 from calib.poses import Poses
 from calib.recording import CHANNELS, Recording
@@ -193,7 +194,9 @@ def look_at_faults(recording: Recording, moving: BoolArray, *, whole: bool) -> S
         unexplained.append(
             Unexplained((CHANNELS[c],), (where,), "nothing: it is stuck", faults.FALSE_ALARM)
         )
-    repeats = faults.find_repeats(values)
+    # Without noise, samples at rest are alike because nothing happens.
+    still = silent(values, recording.interval).all()
+    repeats = np.zeros(0, np.int64) if still else faults.find_repeats(values, moving)
     if repeats.size:
         findings.append(_repeats(recording, repeats))
     findings += _coarse(recording, values, moving, step)

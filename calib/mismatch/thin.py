@@ -25,6 +25,7 @@ import numpy as np
 from calib.mismatch.choice import choose_poses
 from calib.mismatch.diagnosis import Unexplained
 from calib.mismatch.grid import LONGEST_TURN
+from calib.mismatch.hush import audible
 from calib.mismatch.samples import (
     Samples,
     join_samples,
@@ -126,15 +127,17 @@ def thin(
         elif finder is not None:
             finder.add(part)
     if finder is None:
-        recording = evened(join(head))
+        written = evened(join(head))
+        recording = audible(written)
         poses = find_poses(recording)
-        seen = _and(look_at_samples(recording, poses), wild)
+        seen = _and(look_at_samples(written, poses), wild)
         return Thinned(recording, poses, seen, samples, first, recording.duration, len(poses))
     start, stop = finder.find()
     which = choose_poses(finder.accel(start, stop), start, stop, interval=finder.interval)
     keep = _kept(start[which], stop[which], finder.interval, resting)
     del finder  # a mean of every 0.1 s, which is no longer needed
-    recording, seen, index = _gather(batches, section, keep, (start, stop), progress)
+    written, seen, index = _gather(batches, section, keep, (start, stop), progress)
+    recording = audible(written)
     poses = average_poses(
         recording, np.searchsorted(index, start[which]), np.searchsorted(index, stop[which])
     )

@@ -14,7 +14,7 @@ from calib import DeviceInfo, Recording, SensorModel, Triad
 from calib.audit import Finding, audit, check_units
 from calib.effects.base import State
 from calib.errors import UnitError
-from calib.faults import find_clipping, find_gaps, find_repeats, find_spikes, values_of
+from calib.faults import find_clipping, find_gaps, find_repeats, find_spikes, find_stuck, values_of
 from drivers.formats import read_recording
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -94,9 +94,47 @@ def test_chance_repeats_of_a_coarse_sensor_are_no_fault() -> None:
     # Noise of a quarter of the resolution: neighbours are equal more often than not.
     coarse = np.round(RNG(1).normal(0, 0.25, (20_000, 6)) + RNG(2).uniform(-0.5, 0.5, 6))
     assert (coarse[1:] == coarse[:-1]).all(axis=1).mean() > 0.02
-    assert find_repeats(coarse).size == 0
+    still = np.zeros(len(coarse), bool)
+    assert find_repeats(coarse, still).size == 0
     coarse[5000:15000:10] = coarse[4999:14999:10]
-    assert find_repeats(coarse).size > 900
+    assert find_repeats(coarse, still).size > 900
+
+
+def test_chance_repeats_are_no_fault_where_rests_are_shorter_than_a_block() -> None:
+    # At rest all channels stay on their counts; in motion none does.
+    moving = np.arange(20_000) % 60 >= 40
+    level = np.where(moving, 20.0, 0.2)[:, None]
+    coarse = np.round(level * RNG(1).normal(0, 1, (20_000, 6)) + RNG(2).uniform(-0.5, 0.5, 6))
+    assert (coarse[1:] == coarse[:-1]).all(axis=1).mean() > 0.02
+    assert find_repeats(coarse, moving).size == 0
+    coarse[50:-1:60] = coarse[49:-1:60][: len(coarse[50:-1:60])]
+    assert find_repeats(coarse, moving).size > 300
+
+
+def test_a_coarse_channel_between_two_counts_is_not_stuck_while_others_move() -> None:
+    noise = 0.2 * RNG(1).normal(0, 1, (20_000, 6))
+    moving = np.arange(20_000) % 1000 >= 800
+    # In a few rests it is near the edge of a count, and not in a turn about another axis.
+    at = np.where(np.arange(20_000) // 1000 % 3 == 1, 0.1, 0.4)
+    values = noise + at[:, None]
+    values[:, 1:] += np.where(moving, 30 * np.sin(np.arange(20_000) / 30), 0.0)[:, None]
+    values[:, 0] += np.where(moving & (at > 0.2), 30 * np.sin(np.arange(20_000) / 20), 0.0)
+    coarse = np.round(values)
+    none = np.zeros(coarse.shape, bool)
+    assert not find_stuck(coarse, moving, interval=0.01, clipped=none)
+    coarse[4500:8200, 3] = coarse[4500, 3]
+    assert [c for c, *_ in find_stuck(coarse, moving, interval=0.01, clipped=none)] == [3]
+
+
+@pytest.mark.parametrize("length", [640, 641, 642, 700])
+def test_a_channel_that_is_stuck_to_the_end_is_found(length: int) -> None:
+    values = RNG(1).normal(0, 1, (length, 6))
+    values[length // 2 :, 2] = 0.5
+    moving = np.ones(length, bool)
+    none = np.zeros(values.shape, bool)
+    (found,) = find_stuck(values, moving, interval=0.01, clipped=none)
+    assert found[0] == 2
+    assert found[2] == length
 
 
 def test_clipping_at_known_full_scale_and_by_its_plateaus() -> None:

@@ -11,14 +11,19 @@ from calib.model import SensorModel, Triad
 from calib.recording import Recording
 from calib.simulate import simulate
 from calib.simulation.bench import bench_protocol
-from calib.simulation.noise import CONSUMER
+from calib.simulation.noise import CONSUMER, NoiseModel
 from calib.statics import find_poses
 
 GRAVITY = 9.80665
 
 
 def recording(
-    *terms: Term, seed: int = 3, poses: int = 18, rate: float = 50.0, drift: float = 1.0
+    *terms: Term,
+    seed: int = 3,
+    poses: int = 18,
+    rate: float = 50.0,
+    drift: float = 1.0,
+    without_noise: bool = False,
 ) -> Recording:
     rng = np.random.default_rng(seed)
     motion = bench_protocol(rng, poses=poses, first_pose=2.0, pose_duration=(3.0, 4.0))
@@ -40,7 +45,7 @@ def recording(
         gyro_random_walk=slow.gyro_random_walk,
         temperature=CONSUMER.temperature,
     )
-    return simulate(motion, model, noise, rng=rng, rate=rate)
+    return simulate(motion, model, NoiseModel() if without_noise else noise, rng=rng, rate=rate)
 
 
 @cache
