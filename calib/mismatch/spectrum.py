@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import chdtrc, chdtri, fdtrc, stdtr
 
+from calib.faults import noise_in_counts, resolution, values_of
 from calib.mismatch.diagnosis import Unexplained
 from calib.mismatch.knocks import knocked
 from calib.mismatch.places import SEEN, joined
@@ -24,6 +25,9 @@ NEIGHBOURS = 12
 
 CLAIM = 1e-4
 """Family-wise p-value below which something is reported."""
+
+HIDDEN = 0.5
+"""Noise in counts below which its power depends on where between two of them a signal is."""
 
 _HERE = 0.01
 """The same for whether one rest has what is known to be in the recording, a line or a burst."""
@@ -84,6 +88,7 @@ def look_at_spectrum(recording: Recording, poses: Poses) -> tuple[Unexplained, .
     slope = np.einsum("n,nkc->kc", at, values) / float(at @ at)
     values -= at[:, None, None] * slope
     power = np.square(np.abs(np.fft.rfft(window * values, axis=0)))[2:-1]
+    power += _between_counts(recording, poses) * float(np.square(window).sum())
     held = _trembling(power, recording.interval, float(np.linalg.norm(poses.accel, axis=1).mean()))
     for c, channel in enumerate(CHANNELS):
         own = power[:, :, c]
@@ -97,6 +102,19 @@ def look_at_spectrum(recording: Recording, poses: Poses) -> tuple[Unexplained, .
         bursts = _bursts(recording, poses, own, rest, channel, narrow=narrow)
         out += line + (bursts or _changes(recording, poses, own, rest, channel))
     return tuple(_merged(out))
+
+
+def _between_counts(recording: Recording, poses: Poses) -> FloatArray:
+    """Return the variance (6,) that noise has at most if it is less than half a count.
+
+    By where a signal is, it jumps between two counts all the time or stays on one: no louder noise.
+    """
+    values = values_of(recording)
+    moving = np.ones(len(recording), bool)
+    for a, b in zip(poses.start, poses.stop, strict=True):
+        moving[a:b] = False
+    step = resolution(values)
+    return np.where(noise_in_counts(values, moving, step) < HIDDEN, np.square(step) / 4, 0.0)
 
 
 def _merged(found: list[Unexplained]) -> list[Unexplained]:

@@ -185,3 +185,19 @@ def test_a_knock_at_the_bench_is_no_burst_and_no_line() -> None:
     loud = np.ones(POSES)
     loud[4] = 4.0
     assert look_at_spectrum(*rests(5, loud))
+
+
+def test_coarse_counts_are_not_louder_where_a_signal_is_between_two() -> None:
+    real, poses = rests(5, np.ones(POSES))
+    noise = np.random.default_rng(5).standard_normal((len(real), 3))
+    gyro = np.zeros((len(real), 3))
+    for k, (a, b) in enumerate(zip(poses.start, poses.stop, strict=True)):
+        gyro[a:b] = 0.49 if k == 4 else 0.1 * (k % 3)
+    counted = replace(real, gyro=2e-3 * np.round(gyro + 0.2 * noise))
+    assert not [u for u in look_at_spectrum(counted, poses) if "gyro.x" in u.channels]
+    a, b = int(poses.start[7]), int(poses.stop[7])
+    gyro[a:b] += 3 * noise[a:b]
+    shaken = replace(real, gyro=2e-3 * np.round(gyro + 0.2 * noise))
+    (found,) = [u for u in look_at_spectrum(shaken, poses) if "gyro.x" in u.channels]
+    assert found.intervals[0][0] < real.time[b]
+    assert found.intervals[0][1] > real.time[a]
