@@ -193,9 +193,9 @@ def find_stuck(
             continue
         longest = max(_longest(share[~constant], n), 8)
         if BETWEEN <= counts[c] < 1.0:
-            # Halfway between two counts neighbours are equal unless either reaches another one.
-            equal_there = 1.0 - 4.0 * float(ndtr(-0.5 / counts[c]))
-            longest = max(longest, float(np.log(FALSE_ALARM / n) / np.log(equal_there)))
+            # Halfway between two steps neighbours are equal unless either reaches another count.
+            stays = 1.0 - 2.0 * float(ndtr(-0.5 / counts[c]))
+            longest = max(longest, float(np.log(FALSE_ALARM / n) / np.log(stays**2)))
         start, stop = runs(equal)
         long = stop + 1 - start >= longest
         start, stop = start[long], stop[long] + 1

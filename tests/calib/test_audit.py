@@ -126,6 +126,15 @@ def test_a_coarse_channel_between_two_counts_is_not_stuck_while_others_move() ->
     assert [c for c, *_ in find_stuck(coarse, moving, interval=0.01, clipped=none)] == [3]
 
 
+@pytest.mark.parametrize("sigma", [0.15, 0.3, 0.6, 0.9, 1.1, 3.0])
+def test_counts_of_any_noise_are_not_stuck_where_one_channel_turns(sigma: float) -> None:
+    moving = np.arange(20_000) % 1000 >= 800
+    values = sigma * RNG(1).normal(0, 1, (20_000, 6)) + 0.1 * np.arange(6)
+    values[:, 1] += np.where(moving, 30 * np.sin(np.arange(20_000) / 30), 0.0)
+    none = np.zeros(values.shape, bool)
+    assert not find_stuck(np.round(values), moving, interval=0.01, clipped=none)
+
+
 @pytest.mark.parametrize("length", [640, 641, 642, 700])
 def test_a_channel_that_is_stuck_to_the_end_is_found(length: int) -> None:
     values = RNG(1).normal(0, 1, (length, 6))
