@@ -224,7 +224,8 @@ def _orthonormal(scaled: FloatArray) -> FloatArray | None:
     """Return an orthonormal basis of clearly independent columns; None of others.
 
     Cholesky QR, twice if need be: the second makes up for the rounding of the first, which squares
-    how nearly dependent the columns are [1]_. It is products alone, many times faster than pivoting.
+    how nearly dependent the columns are [1]_. It is products alone, many times faster than
+    pivoting.
 
     References
     ----------

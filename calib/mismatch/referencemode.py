@@ -9,6 +9,7 @@ are findings (`time_offset`, `clock_scale`, `reference_misalignment`), and so ar
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -24,6 +25,7 @@ from calib.mismatch.band import Matched, limited, low_passed, matched, smoothed
 from calib.mismatch.comparison import ComparisonProblem
 from calib.mismatch.diagnosis import Diagnosis, summarise
 from calib.mismatch.samples import Samples, look_at_samples
+from calib.mismatch.swaps import swapped
 from calib.mismatch.truths import DEGREE, RecordingTruth
 from calib.model import SensorModel
 from calib.recording import Recording
@@ -31,6 +33,9 @@ from calib.rotation import mat_from_quat, quat_multiply
 from calib.statics import find_poses
 from calib.timing import even_times, evened
 from calib.types import BoolArray, FloatArray
+
+BRISK = 2.0
+"""Times the fastest rate that the sensor saw at which nothing of the body turned."""
 
 UNTURNED = 1e-3
 """Weight of no rotation in a mounting, relative to what was measured."""
@@ -47,6 +52,16 @@ BRIDGE = 8
 """Samples beside an end, or a gap, after which a spline has forgotten it to a hundredth."""
 
 SETUPS = ("time_offset", "clock_scale", "reference_misalignment")
+
+
+class _Placed(NamedTuple):
+    """A captured motion in the time of a recording, the frame ``mat``, and what that leaves."""
+
+    reference: ReferenceMotion
+    truth: RecordingTruth
+    alignment: Alignment
+    mat: FloatArray
+    error: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -209,21 +224,29 @@ def _captured(
     real: Recording, reference: ReferenceMotion, gravity: float, spoilt: BoolArray
 ) -> tuple[Matched, Alignment, FloatArray]:
     """Align a captured motion, and limit both to the band that they share."""
-    found: list[tuple[float, ReferenceMotion, RecordingTruth, Alignment, FloatArray]] = []
-    for item in (reference, reference.inverted()):
-        truth = item.truth(gravity=gravity)
-        rough = replace(truth, recording=low_passed(truth.recording, ROUGH))
-        known = rough.recording.time[truth.covers(truth.recording.time)]
-        alignment = align(real.time, real.gyro, known, rough.state(known).rate)
-        mat, error = mounting(real, rough, alignment)
-        found.append((error, item, truth, alignment, mat))
-    _, reference, truth, alignment, mat = min(found, key=lambda item: item[0])
+    ways = (_placed(real, way, gravity) for way in (reference, reference.inverted()))
+    reference, truth, alignment, mat, _ = min(ways, key=lambda placed: placed.error)
+    bad = swapped(reference.time, reference.quat, real, alignment, mat)
+    if bad.any():
+        seen = replace(reference, quat=np.where(bad[:, None], np.nan, reference.quat))
+        reference, truth, alignment, mat, _ = _placed(real, seen, gravity)
     forces = reference.position is not None
     common = matched(real, truth, alignment, mat, spoilt=spoilt, forces=forces)
     if common.band and BEYOND * common.band < 0.5 / truth.recording.interval:
         truth = reference.truth(gravity=gravity, bandwidth=BEYOND * common.band)
         common = limited(real, truth, common.band, spoilt)
     return common, alignment, mat
+
+
+def _placed(real: Recording, reference: ReferenceMotion, gravity: float) -> _Placed:
+    truth = reference.truth(gravity=gravity)
+    rough = replace(truth, recording=low_passed(truth.recording, ROUGH))
+    known = rough.recording.time[truth.covers(truth.recording.time)]
+    rate = rough.state(known).rate
+    # Faster than the sensor ever turned: markers that were taken for one another.
+    rate[np.linalg.norm(rate, axis=1) > BRISK * np.linalg.norm(real.gyro, axis=1).max()] = 0.0
+    alignment = align(real.time, real.gyro, known, rate)
+    return _Placed(reference, truth, alignment, *mounting(real, rough, alignment))
 
 
 def mounting(
