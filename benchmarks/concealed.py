@@ -415,7 +415,8 @@ def sized_term(
     ]
     typical = {p.name: p.typical for p in effect.parameters}
     if physical:
-        largest = {n: LARGE * typical[n] * rows.column(columns[n]) for n in names}
+        most = {p.name: min(LARGE * p.typical, p.most) for p in effect.parameters}
+        largest = {n: most[n] * rows.column(columns[n]) for n in names}
         names = [n for n in names if np.square(whitener.project(largest[n])).sum() >= power]
         if not names:
             return None

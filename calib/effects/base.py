@@ -69,7 +69,7 @@ class Parameter:
     ``typical`` is the size that a consumer part has, in ``unit``; it sets the prior.
     ``reference_only`` marks a parameter that a recording shows only against a reference (motion
     capture, a commanded profile, a second sensor), never by itself. ``refining`` marks a higher
-    order that no sensor has without the others.
+    order that no sensor has without the others. Nothing that is physical is larger than ``most``.
     """
 
     name: str
@@ -78,6 +78,7 @@ class Parameter:
     channels: tuple[str, ...]
     reference_only: bool = False
     refining: bool = False
+    most: float = np.inf
 
 
 @dataclass(frozen=True)

@@ -16,11 +16,18 @@ class GravityMagnitude(Effect):
     equation = "f_m += error * up"
     source = (
         "Normal gravity spans 9.780 to 9.832 m/s² from equator to pole (WGS 84), so 0.02 "
-        "m/s² is typical of a wrong latitude"
+        "m/s² is typical of a wrong latitude; the highest mountains take off another 0.03"
     )
     kind = "setup"
     parameters = (
-        Parameter("error", "m/s²", 0.02, ("accel.x", "accel.y", "accel.z"), reference_only=True),
+        Parameter(
+            "error",
+            "m/s²",
+            0.02,
+            ("accel.x", "accel.y", "accel.z"),
+            reference_only=True,
+            most=0.1,
+        ),
     )
     follows = "direction of gravity, all axes alike"
     needs = (

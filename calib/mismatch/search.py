@@ -62,6 +62,9 @@ MIMICKED = 9.0
 """Power of a finding, in units of the noise, that a twin does not mimic, below which the two are a
 tie: the likelihood then favours the wrong one in 1 of 15."""
 
+SURE = 3.0
+"""Standard errors by which an effect must be larger than is physical to be none."""
+
 ROUNDS = 8
 """At most so many findings are tried."""
 
@@ -148,7 +151,9 @@ def choose(rows: Rows, ranking: Ranking, accepted: list[Accepted]) -> Candidate 
     groups = {
         g: v
         for g, v in ranking.groups.items()
-        if not _within(rows, best[g], accepted) and not _again(best[g], accepted)
+        if not _within(rows, best[g], accepted)
+        and not _again(best[g], accepted)
+        and not _impossible(rows, ranking, best[g], accepted)
     }
     ranking = replace(ranking, groups=groups)
     if not ranking.claims:
@@ -227,6 +232,26 @@ def _again(candidate: Candidate, accepted: list[Accepted]) -> bool:
         for a in accepted
         if a.candidate.name == candidate.name
     )
+
+
+def _impossible(
+    rows: Rows, ranking: Ranking, candidate: Candidate, accepted: list[Accepted]
+) -> bool:
+    """Whether an effect would have to be larger than is physical: it mimics something else."""
+    if not candidate.physical:
+        return False
+    about = {p.name: p for p in get_effect(candidate.name).parameters}
+    most = np.array([about[n].most for n in candidate.parameters])
+    if not np.isfinite(most).any():
+        return False
+    mean, contrast = fitted(rows, accepted), contrast_noise(rows, accepted)
+    whitener = make_whitener(rows, ranking.levels, contrast, mean)
+    columns = whitener.project(ranking.stack.of(candidate))
+    inverse = np.linalg.pinv(columns.T @ columns)
+    typical = np.array([about[n].typical for n in candidate.parameters])
+    value = typical * (inverse @ columns.T @ whitener.project(rows.residual))
+    sigma = typical * np.sqrt(np.diag(inverse))
+    return bool((np.abs(value) > most + SURE * sigma).any())
 
 
 def _lasting(candidate: Candidate) -> bool:
