@@ -108,7 +108,8 @@ def _off_course(values: FloatArray) -> tuple[FloatArray, BoolArray]:
     beside = np.maximum(padded[:-2], padded[2:])
     # One sample has half of its size on either side; an edge has as much on one.
     usual = ROBUST * np.median(off, axis=0)
-    alone = (off > CAP * usual) & (off > 1.5 * beside)
+    # To the next count and back is what noise does where counts are coarse.
+    alone = (off > CAP * usual) & (off > 1.5 * np.maximum(beside, resolution(values)))
     return off / np.where(usual > 0, usual, np.inf), alone
 
 

@@ -206,3 +206,16 @@ def test_what_rows_and_samples_show_of_one_disturbance_is_one_item() -> None:
     one, other = joined([slow, trend, fast])
     assert one == replace(fast, intervals=((30.0, 65.0),))
     assert other == trend
+
+
+def test_counts_that_flip_in_one_part_are_not_off_course_there() -> None:
+    real = simulated(seed=4, poses=24)
+    count = 20 * SIGMA[0]
+    noise = 0.15 * np.random.default_rng(4).standard_normal(len(real))
+    half = real.time > 0.6 * real.time[-1]
+    accel = real.accel.copy()
+    accel[:, 0] = count * np.round(0.15 * half + noise + np.round(accel[:, 0] / count))
+    assert look_within(replace(real, accel=accel), find_poses(real)) == ()
+    accel[half & (np.arange(len(real)) % 61 == 0), 0] += 3 * count
+    (found,) = look_within(replace(real, accel=accel), find_poses(real))
+    assert found.channels == ("accel.x",)
