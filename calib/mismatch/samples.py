@@ -90,43 +90,6 @@ def outside_rests(part: Recording, start: IntArray, stop: IntArray, *, begin: in
     return moving
 
 
-def tamed(recording: Recording) -> tuple[Recording, tuple[Unexplained, ...]]:
-    """Return the recording without samples that no sensor measures; they count as lost."""
-    wild = faults.find_wild(faults.values_of(recording))
-    if not wild.any():
-        return recording, ()
-    what = tuple(
-        Unexplained(
-            (CHANNELS[c],),
-            intervals_of(recording.time, np.flatnonzero(wild[:, c])),
-            "nothing: single samples are larger than any sensor measures",
-            faults.FALSE_ALARM,
-        )
-        for c in np.flatnonzero(wild.any(axis=0))
-    )
-    keep: BoolArray = np.logical_not(wild.any(axis=1))
-    if not keep.any():
-        return recording, ()
-    assert recording.lost is not None
-    before = np.append(0, np.flatnonzero(keep)[:-1] + 1)
-    until = np.flatnonzero(keep)[-1] + 1
-    lost = np.add.reduceat(recording.lost[:until] + np.logical_not(keep[:until]), before)
-    return replace(rows_of(recording, keep), lost=lost), what
-
-
-def rows_of(part: Recording, which: BoolArray) -> Recording:
-    """Return some of the samples."""
-    assert part.lost is not None
-    return replace(
-        part,
-        time=part.time[which],
-        accel=part.accel[which],
-        gyro=part.gyro[which],
-        temperature=None if part.temperature is None else part.temperature[which],
-        lost=part.lost[which],
-    )
-
-
 def look_at_units(
     recording: Recording, poses: Poses
 ) -> tuple[tuple[Finding, ...], tuple[Unexplained, ...]]:

@@ -22,23 +22,23 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calib import faults
 from calib.mismatch.choice import choose_poses
 from calib.mismatch.diagnosis import Unexplained
 from calib.mismatch.grid import LONGEST_TURN
 from calib.mismatch.hush import audible
 from calib.mismatch.samples import (
     Samples,
+    intervals_of,
     join_samples,
     look_at_faults,
     look_at_samples,
     look_at_units,
     outside_rests,
-    rows_of,
-    tamed,
     with_disagreement,
 )
 from calib.poses import Poses, average_poses
-from calib.recording import Recording, join
+from calib.recording import CHANNELS, Recording, join
 from calib.statics import RestFinder, find_poses
 from calib.timing import evened
 from calib.types import BoolArray, IntArray
@@ -151,6 +151,43 @@ def thin(
 
 def _and(seen: Samples, wild: Mapping[tuple[str, ...], Unexplained]) -> Samples:
     return seen._replace(unexplained=(*wild.values(), *seen.unexplained))
+
+
+def tamed(recording: Recording) -> tuple[Recording, tuple[Unexplained, ...]]:
+    """Return the recording without samples that no sensor measures; they count as lost."""
+    wild = faults.find_wild(faults.values_of(recording))
+    if not wild.any():
+        return recording, ()
+    what = tuple(
+        Unexplained(
+            (CHANNELS[c],),
+            intervals_of(recording.time, np.flatnonzero(wild[:, c])),
+            "nothing: single samples are larger than any sensor measures",
+            faults.FALSE_ALARM,
+        )
+        for c in np.flatnonzero(wild.any(axis=0))
+    )
+    keep: BoolArray = np.logical_not(wild.any(axis=1))
+    if not keep.any():
+        return recording, ()
+    assert recording.lost is not None
+    before = np.append(0, np.flatnonzero(keep)[:-1] + 1)
+    until = np.flatnonzero(keep)[-1] + 1
+    lost = np.add.reduceat(recording.lost[:until] + np.logical_not(keep[:until]), before)
+    return replace(rows_of(recording, keep), lost=lost), what
+
+
+def rows_of(part: Recording, which: BoolArray) -> Recording:
+    """Return some of the samples."""
+    assert part.lost is not None
+    return replace(
+        part,
+        time=part.time[which],
+        accel=part.accel[which],
+        gyro=part.gyro[which],
+        temperature=None if part.temperature is None else part.temperature[which],
+        lost=part.lost[which],
+    )
 
 
 def sections(batches: Iterable[Recording], size: int) -> Iterator[Recording]:

@@ -7,8 +7,9 @@ import pytest
 from scipy.stats import norm
 
 from calib.mismatch import diagnose_recording
-from calib.mismatch.samples import DISAGREES, look_at_samples, tamed
+from calib.mismatch.samples import DISAGREES, look_at_samples
 from calib.mismatch.selfmode import rounded_mean_variance
+from calib.mismatch.thin import tamed
 from calib.model import SensorModel
 from calib.recording import Recording
 from calib.simulate import simulate
