@@ -94,17 +94,17 @@ def look_at_units(
     recording: Recording, poses: Poses
 ) -> tuple[tuple[Finding, ...], tuple[Unexplained, ...]]:
     """Look for wrong units and axes; and for turns that no unit and no axes make agree."""
-    closure = None
-    if len(poses):
-        far = np.abs(np.median(poses.gyro, axis=0)) > faults.FASTEST
-        if far.any():
-            names = tuple(f"gyro.{a}" for a, off in zip("xyz", far, strict=True) if off)
-            whole = (float(recording.time[0]), float(recording.time[-1]))
-            return (), (Unexplained(names, (whole,), BEYOND, faults.FALSE_ALARM),)
-        closure = Closure.of(recording, poses)
+    closure = Closure.of(recording, poses) if len(poses) else None
     wrong = (*_units(recording, poses, closure), *_axes(recording, closure))
-    if wrong or closure is None or len(closure) < FEWEST or closure.agrees:
+    if wrong or not len(poses):
         return wrong, ()
+    far = np.abs(np.median(poses.gyro, axis=0)) > faults.FASTEST
+    if far.any():
+        names = tuple(f"gyro.{a}" for a, off in zip("xyz", far, strict=True) if off)
+        whole = (float(recording.time[0]), float(recording.time[-1]))
+        return (), (Unexplained(names, (whole,), BEYOND, faults.FALSE_ALARM),)
+    if closure is None or len(closure) < FEWEST or closure.agrees:
+        return (), ()
     where = _join_intervals([(float(a), float(b)) for a, b in closure.disagreeing])
     return (), (Unexplained(CHANNELS, where, DISAGREES, faults.FALSE_ALARM),)
 

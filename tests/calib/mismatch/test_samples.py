@@ -250,3 +250,11 @@ def test_zeros_end_with_a_verdict(triads: tuple[str, ...]) -> None:
     found = diagnose_recording(replace(recording, **zeros), gravity=GRAVITY)
     assert found.verdict in {"explained", "unexplained"}
     assert {f.effect for f in found.findings} <= {"unit_error"}
+
+
+def test_a_bias_in_counts_is_none_that_no_gyroscope_has() -> None:
+    recording = simulated()
+    counts = 131.0 * 180 / np.pi * (recording.gyro + 0.05)
+    (finding,) = diagnose_recording(replace(recording, gyro=counts), gravity=GRAVITY).findings
+    assert finding.effect == "unit_error"
+    assert finding.parameters["gyro"].value == pytest.approx(131.0 * 180 / np.pi, rel=0.1)
