@@ -52,7 +52,10 @@ def vibration_variance(time: FloatArray, force: FloatArray, turning: BoolArray) 
     fast = _variance(time, force, FAST, within)
     out = fast.copy()
     still = ~turning
-    out[still] = _variance(time, force, SLOW, within)[still]
+    # A slow part that is half as long takes twice as much of what is white with it. At 100 Hz what
+    # it takes is 2 %.
+    slow, half = (_variance(time, force, width, within)[still] for width in (SLOW, 0.5 * SLOW))
+    out[still] = np.maximum(2.0 * slow - half, 0.0)
     for a, b in zip(begin[turning[begin]], end[turning[begin]], strict=True):
         moves = slice(a, b)
         most = np.full((b - a, 3), np.inf)

@@ -25,11 +25,12 @@ REFINED = 3
 
 
 STEPS = 4
-"""Steps of a fit beside a reference, at most."""
+"""Steps of a fit, at most."""
 
 BENT = 1.0
 """Square of the standard errors by which rows may be off what a step promised: less than what one
-parameter more would fit. A delay times half a metre of arm is beyond, in the first step."""
+parameter more would fit. A delay times half a metre of arm is beyond in the first step, and so is a
+misalignment of a tenth."""
 
 
 class Problem(Protocol):
@@ -70,7 +71,7 @@ def refit(
         rows, accepted, change = _step(problem, rows, accepted, levels, contrast)
         variance = np.concatenate((rows.variance(levels), contrast))
         bent = np.square(rows.residual - (expected - change)) / variance
-        if not problem.reference or bent.sum() < BENT:
+        if bent.sum() < BENT:
             break
     return rows, accepted
 

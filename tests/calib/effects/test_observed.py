@@ -39,12 +39,12 @@ def test_broad_vibration_has_its_variance(rate: float) -> None:
     time, turning = still(rate, 60.0)
     force = np.random.default_rng(1).normal(0, 2.0, (len(time), 3))
     found = vibration_variance(time, force, turning)
-    # Below 1.7 Hz nobody can tell it from motion: 1.7 of 25 Hz at the lowest of the rates.
-    expected = 4.0 * (1 - 1.0 / (0.5 * rate))
-    np.testing.assert_allclose(found.mean(axis=0), expected, rtol=0.05)
+    # What is slow goes with motion: 1 of 25 Hz at the lowest of the rates, which is made up for.
+    error = np.sqrt(2.0 / len(time))
+    np.testing.assert_allclose(found.mean(axis=0), 4.0, rtol=4 * error + 0.003)
 
 
-@pytest.mark.parametrize(("frequency", "most"), [(0.1, 2e-4), (0.3, 0.015), (0.5, 0.085)])
+@pytest.mark.parametrize(("frequency", "most"), [(0.1, 4e-4), (0.3, 0.03), (0.5, 0.17)])
 def test_what_is_slow_is_no_vibration(frequency: float, most: float) -> None:
     time, turning = still(100.0)
     wave = np.sin(2 * np.pi * frequency * time)[:, None] * np.ones(3)

@@ -2,12 +2,14 @@
 
 import numpy as np
 
+from calib.effects.base import Term
+from calib.mismatch import diagnose_recording
 from calib.mismatch.noise import expected_levels
 from calib.mismatch.ranking import make_stack
 from calib.mismatch.refit import solve
 from calib.mismatch.search import _accept
 
-from .bench import problem
+from .bench import GRAVITY, problem, recording
 
 
 def test_a_smooth_rival_does_not_take_the_place_of_the_bias():
@@ -25,3 +27,15 @@ def test_a_smooth_rival_does_not_take_the_place_of_the_bias():
     # Harmonics of a unit vector hold a constant, which is a bias; the bias is known to 1e-4 rad/s.
     assert abs(step[bias]) < 2e-3
     assert np.abs(step[-found[0].columns.shape[1] :]).max() < 30.0
+
+
+def test_what_turns_by_a_tenth_is_fitted_as_well_as_what_turns_by_a_thousandth():
+    """One step of the linearised fit would leave fifty standard errors."""
+    pairs = ("xy", "xz", "yx", "yz", "zx", "zy")
+    size = {f"m{p}": s for p, s in zip(pairs, (0.08, -0.1, 0.1, -0.08, 0.12, -0.1), strict=True)}
+    real = recording(Term("gyro_misalignment", size), rate=100.0)
+    (finding,) = diagnose_recording(real, gravity=GRAVITY).findings
+    assert finding.effect == "gyro_misalignment"
+    for name, true in size.items():
+        found = finding.parameters[name]
+        assert abs(found.value - true) < 3.5 * found.sigma
