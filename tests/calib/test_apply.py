@@ -7,10 +7,8 @@ import pytest
 
 from calib.apply import Block, Corrector, correct_recording
 from calib.calibration import Calibration, Gravity, Housing, TemperatureRange
-from calib.effects.base import (
-    State,
-    Term,
-)
+from calib.effects import effects
+from calib.effects.base import Effect, State, Term
 from calib.model import SensorModel, Triad
 from calib.recording import Recording
 from calib.rotation import mat_from_rotvec
@@ -187,3 +185,25 @@ def test_a_coarse_thermometer_s_steps_are_no_steps_of_a_bias() -> None:
     left = correct_recording(cal, replace(seen, gyro=gyro)).gyro[:, 0]
     # Half a kelvin is 5e-4.
     assert np.abs(left[500:-500]).max() < 1e-4
+
+
+SENSORS = [e for e in effects().values() if e.kind == "sensor" and all(i.low for i in e.shape)]
+
+
+@pytest.mark.parametrize("effect", SENSORS, ids=lambda effect: effect.slug)
+def test_every_effect_of_a_sensor_comes_out_of_a_stream_as_out_of_the_whole(
+    effect: Effect,
+) -> None:
+    whole = recording()
+    cal = calibration(Term(effect.slug, effect.typical(span=(0.0, 30.0))))
+    expected = cal.correct(
+        State(whole.time, whole.accel, whole.gyro, whole.temperature, power_on=whole.time[0])
+    )
+    corrector = Corrector(cal, whole.interval)
+    parts = []
+    for k in range(0, len(whole), 333):
+        part = whole.slice(k, k + 333)
+        parts.append(corrector.add(Block(part.time, part.accel, part.gyro, part.temperature)))
+    parts.append(corrector.finish())
+    np.testing.assert_allclose(np.concatenate([p[0] for p in parts]), expected.accel, atol=1e-6)
+    np.testing.assert_allclose(np.concatenate([p[1] for p in parts]), expected.gyro, atol=1e-6)
