@@ -94,8 +94,8 @@ def test_what_an_exponential_leaves_is_not_named_after_it_again():
 
 
 def test_a_p_value_is_no_less_rare_than_evidence_of_noise():
-    # 5 of 3000 draws of noise reach the claim: `benchmarks/evidence.py --draws 3000 --seed 9`.
-    assert 5 / 3000 < chance(CLAIM) < 0.005
+    # Of 9000 draws of noise 27 reach the claim (`benchmarks/evidence.py`, seeds 9 to 11).
+    assert 27 / 9000 < chance(CLAIM) < 0.01
     assert chance(1e-3) == 1.0
 
 
