@@ -48,8 +48,9 @@ TWIN = 0.01
 two that a recording cannot tell apart."""
 
 FIRST = float(np.log(2.0))
-"""Log odds by which rivals must lead before what physics explains nearly as well is unexplained.
-Either way both are said. A technician who is told a name can check it."""
+"""Log odds by which rivals must lead before what physics explains nearly as well is unexplained, if
+physics alone reaches the claim. Either way both are said. A technician who is told a name can
+check it."""
 
 SHOWN = 1e-3
 """Posterior probability below which nothing is said of a group."""
@@ -177,7 +178,8 @@ def choose(rows: Rows, ranking: Ranking, accepted: list[Accepted]) -> Candidate 
         return best[top]
     for_physics = logsumexp([groups[g] for g in physical])
     for_rivals = logsumexp([groups[g] for g in rival])
-    if for_physics + FIRST >= for_rivals:
+    ahead = for_physics - for_rivals
+    if ahead >= 0 or (ahead >= -FIRST and for_physics >= np.log(CLAIM)):
         return best[top]
     # Two causes at once can look like one smooth rival: let physics try twice.
     if groups[top] > np.log(CLAIM):

@@ -63,11 +63,27 @@ def test_what_a_drift_can_mimic_is_not_passed_over_for_a_poorer_rival(stacked):
         return choose(rows, Ranking(stack, np.zeros(0), best, groups, levels, drifting), [])
 
     assert chosen(3.8, -0.2) is step
-    assert chosen(2.0, -0.2) is None
-    assert chosen(2.0, 2.0) is wave
+    assert chosen(1.5, -0.2) is None
+    assert chosen(1.5, 1.5) is wave
     assert chosen(6.0, 2.0) is step
     # Both together are enough, but neither is by itself.
-    assert chosen(2.7, 1.3) is None
+    assert chosen(1.9, 0.9) is None
+
+
+def test_a_name_that_is_less_probable_than_rivals_needs_the_claim_by_itself(stacked):
+    rows, stack = stacked
+    effect = candidate(stack, "gyro_g_sensitivity", ("gxx",))
+    wave = next(c for c in stack.candidates if c.group == "wave in a window gyro.z")
+    best = {c.group: c for c in (effect, wave)}
+
+    def chosen(physics, rival):
+        groups = {effect.group: physics, wave.group: rival}
+        levels = expected_levels(rows)
+        return choose(rows, Ranking(stack, np.zeros(0), best, groups, levels), [])
+
+    assert chosen(1.5, 2.0) is effect
+    assert chosen(0.9, 0.8) is effect
+    assert chosen(0.9, 1.4) is wave
 
 
 def test_low_passes_of_unlike_channels_stay_apart(stacked):
@@ -102,11 +118,11 @@ def test_a_p_value_is_no_less_rare_than_evidence_of_noise():
 def test_what_a_drift_can_mimic_is_worth_less(stacked):
     rows, stack = stacked
     plain = rank(rows, stack, [], expected_levels(rows))
-    groups = {"this": 3.0}
+    groups = {"this": 2.0}
     alone = replace(plain, groups=groups, drifting=frozenset())
     mimicked = replace(plain, groups=groups, drifting=frozenset({"this"}))
-    assert alone.worth == pytest.approx(3.0)
-    assert mimicked.worth == pytest.approx(3.0 + np.log(DRIFTING))
+    assert alone.worth == pytest.approx(2.0)
+    assert mimicked.worth == pytest.approx(2.0 + np.log(DRIFTING))
     assert alone.claims
     assert not mimicked.claims
     assert not replace(plain, groups={}).claims
