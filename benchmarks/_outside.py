@@ -14,8 +14,8 @@ import numpy as np
 from scipy.special import logsumexp
 
 from calib.effects.base import State
-from calib.mismatch.noise import Whitener
-from calib.mismatch.rows import Rows
+from calib.mismatch.noise.noise import Whitener
+from calib.mismatch.rows.rows import Rows
 from calib.recording import CHANNELS
 
 Disturbance = Callable[[State], dict[str, np.ndarray]]

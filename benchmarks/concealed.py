@@ -30,18 +30,18 @@ from scipy.special import logsumexp
 from calib.effects import effects, get_effect
 from calib.effects.base import Effect, Term, TransformEffect
 from calib.mismatch import diagnose_recording
-from calib.mismatch.contrast import contrast_variance
-from calib.mismatch.families import effect_columns, shape_grid
-from calib.mismatch.grid import make_grid
-from calib.mismatch.heldout import held_out
-from calib.mismatch.noise import Whitener, make_whitener
-from calib.mismatch.ranking import CLAIM, fitted, make_stack
-from calib.mismatch.residuals import build_rows
-from calib.mismatch.rows import Rows
-from calib.mismatch.score import LARGE
-from calib.mismatch.search import TIE
-from calib.mismatch.selfmode import SelfProblem
-from calib.mismatch.sensornoise import DRIFT_TIME
+from calib.mismatch.findings.heldout import held_out
+from calib.mismatch.hypotheses.families import effect_columns, shape_grid
+from calib.mismatch.hypotheses.score import LARGE
+from calib.mismatch.noise.contrast import contrast_variance
+from calib.mismatch.noise.noise import Whitener, make_whitener
+from calib.mismatch.noise.sensornoise import DRIFT_TIME
+from calib.mismatch.rows.grid import make_grid
+from calib.mismatch.rows.rows import Rows
+from calib.mismatch.search.ranking import CLAIM, fitted, make_stack
+from calib.mismatch.search.search import TIE
+from calib.mismatch.twin.residuals import build_rows
+from calib.mismatch.twin.selfmode import SelfProblem
 from calib.model import SensorModel, Triad
 from calib.recording import CHANNELS, Recording
 from calib.simulate import simulate

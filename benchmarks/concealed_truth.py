@@ -40,13 +40,13 @@ from calib.effects import get_effect
 from calib.effects.base import Term
 from calib.effects.observed import TURNING
 from calib.mismatch import Diagnosis, ReferenceMotion, diagnose_against, diagnose_reference
-from calib.mismatch.against import compare_simulation
-from calib.mismatch.comparison import ComparisonProblem
-from calib.mismatch.families import effect_columns
-from calib.mismatch.noise import make_whitener
-from calib.mismatch.referencemode import compare_reference
-from calib.mismatch.rows import Rows
-from calib.mismatch.samples import look_at_samples
+from calib.mismatch.hypotheses.families import effect_columns
+from calib.mismatch.noise.noise import make_whitener
+from calib.mismatch.reference.against import compare_simulation
+from calib.mismatch.reference.comparison import ComparisonProblem
+from calib.mismatch.reference.referencemode import compare_reference
+from calib.mismatch.rows.rows import Rows
+from calib.mismatch.samples.samples import look_at_samples
 from calib.model import SensorModel
 from calib.recording import Recording
 from calib.rotation import mat_from_quat, mat_from_rotvec, quat_from_rotvec, quat_multiply

@@ -22,13 +22,13 @@ from typing import Any
 
 import numpy as np
 
-from calib.mismatch.candidates import Sums
-from calib.mismatch.grid import make_grid
-from calib.mismatch.noise import expected_levels, make_whitener
-from calib.mismatch.ranking import CLAIM, fitted, make_stack
-from calib.mismatch.rows import Rows
-from calib.mismatch.score import SCALES, SHARES, Stack, present_factors
-from calib.mismatch.selfmode import SelfProblem
+from calib.mismatch.hypotheses.candidates import Sums
+from calib.mismatch.hypotheses.score import SCALES, SHARES, Stack, present_factors
+from calib.mismatch.noise.noise import expected_levels, make_whitener
+from calib.mismatch.rows.grid import make_grid
+from calib.mismatch.rows.rows import Rows
+from calib.mismatch.search.ranking import CLAIM, fitted, make_stack
+from calib.mismatch.twin.selfmode import SelfProblem
 from calib.model import SensorModel
 from calib.simulate import simulate
 from calib.simulation.bench import bench_protocol

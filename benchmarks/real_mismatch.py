@@ -22,7 +22,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 
 from calib.mismatch import Diagnosis, diagnose_recording
-from calib.mismatch.diagnosis import Finding
+from calib.mismatch.findings.diagnosis import Finding
 from drivers.formats import read_recording
 
 GRAVITY = 9.80665

@@ -22,10 +22,10 @@ import numpy as np
 
 from calib.effects import get_effect
 from calib.mismatch import ReferenceMotion, diagnose_reference
-from calib.mismatch.alignment import Alignment
-from calib.mismatch.comparison import ComparisonProblem, Setup
-from calib.mismatch.referencemode import compare_reference
-from calib.mismatch.samples import look_at_samples
+from calib.mismatch.reference.alignment import Alignment
+from calib.mismatch.reference.comparison import ComparisonProblem, Setup
+from calib.mismatch.reference.referencemode import compare_reference
+from calib.mismatch.samples.samples import look_at_samples
 from calib.recording import Recording
 from calib.rotation import mat_from_rotvec
 from calib.statics import find_poses

@@ -24,7 +24,7 @@ from calib.errors import RecordingFormatError, RecordingNotFoundError
 from drivers.formats import read_recording
 
 if TYPE_CHECKING:
-    from calib.mismatch.referencemode import ReferenceMotion
+    from calib.mismatch.reference.referencemode import ReferenceMotion
     from calib.recording import Recording
     from calib.types import FloatArray
 
@@ -103,7 +103,7 @@ def _columns(path: Path, names: list[str]) -> dict[str, FloatArray]:
 
 
 def _captured(path: Path, columns: dict[str, FloatArray]) -> ReferenceMotion:
-    from calib.mismatch.referencemode import ReferenceMotion
+    from calib.mismatch.reference.referencemode import ReferenceMotion
 
     there = [name for name in POSITION if name in columns]
     if there and len(there) < 3:
@@ -116,7 +116,7 @@ def _captured(path: Path, columns: dict[str, FloatArray]) -> ReferenceMotion:
 
 
 def _table(path: Path, columns: dict[str, FloatArray]) -> ReferenceMotion:
-    from calib.mismatch.referencemode import ReferenceMotion
+    from calib.mismatch.reference.referencemode import ReferenceMotion
 
     given = [name for name in TABLE if name in columns]
     if len(given) > 1:
@@ -137,7 +137,7 @@ def _angles(path: Path, time: FloatArray, rate: FloatArray) -> FloatArray:
     """Return the integral of a commanded rate, by the spline that gives the rate back."""
     from scipy.interpolate import make_interp_spline  # a third of a second to import
 
-    from calib.mismatch.truths import DEGREE
+    from calib.mismatch.reference.truths import DEGREE
 
     known = np.isfinite(rate)
     if not known.all():
@@ -168,7 +168,7 @@ def _hdf5(path: Path) -> ReferenceMotion | None:
     """Return the captured motion of an HDF5 file, None if it holds none."""
     import h5py
 
-    from calib.mismatch.referencemode import ReferenceMotion
+    from calib.mismatch.reference.referencemode import ReferenceMotion
 
     try:
         with h5py.File(path) as file:

@@ -12,6 +12,7 @@ ALLOWED = {
     "imu_cli": {"calib", "drivers", "imu_cli"},
 }
 OURS = {"calib", "drivers", "imu_cli"}
+LAYERS = ("rows", "noise", "twin", "findings", "hypotheses", "search", "samples", "reference")
 MODULES = [p for package in ALLOWED for p in sorted((ROOT / package).rglob("*.py"))]
 
 
@@ -35,6 +36,19 @@ def test_imports_run_one_way(path: Path) -> None:
         import sys
 
         assert names <= ALLOWED["calib"] | set(sys.stdlib_module_names)
+
+
+@pytest.mark.parametrize("layer", LAYERS)
+def test_layers_of_the_diagnosis_import_downwards(layer: str) -> None:
+    above = LAYERS[LAYERS.index(layer) + 1 :]
+    paths = sorted((ROOT / "calib" / "mismatch" / layer).glob("*.py"))
+    assert paths
+    for path in paths:
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ImportFrom):
+                assert not (node.module or "").startswith(
+                    tuple(f"calib.mismatch.{name}" for name in above)
+                ), f"{path} imports from above it"
 
 
 def test_only_output_prints() -> None:

@@ -13,13 +13,13 @@ import pytest
 
 from calib.effects import effects
 from calib.effects.base import Effect, TransformEffect
-from calib.mismatch.contrast import contrast_variance
-from calib.mismatch.grid import make_grid
-from calib.mismatch.noise import expected_levels, make_whitener
-from calib.mismatch.ranking import CLAIM, Ranking, make_stack, rank
-from calib.mismatch.rows import Rows
-from calib.mismatch.score import Stack
-from calib.mismatch.selfmode import SelfProblem
+from calib.mismatch.hypotheses.score import Stack
+from calib.mismatch.noise.contrast import contrast_variance
+from calib.mismatch.noise.noise import expected_levels, make_whitener
+from calib.mismatch.rows.grid import make_grid
+from calib.mismatch.rows.rows import Rows
+from calib.mismatch.search.ranking import CLAIM, Ranking, make_stack, rank
+from calib.mismatch.twin.selfmode import SelfProblem
 from calib.model import SensorModel, Triad
 from calib.poses import Poses
 from calib.simulate import simulate

@@ -9,11 +9,11 @@ import numpy as np
 from calib.calibration import Quantity
 from calib.effects import effects
 from calib.effects.base import TransformEffect
-from calib.mismatch.aliases import find_aliases
-from calib.mismatch.choice import choose_poses, distinct_directions
-from calib.mismatch.diagnosis import Diagnosis, Finding, Verdict, summarise
-from calib.mismatch.explain import changes, explain, verdict
-from calib.mismatch.grid import (
+from calib.mismatch.findings.aliases import find_aliases
+from calib.mismatch.findings.diagnosis import Diagnosis, Finding, Verdict, summarise
+from calib.mismatch.hypotheses.places import gathered, joined
+from calib.mismatch.rows.choice import choose_poses, distinct_directions
+from calib.mismatch.rows.grid import (
     SHORTEST_CELL,
     UNCLOCKED,
     Grid,
@@ -23,14 +23,14 @@ from calib.mismatch.grid import (
     steady,
     untouched,
 )
-from calib.mismatch.losses import find_losses
-from calib.mismatch.places import gathered, joined
-from calib.mismatch.samples import BEYOND, DISAGREES, lost_samples
-from calib.mismatch.search import Outcome, search
-from calib.mismatch.selfmode import SelfProblem
-from calib.mismatch.spectrum import LOUDER_THERE, look_at_spectrum
-from calib.mismatch.thin import Thinned, thin
-from calib.mismatch.within import look_within
+from calib.mismatch.samples.losses import find_losses
+from calib.mismatch.samples.samples import BEYOND, DISAGREES, lost_samples
+from calib.mismatch.samples.spectrum import LOUDER_THERE, look_at_spectrum
+from calib.mismatch.samples.thin import Thinned, thin
+from calib.mismatch.samples.within import look_within
+from calib.mismatch.search.explain import changes, explain, verdict
+from calib.mismatch.search.search import Outcome, search
+from calib.mismatch.twin.selfmode import SelfProblem
 from calib.model import SensorModel
 from calib.poses import Poses
 from calib.recording import CHANNELS, Recording
@@ -86,7 +86,7 @@ def diagnose_recording(
 def diagnose_thinned(
     thinned: Thinned, *, gravity: float, model: SensorModel | None = None
 ) -> Diagnosis:
-    """Do what `diagnose_recording` does, to a recording that `calib.mismatch.thin` has read."""
+    """Do what `diagnose_recording` does, to a recording that `samples.thin` has read."""
     recording, poses, seen = thinned.recording, thinned.poses, thinned.seen
     if not len(poses):
         return _unfit(thinned, (), RESTLESS, "undetermined")

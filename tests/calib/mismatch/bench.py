@@ -5,8 +5,8 @@ from functools import cache
 import numpy as np
 
 from calib.effects.base import Term
-from calib.mismatch.grid import Grid, make_grid
-from calib.mismatch.selfmode import SelfProblem
+from calib.mismatch.rows.grid import Grid, make_grid
+from calib.mismatch.twin.selfmode import SelfProblem
 from calib.model import SensorModel, Triad
 from calib.recording import Recording
 from calib.simulate import simulate

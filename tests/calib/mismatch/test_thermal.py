@@ -8,10 +8,10 @@ from calib.document import from_document, to_document
 from calib.effects import effects
 from calib.effects.base import Term
 from calib.mismatch import Diagnosis, diagnose_recording
-from calib.mismatch.families import PHYSICAL
-from calib.mismatch.grid import make_grid
-from calib.mismatch.ranking import make_stack
-from calib.mismatch.selfmode import SelfProblem
+from calib.mismatch.hypotheses.families import PHYSICAL
+from calib.mismatch.rows.grid import make_grid
+from calib.mismatch.search.ranking import make_stack
+from calib.mismatch.twin.selfmode import SelfProblem
 from calib.model import SensorModel, Triad
 from calib.recording import Recording
 from calib.simulate import Sampling, simulate

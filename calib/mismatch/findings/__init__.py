@@ -1,0 +1,1 @@
+"""What a diagnosis says: findings, proof on held-out data, evidence, what cannot be known."""

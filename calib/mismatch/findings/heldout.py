@@ -1,0 +1,227 @@
+"""Held-out blocks: what a finding is worth on poses and turns that did not see it.
+
+Folds take every fifth pose with the turn that follows it; where there are fewer poses than folds,
+every fifth part of a rest. With ``r`` the whitened residual after
+the fit of all rows and ``Q`` an orthonormal basis of the fitted columns, what a fit *without* the
+rows B would have left there is ``(I - Q_B Q_B')^-1 r_B``: no fit is repeated. Directions that only
+B determines (the attitude of a pose that is held out) have no prediction and are left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from calib.mismatch.noise.noise import make_whitener
+from calib.mismatch.rows.rows import Kind, Rows
+from calib.recording import CHANNELS
+from calib.types import BoolArray, FloatArray, IntArray
+
+FOLDS = 5
+
+UNTOLD = 1e-4
+"""Share of a direction of rows that others must tell, or nothing of it can be foretold."""
+
+_UNITS = {Kind.ATTITUDE: "rad", Kind.VELOCITY: "m/s"}
+
+
+class HeldOut(NamedTuple):
+    """Residual RMS on held-out blocks before and after, beside what noise alone leaves."""
+
+    before: float
+    after: float
+    noise_floor: float
+    unit: str
+    rows: str
+    gain: float
+    channels: Mapping[str, tuple[float, float]] = {}
+
+
+def held_out(
+    rows: Rows,
+    fitted_before: FloatArray,
+    columns: FloatArray,
+    residual: FloatArray,
+    *,
+    levels: FloatArray,
+    contrast: FloatArray,
+    channels: tuple[str, ...],
+) -> HeldOut:
+    """Leave out every block in turn, without and with the columns of one finding.
+
+    Parameters
+    ----------
+    rows : Rows
+    fitted_before : (m, p) array
+        Columns of all else that is fitted.
+    columns : (m, k) array
+        Of the finding.
+    residual : (m,) array
+        With the finding's part in it.
+    levels, contrast : arrays
+        Noise, as the search ends with it.
+    channels : tuple of str
+        What the finding touches: the rows that are reported are of these channels.
+
+    Returns
+    -------
+    HeldOut
+        RMS in physical units over the kind of rows in which the finding shows most, and before and
+        after on each channel of these; ``gain`` is the log-likelihood gained on all held-out rows,
+        drift being noise.
+    """
+    # Parameters alone predict what is held out: drift is not interpolated, but weighs as jitter.
+    still = np.array(levels)
+    names = [c.name for c in rows.components]
+    for i, name in enumerate(names):
+        if name.endswith((" walk", " flicker")):
+            still[names.index(f"{name.split(' ')[0]} jitter")] += 0.5 * still[i]
+            still[i] = 0.0
+    after = np.hstack((fitted_before, columns))
+    which, label, unit = _telling_rows(rows, fitted_before, columns, still, contrast, channels)
+    squares = [_leave_out(rows, mean, residual, still, contrast) for mean in (fitted_before, after)]
+    size = [[float(np.sqrt(v[which].mean())) for v in pair] for pair in squares]
+    gain, errors = _gain(rows, fitted_before, after, residual, levels, contrast)
+    if gain > 0 and size[1][0] >= size[0][0]:
+        # Small beside the jitter of single rows, but not beside the noise of all of them.
+        return HeldOut(errors[0], errors[1], 1.0, "1", "all rows, in standard errors", gain)
+    each = {}
+    for c in np.unique(rows.channel[which & (rows.channel >= 0)]):
+        own = which & (rows.channel == c)
+        before, with_it = (float(np.sqrt(pair[0][own].mean())) for pair in squares)
+        each[CHANNELS[c]] = (before, with_it)
+    return HeldOut(size[0][0], size[1][0], size[1][1], unit, label, gain, each)
+
+
+def fold_of(rows: Rows) -> IntArray:
+    """Return the fold of each row."""
+    _, order = np.unique(rows.block, return_inverse=True)
+    if order.max() < FOLDS - 1:
+        _, order = np.unique(rows.segment, return_inverse=True)
+    return np.asarray(order % FOLDS)
+
+
+def _telling_rows(
+    rows: Rows,
+    mean: FloatArray,
+    columns: FloatArray,
+    levels: FloatArray,
+    contrast: FloatArray,
+    channels: tuple[str, ...],
+) -> tuple[BoolArray, str, str]:
+    whitener = make_whitener(rows, levels, contrast, mean)
+    power = np.square(whitener.project(columns)).sum(axis=1)
+    touched = np.isin(rows.channel, [CHANNELS.index(c) for c in channels])
+    best = (-1.0, np.zeros(len(power), bool), "", "")
+    for kind in Kind:
+        for triad, unit in (("accel", "m/s²"), ("gyro", "rad/s")):
+            own = rows.kind == kind
+            label = kind.name.lower()
+            if kind in (Kind.MEAN, Kind.CONTRAST):
+                own &= touched & (rows.channel // 3 == (0 if triad == "accel" else 1))
+                where = "at rest" if rows.is_rest.any() else "over windows"
+                label = f"{triad} {'means' if kind == Kind.MEAN else 'changes'} {where}"
+            else:
+                unit = _UNITS[kind]
+                label = f"{label} closure of turns"
+            if own.any() and power[own].sum() > best[0]:
+                best = (float(power[own].sum()), own, label, unit)
+    return best[1], best[2], best[3]
+
+
+def _leave_out(
+    rows: Rows,
+    mean: FloatArray,
+    residual: FloatArray,
+    levels: FloatArray,
+    contrast: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """Return the held-out error of each row squared, and the square that noise alone leaves."""
+    whitener = make_whitener(rows, levels, contrast, mean)
+    left, basis = whitener.project(residual), whitener.basis
+    factor = whitener.factor.dense()
+    fold = fold_of(rows)
+    square, floor = np.zeros(len(left)), np.zeros(len(left))
+    for k in range(FOLDS):
+        own = np.flatnonzero(fold == k)
+        if not len(own):
+            continue
+        # With B the basis in this fold, errors are those of ``inv(I - B B')``: of the directions
+        # ``B v`` of eigenvectors v of B'B, whose values s are shares that the others do not tell.
+        shares, vectors = np.linalg.eigh(basis[own].T @ basis[own])
+        along = basis[own] @ vectors
+        told = shares < 1.0 - UNTOLD
+        more = np.where(told, 1.0, -1.0) / np.where(told, 1.0 - shares, shares)
+        error = left[own] + along @ (more * (along.T @ left[own]))
+        # Without walks the covariance does not couple segments, so neither does its factor.
+        square[own] = np.square(_colour(rows, factor, whitener.scale, own, error[:, None])[:, 0])
+        spread = np.square(_colour(rows, factor, whitener.scale, own, along)) @ more
+        floor[own] = spread + _variance(rows, factor, whitener.scale, own)
+    return square, floor
+
+
+def _variance(rows: Rows, factor: FloatArray, scale: FloatArray, own: IntArray) -> FloatArray:
+    """Return the variance of rows `own`, which must be closed under the covariance."""
+    dense = own < rows.n_dense
+    out = np.empty(len(own))
+    out[dense] = np.square(factor[np.ix_(own[dense], own[dense])]).sum(axis=1)
+    out[~dense] = np.square(scale[own[~dense] - rows.n_dense])
+    return out
+
+
+def _colour(
+    rows: Rows, factor: FloatArray, scale: FloatArray, own: IntArray, values: FloatArray
+) -> FloatArray:
+    """Undo the whitening of rows `own`, which must be closed under the covariance."""
+    out = np.empty_like(values)
+    dense = own < rows.n_dense
+    out[dense] = factor[np.ix_(own[dense], own[dense])] @ values[dense]
+    out[~dense] = values[~dense] * scale[own[~dense] - rows.n_dense, None]
+    return out
+
+
+def _gain(
+    rows: Rows,
+    before: FloatArray,
+    after: FloatArray,
+    residual: FloatArray,
+    levels: FloatArray,
+    contrast: FloatArray,
+) -> tuple[float, tuple[float, float]]:
+    """Return the held-out log-likelihood gained, with the full noise model.
+
+    Beside it the RMS of the normalised prediction errors before and after.
+    """
+    fold = fold_of(rows)
+    factor, dense = rows.arrow.factorise(levels), rows.n_dense
+    half = factor.solve_transposed(np.eye(dense))
+    precision = half @ half.T
+    each = np.append(precision.diagonal(), 1.0 / contrast)
+    value, size = [], []
+    for mean in (before, after):
+        whitener = make_whitener(rows, levels, contrast, mean, factor=factor)
+        hidden = whitener.unwhiten_transposed(whitener.basis)
+        pull = whitener.unwhiten_transposed(whitener.project(residual)[:, None])[:, 0]
+        total, square, number = 0.0, 0.0, 0
+        for k in range(FOLDS):
+            own = np.flatnonzero(fold == k)
+            if not len(own):
+                continue
+            # P_BB^-1 (P y)_B is the prediction error of block B, P_BB^-1 its covariance.
+            block = np.diag(each[own])
+            first = own[own < dense]
+            block[: len(first), : len(first)] = precision[np.ix_(first, first)]
+            block -= hidden[own] @ hidden[own].T
+            # Rows that only this block determines have no power left; rounding may go below zero.
+            scale = np.sqrt(np.maximum(np.diag(block), 1e-9 * each[own]))
+            values, vectors = np.linalg.eigh(block / np.outer(scale, scale))
+            good = values > 1e-6
+            along = vectors.T @ (pull[own] / scale)
+            missed = float((np.square(along[good]) / values[good]).sum())
+            total += 0.5 * (float(np.log(values[good]).sum()) - missed)
+            square, number = square + missed, number + int(good.sum())
+        value.append(total)
+        size.append(float(np.sqrt(square / max(number, 1))))
+    return value[1] - value[0], (size[0], size[1])

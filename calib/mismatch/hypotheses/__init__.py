@@ -1,0 +1,1 @@
+"""What may explain a residual: the catalogue and its rivals, as columns with prior weights."""

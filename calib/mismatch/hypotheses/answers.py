@@ -1,0 +1,89 @@
+"""The candidates of a stack as answers: groups of them, the best of each, and what is near.
+
+All shapes and places of an effect, or of a rival on one channel, are one answer.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from calib.effects import get_effect
+from calib.mismatch.hypotheses.candidates import Candidate
+from calib.mismatch.hypotheses.families import candidate_columns, neighbours
+from calib.mismatch.hypotheses.score import Stack
+from calib.mismatch.hypotheses.windows import WINDOWED, moved_window, nearby_windows, window_columns
+from calib.mismatch.rows.rows import Rows
+from calib.types import FloatArray
+
+LEADERS = (4, 3)
+"""How many of the best, of physics and of rivals, are scored at places nearer to their own, with
+noise levels of their own."""
+
+
+def grouped(stack: Stack, evidence: FloatArray) -> tuple[dict[str, Candidate], dict[str, float]]:
+    """Return the best candidate of each group, and the group's evidence."""
+    names, code = stack.groups()
+    order = np.lexsort((-np.arange(len(code)), evidence, code))
+    best = order[np.append(np.diff(code[order]) > 0, True)]
+    top = evidence[best]
+    total = top + np.log(np.bincount(code, np.exp(evidence - top[code])))
+    return (
+        {g: stack.candidates[i] for g, i in zip(names, best, strict=True)},
+        {g: float(v) for g, v in zip(names, total, strict=True)},
+    )
+
+
+def leading(best: Mapping[str, Candidate], groups: Mapping[str, float]) -> list[str]:
+    """Return the groups with the most evidence."""
+    order = sorted(groups, key=lambda g: -groups[g])
+    physics, rivals = ([g for g in order if best[g].physical is kind] for kind in (True, False))
+    return physics[: LEADERS[0]] + rivals[: LEADERS[1]]
+
+
+def strongest_rivals(stack: Stack, evidence: FloatArray) -> dict[tuple[str, ...], Candidate]:
+    """Return the rival with the largest Bayes factor of each channel, and of each triad."""
+    best: dict[tuple[str, ...], int] = {}
+    for i, c in enumerate(stack.candidates):
+        if not c.physical and evidence[i] > evidence[best.setdefault(c.channels, i)]:
+            best[c.channels] = i
+    return {channels: stack.candidates[i] for channels, i in best.items()}
+
+
+def physics(stack: Stack) -> FloatArray:
+    """Return the physical columns, thinned where an effect has many shapes."""
+    index: list[int] = []
+    shapes: dict[str, list[Candidate]] = {}
+    for c in stack.candidates:
+        # Every parameter is tried alone, but for refinements of others.
+        if c.physical and c.is_single:
+            shapes.setdefault(c.name, []).append(c)
+    for items in shapes.values():
+        each = list(dict.fromkeys(int(k) for c in items for k in c.index))
+        limit = 6
+        index += each if len(each) <= limit else each[:: -(-len(each) // limit)]
+    return stack.columns.take(np.array(index, np.int64))
+
+
+def nearby(rows: Rows, leader: Candidate) -> Stack:
+    """Return a candidate at the shapes and places nearest to its own; nothing for what has none.
+
+    An event is moved within its rest or turn, a time constant between its neighbours on the grid,
+    a window at both of its ends.
+    """
+    stack = Stack(len(rows.residual))
+    if leader.physical and not leader.present:
+        for shape in neighbours(get_effect(leader.name), rows, leader.shape):
+            columns = candidate_columns(rows, leader, shape, reference=True)
+            if columns is not None:
+                stack.candidates.append(
+                    replace(leader, index=stack.columns.add(columns), shape=shape)
+                )
+    if leader.name in WINDOWED:
+        for window in nearby_windows(rows, leader):
+            there = moved_window(leader, *window)
+            index = stack.columns.add(window_columns(rows, there))
+            stack.candidates.append(replace(there, index=index, mixing=None, summed=False))
+    return stack

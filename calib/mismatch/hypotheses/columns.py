@@ -1,0 +1,163 @@
+"""Columns that candidates share, on the rows that they touch.
+
+What a rival does on one channel touches the rows of that channel at rest, and the turns: a third of
+all rows. Whitening keeps it so, as the covariance is an arrow (`rows.arrow`). What is
+fitted is projected out of products alone: with B its orthonormal basis, and W whitened columns,
+
+    (W - B B'W)' (W - B B'W) = W'W - (B'W)' (B'W).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib.mismatch.noise.noise import Whitener
+from calib.types import FloatArray, IntArray
+
+LOST = 1e-8
+"""Share of a column's power that what is fitted must leave, or it cannot be told from that."""
+
+PART = 256
+"""Columns that are worked on at a time: whitening needs copies."""
+
+
+class Columns:
+    """Columns of m rows, in the order of their coming."""
+
+    def __init__(self, rows: int) -> None:
+        self._rows = rows
+        self._supports: list[IntArray] = []
+        self._parts: list[list[FloatArray]] = []
+        self._support: list[int] = []
+        self._place: list[int] = []
+
+    def __len__(self) -> int:
+        return len(self._support)
+
+    def add(self, columns: FloatArray, rows: IntArray | None = None) -> IntArray:
+        """Add (m, k) columns and return their numbers.
+
+        ``rows`` are those that they can touch: all, or those of turns and of whole channels.
+        """
+        rows = np.arange(self._rows) if rows is None else rows
+        known = (k for k, own in enumerate(self._supports) if np.array_equal(own, rows))
+        k = next(known, len(self._supports))
+        if k == len(self._supports):
+            self._supports.append(rows)
+            self._parts.append([])
+        first, number = len(self), columns.shape[1]
+        place = sum(part.shape[1] for part in self._parts[k])
+        self._parts[k].append(columns if len(rows) == self._rows else columns[rows])
+        self._support += [k] * number
+        self._place += range(place, place + number)
+        return np.arange(first, first + number)
+
+    def take(self, index: IntArray) -> FloatArray:
+        """Return some of the columns, (m, k)."""
+        out = np.zeros((len(index), self._rows)).T
+        support, place = self._found(index)
+        for k in np.unique(support):
+            own = np.flatnonzero(support == k)
+            out[np.ix_(self._supports[k], own)] = self._whole(k)[:, place[own]]
+        return out
+
+    def project(self, whitener: Whitener, y: FloatArray, used: IntArray) -> Seen:
+        """Return some of the columns as the whitener, and the residual y, see them."""
+        support, place = self._found(used)
+        slot = np.empty(len(used), np.int64)
+        inner = np.empty((len(used), whitener.basis.shape[1])).T
+        match, total, power = np.empty((3, len(used)))
+        white: dict[int, FloatArray] = {}
+        for k in np.unique(support).tolist():
+            rows = self._supports[k]
+            here = whitener if len(rows) == self._rows else whitener.restricted(rows)
+            whole = self._whole(k)
+            mine = np.flatnonzero(support == k)
+            slot[mine] = np.arange(len(mine))
+            white[k] = np.empty((len(mine), len(rows))).T
+            for first in range(0, len(mine), PART):
+                part = slice(first, first + PART)
+                own = mine[part]
+                found = here.whiten(whole[:, place[own]])
+                inner[:, own] = here.basis.T @ found
+                total[own] = np.einsum("ij,ij->j", found, found)
+                power[own] = total[own] - np.square(inner[:, own]).sum(axis=0)
+                lost = power[own] < LOST * total[own]
+                found[:, lost], inner[:, own[lost]], power[own[lost]] = 0.0, 0.0, 0.0
+                match[own] = y[rows] @ found
+                white[k][:, part] = found
+        return Seen(self._supports, white, support, slot, inner, match, power, total)
+
+    def _found(self, index: IntArray) -> tuple[IntArray, IntArray]:
+        """Return the support of each column, and its place among the columns there."""
+        which = index.tolist()
+        return (
+            np.array([self._support[i] for i in which], np.int64),
+            np.array([self._place[i] for i in which], np.int64),
+        )
+
+    def _whole(self, k: int) -> FloatArray:
+        """Return all columns on one support."""
+        parts = self._parts[k]
+        if len(parts) > 1:
+            # One part after the other, so that they are not in memory twice.
+            number, at = sum(part.shape[1] for part in parts), 0
+            whole = np.empty((number, len(self._supports[k]))).T
+            while parts:
+                part = parts.pop(0)
+                whole[:, at : at + part.shape[1]] = part
+                at += part.shape[1]
+            parts.append(whole)
+        return parts[0]
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """Whitened columns (u of them), with what is fitted projected out.
+
+    Parameters
+    ----------
+    supports : list of arrays of int
+        Rows that columns touch.
+    white : mapping of int to (rows, columns) arrays
+        Whitened columns on each support.
+    support, slot : (u,) arrays of int
+        Where each column is.
+    inner : (p, u) array
+        Its part along the basis of what is fitted.
+    match : (u,) array
+        Its product with the residual.
+    power, total : (u,) arrays
+        Its squared length, and what that had been with all that is fitted in it.
+    """
+
+    supports: list[IntArray]
+    white: dict[int, FloatArray]
+    support: IntArray
+    slot: IntArray
+    inner: FloatArray
+    match: FloatArray
+    power: FloatArray
+    total: FloatArray
+
+    def gram(self, own: IntArray) -> FloatArray:
+        """Return the products of some columns with each other."""
+        white, inner = self._white(own), self.inner[:, own]
+        return np.asarray(white.T @ white - inner.T @ inner)
+
+    def _white(self, own: IntArray) -> FloatArray:
+        """Return whitened columns on rows that hold all that they touch."""
+        support, slot = self.support[own], self.slot[own]
+        kinds = np.unique(support).tolist()
+        if len(kinds) == 1:
+            return self.white[kinds[0]][:, slot]
+        rows = np.unique(np.concatenate([self.supports[k] for k in kinds]))
+        out = np.zeros((len(own), len(rows))).T
+        for k in kinds:
+            mine = np.flatnonzero(support == k)
+            out[np.ix_(np.searchsorted(rows, self.supports[k]), mine)] = self.white[k][
+                :, slot[mine]
+            ]
+        return out

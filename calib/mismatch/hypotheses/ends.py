@@ -1,0 +1,175 @@
+"""Where a disturbance begins and ends: the window that is expected to overlap it most.
+
+What rows say of the ends of a window is often little: a gain on one axis shows only where that axis
+is loaded, and what comes and goes may be quiet for a while. The most probable window may then be
+far from most of those that are as good. So every window is weighted by its evidence, and the one is
+said whose overlap with the others, intersection over union, is largest on average.
+
+The evidence takes what disturbs for normal, and stationary. Pulses are not: a few stand out, the
+others hardly show, and the window of those that do would be told with far too much confidence. So
+evidence for where a disturbance of one kind is counts for as much less as it scatters more than
+normal errors would let it.
+
+Nor is the evidence that of one kind alone. A part of what jumps about looks like a bias, or like a
+wave, whose window is too short: in each window all kinds are weighed against each other.
+
+References
+----------
+.. [1] Pauli, Racugno, Ventura, "Bayesian composite marginal likelihoods", Statistica Sinica 21,
+   2011, p. 149 (a power of the likelihood whose posterior is as wide as its maximum scatters).
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import replace
+
+import numpy as np
+from scipy.special import logsumexp, softmax
+
+from calib.mismatch.findings.diagnosis import Interval
+from calib.mismatch.hypotheses.candidates import Candidate
+from calib.mismatch.hypotheses.score import log_bayes_factor, log_bayes_factors
+from calib.mismatch.hypotheses.wander import wandering
+from calib.mismatch.hypotheses.windows import (
+    fluctuating,
+    make_slots,
+    moved_window,
+    segment_columns,
+    slot_columns,
+    window_columns,
+)
+from calib.mismatch.noise.noise import Whitener
+from calib.mismatch.rows.rows import Rows
+from calib.types import FloatArray
+
+UNLIKELY = 1e-3
+"""Windows less probable than the best by this factor are left out."""
+
+HEAVY = 2.0 / 7.0
+"""The power of the evidence for where a disturbance is [1]_. Squares, for a mean of one, have a
+variance of 2 if what disturbs is normal; of 5 if it is as often small, and large, as Laplace's law
+says, as the heights of pulses are; and of 7 if one segment in four has none besides."""
+
+LASTING = (0.5, 2.0, 8.0)
+"""How long what wanders keeps its value, in typical segments; or it has another in each."""
+
+AT_ONCE = 1e-3
+"""How long it does then."""
+
+PERIODS = np.geomspace(0.6, 1.0 / 0.6, 7)
+"""Periods that a wave in a window may have, relative to that of the window it was found in."""
+
+TUNES = 21
+"""Periods between those of the grid, half a cycle apart, that are tried for a wave."""
+
+
+def place_window(rows: Rows, candidate: Candidate, whitener: Whitener, y: FloatArray) -> Candidate:
+    """Return a candidate for the window that overlaps most, on average over what is probable.
+
+    It is of the kind that is most probable there. No window is longer than half of the recording:
+    the others are the rule there, and not it.
+    """
+    number = len(rows.interval)
+    longest = max(number // 2, 1)
+    one = len(candidate.channels) == 1
+    kinds = [] if candidate.name == "fluctuation in a window" else _retuned(candidate)
+    kinds += [replace(candidate, name=n, shape={}) for n in _SUMS if one and n != candidate.name]
+    alike = Counter(c.name for c in kinds)
+    summed = [_sums(rows, c, whitener, y, longest) - np.log(alike[c.name]) for c in kinds]
+    wander = _wanders(rows, candidate, whitener, y, longest)
+    first, last = np.nonzero(np.isfinite(wander))
+    value = np.stack([*summed, wander])[:, first, last]
+    # Every length, by its logarithm, is as likely as any other, and so is every place.
+    prior = -np.log(last - first) - np.log(number + 1.0 - (last - first))
+    of_kind = softmax(logsumexp(value + prior, axis=1))
+    weight = of_kind @ softmax(HEAVY * value + prior, axis=1)
+    probable = weight > UNLIKELY * weight.max()
+    first, last = first[probable], last[probable]
+    where = expected_overlap(rows.interval[first, 0], rows.interval[last - 1, 1], weight[probable])
+    a = int(np.searchsorted(rows.interval[:, 0], where[0]))
+    b = int(np.searchsorted(rows.interval[:, 1], where[1])) + 1
+    best = int(np.argmax([wander[a, b], *(v[a, b] for v in summed)]))
+    if not best:
+        return fluctuating(candidate, *where, segments=b - a)
+    return moved_window(kinds[best - 1], *where)
+
+
+def _retuned(candidate: Candidate) -> list[Candidate]:
+    """Return a candidate; a wave with periods around its own: it had that of a part of it."""
+    if "period" not in candidate.shape:
+        return [candidate]
+    period = candidate.shape["period"]
+    return [replace(candidate, shape={"period": period * k}) for k in PERIODS]
+
+
+_SUMS = ("bias in a window", "gain in a window")
+
+
+def _sums(
+    rows: Rows, candidate: Candidate, whitener: Whitener, y: FloatArray, longest: int
+) -> FloatArray:
+    """Return log B in each window [a, b) of what is a sum over the segments in it."""
+    parts = segment_columns(rows, candidate)
+    m, number, k = parts.shape
+    white = whitener.project(parts.reshape(m, -1))
+    gram = (white.T @ white).reshape(number, k, number, k).transpose(0, 2, 1, 3)
+    total = np.zeros((number + 1, number + 1, k, k))
+    total[1:, 1:] = gram.cumsum(axis=0).cumsum(axis=1)
+    match = np.zeros((number + 1, k))
+    match[1:] = (y @ white).reshape(number, k).cumsum(axis=0)
+    # Open at one end a bias in a window would be a step, which has a name.
+    low = 1 if candidate.name == "bias in a window" else 0
+    first, last = np.triu_indices(number + 1, 1)
+    some = (last - first <= longest) & (first >= low) & (last <= number - low)
+    first, last = first[some], last[some]
+    inner = total[last, last] - total[first, last] - total[last, first] + total[first, first]
+    out = np.full((number + 1, number + 1), -np.inf)
+    out[first, last] = log_bayes_factors(inner, match[last] - match[first])
+    return out
+
+
+def _wanders(
+    rows: Rows, candidate: Candidate, whitener: Whitener, y: FloatArray, longest: int
+) -> FloatArray:
+    """Return log B in each window [a, b) of what wanders in it, of any correlation time."""
+    typical = float(np.median(np.ptp(rows.interval, axis=1)))
+    found = []
+    for coarse, lasting in ((len(candidate.channels) > 1, LASTING), (True, (AT_ONCE,))):
+        slots = make_slots(rows, coarse=coarse)
+        parts = slot_columns(rows, slots, candidate.channels)
+        m, n, c = parts.shape
+        white = whitener.project(parts.reshape(m, -1))
+        gram, match = (white.T @ white).reshape(n, c, n, c), (y @ white).reshape(n, c)
+        found += [
+            wandering(
+                gram, match, slots.middle, slots.first, correlation=k * typical, longest=longest
+            )
+            for k in lasting
+        ]
+    return np.asarray(np.logaddexp.reduce(found) - np.log(len(found)))
+
+
+def tune_wave(
+    rows: Rows, candidate: Candidate, whitener: Whitener, y: FloatArray
+) -> tuple[Candidate, FloatArray]:
+    """Return a wave throughout, and its columns, of that period near its own that fits most."""
+    start, stop = float(rows.interval[0, 0]), float(rows.interval[-1, 1])
+    cycles = (stop - start) / candidate.shape["period"]
+    best: tuple[float, Candidate, FloatArray] | None = None
+    for tried in cycles + np.linspace(-0.5, 0.5, TUNES):
+        there = replace(candidate, shape={"period": (stop - start) / max(tried, 0.25)})
+        columns = window_columns(rows, replace(there, interval=(start, stop)))
+        value = log_bayes_factor(whitener.project(columns), y)
+        if best is None or value > best[0]:
+            best = value, there, columns
+    assert best is not None
+    return best[1], best[2]
+
+
+def expected_overlap(start: FloatArray, stop: FloatArray, weight: FloatArray) -> Interval:
+    """Return the one of (n,) intervals that overlaps most, on average over their weights."""
+    common = np.minimum.outer(stop, stop) - np.maximum.outer(start, start)
+    hull = np.maximum.outer(stop, stop) - np.minimum.outer(start, start)
+    best = int(np.argmax(np.maximum(common, 0.0) / hull @ weight))
+    return float(start[best]), float(stop[best])

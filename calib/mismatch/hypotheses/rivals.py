@@ -1,0 +1,424 @@
+"""Honest rivals: what a residual may follow without being physics that we know.
+
+They compete with the catalogue on the same terms. When one wins, the answer is "unexplained: this
+channel, this span or regime, follows this", and not the nearest name.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+from scipy import sparse
+
+from calib.effects import effects
+from calib.effects.base import State
+from calib.mismatch.hypotheses.candidates import Bank, Candidate
+from calib.mismatch.hypotheses.score import Stack
+from calib.mismatch.hypotheses.windows import (
+    APART,
+    CORNERS,
+    FAST,
+    FLUCTUATION,
+    MIDDLE,
+    THROUGHOUT,
+    Local,
+    Slots,
+    in_windows,
+    is_step,
+    make_slots,
+    own_signal,
+    throughout,
+    typical_size,
+)
+from calib.mismatch.rows.rows import Rows
+from calib.recording import CHANNELS
+from calib.types import FloatArray, IntArray
+
+RIVAL = 0.4
+"""Prior probability of all rivals together."""
+
+FROM_START = "fading from the start"
+
+_KINDS = {
+    "bias in a window": 0.16,
+    "gain in a window": 0.10,
+    "fluctuation in a window": 0.17,
+    "wave in a window": 0.12,
+    THROUGHOUT: 0.03,
+    "time": 0.02,
+    "temperature": 0.02,
+    "direction of gravity": 0.11,
+    "orientation": 0.03,
+    "speed of rotation": 0.05,
+    "its own rate": 0.02,
+    "rate about the other axes": 0.02,
+    "the pose before": 0.02,
+    "the turn before": 0.01,
+    FROM_START: 0.015,
+}
+"""Share of each. What follows temperature, time or its own rate smoothly has names in the
+catalogue, or is drift: only odd shapes are left."""
+
+_OF_TRIADS = {
+    "bias in a window": 0.02,
+    "gain in a window": 0.02,
+    "fluctuation in a window": 0.05,
+    FROM_START: 0.015,
+}
+"""The same for what three channels have at once: their supply, cable or package."""
+
+RIPPLES = (2.0, 3.0, 4.0, 5.0)
+"""How fast a function of one component of gravity's direction varies, rad per unit."""
+
+FADING = np.geomspace(1.0, 16.0, 7)
+"""s in which what disturbed the first rest fades: a hand has let go, a cable or a stand gives way.
+That is what warming up looks like; only it takes longer, and shows in other rests too."""
+
+FADED = 3.0
+"""Time constants after which it is gone."""
+
+MEMORIES = np.array([0.5, 2.0, 8.0])
+"""How long what creeps remembers poses, in times from one to the next."""
+
+OWN_RIPPLES = np.arange(6.0, 21.0)
+"""The same for an accelerometer's own axis, whose converter may have steps of uneven height."""
+
+CAP = 6.0
+"""How steeply what acts near one direction only falls off: to a half at 28 degrees."""
+
+
+_Place = tuple[str, int, int]
+"""What a rival follows, and its columns ``[first, stop)`` in the stack."""
+
+_Draft = tuple[str, str, tuple[str, ...], IntArray, Mapping[str, Any]]
+"""The part of its kind that a candidate belongs to, its name, channels, index, and the rest."""
+
+
+def add_rivals(stack: Stack, rows: Rows, *, skip: tuple[str, ...] = ()) -> None:
+    """Add every rival that these rows can show, with weights that sum to at most `RIVAL`.
+
+    ``skip`` names those that are not tried (``time`` where the clock is wrong).
+    """
+    slots = make_slots(rows)
+    layout = _add_columns(stack, rows, slots)
+    times = rows.interval.tobytes(), slots.middle.tobytes(), slots.first.tobytes()
+    bank, weights = _sorted(*times, layout, skip)
+    stack.extend(bank)
+    if "time" not in skip:
+        stack.candidates += list(_fading(stack, rows))
+    if "direction of gravity" in skip:
+        return
+    up = _up(rows, slots)
+    ripples = list(_ripples(up))
+    for c, (channel, places) in enumerate(zip(CHANNELS, layout, strict=True)):
+        (parts,) = (np.arange(a, b) for name, a, b in places if name == "slots")
+        own = [(ripple, _wave(ripple * up[:, c])) for ripple in OWN_RIPPLES.tolist() if c < 3]
+        stack.candidates += [
+            Candidate(
+                "direction of gravity", parts, weights[ripple], False, (channel,), mixing=mixing
+            )
+            for ripple, mixing in [*ripples, *own]
+        ]
+
+
+def _add_columns(stack: Stack, rows: Rows, slots: Slots) -> tuple[tuple[_Place, ...], ...]:
+    """Add the columns of all rivals, and return where those of each channel are."""
+    state, layout = rows.state, []
+    smooth = [*_smooth(state), *_history(rows)]
+    for c, name in enumerate(CHANNELS):
+        size, own = typical_size(name.split(".")[0]), own_signal(state, c)
+        at = (np.arange(len(own)), rows.point_segment)
+        member = sparse.csr_matrix((own, at), shape=(len(own), len(rows.interval)))
+        parts = [
+            ("slots", (rows.functional[c] @ slots.member).toarray()),
+            ("segments", (rows.functional[c] @ member).toarray()),
+            *((n, rows.columns(c, values)) for n, values in smooth),
+            ("its own rate", rows.columns(c, _own_rate(state, c))),
+        ]
+        if c < 3:
+            # What a gyroscope sees of the other axes is its misalignment.
+            other = np.delete(_scaled_rates(state), c, axis=1)
+            parts.append(("rate about the other axes", rows.columns(c, other)))
+        places = []
+        for label, columns in parts:
+            index = stack.columns.add(size * columns, _touched(rows, c))
+            places.append((label, int(index[0]), int(index[-1]) + 1))
+        layout.append(tuple(places))
+    return tuple(layout)
+
+
+def _touched(rows: Rows, c: int) -> IntArray:
+    """Return the rows that a channel can show in."""
+    return np.flatnonzero((rows.channel == c) | (rows.channel < 0))
+
+
+@lru_cache(maxsize=1)
+def _sorted(
+    interval: bytes,
+    middle: bytes,
+    first: bytes,
+    layout: tuple[tuple[_Place, ...], ...],
+    skip: tuple[str, ...],
+) -> tuple[Bank, dict[float, float]]:
+    """Return all candidates but ripples, and the weight of one of each ripple.
+
+    They depend on when segments were, which no fit changes: from round to round they are the same.
+    """
+    times = np.frombuffer(interval).reshape(-1, 2)
+    slots = np.frombuffer(middle), np.frombuffer(first, np.int64)
+    local = list(in_windows(times, *slots, CORNERS))
+    joint = [
+        _of_triad(item, slots[1])
+        for item in in_windows(times, *slots, MIDDLE)
+        if item.name in _OF_TRIADS and item.window[1] - item.window[0] >= FLUCTUATION
+        if item.shape != APART
+    ]
+    waves = [] if THROUGHOUT in skip else list(throughout(times, slots[0]))
+    found: list[_Draft] = []
+    for k, triad in enumerate((CHANNELS[:3], CHANNELS[3:])):
+        # Beside the bias, a window that is open at one end is a step of it, which has a name.
+        name = f"{triad[0].split('.')[0]}_bias_step"
+        step = name in effects() and name not in skip
+        own, alike = (
+            [w for w in items if not (step and is_step(w, len(times)))] for items in (local, joint)
+        )
+        places = layout[3 * k : 3 * k + 3]
+        for channel, mine in zip(triad, places, strict=True):
+            found += _drafts((channel,), (mine,), slots[1], own)
+            found += _smooth_drafts(channel, mine)
+            found += _waves(channel, mine, waves)
+        found += _drafts(triad, places, slots[1], alike)
+    found = [draft for draft in found if draft[1] not in skip]
+    # Every kind has its share, each of its parts (one length of window, say) the same of that.
+    number = Counter((name, len(channels), part) for part, name, channels, *_ in found)
+    if "direction of gravity" not in skip:
+        for ripple in (0.0, *RIPPLES):
+            count = len(CHANNELS) * len(_axes(ripple))
+            number["direction of gravity", 1, f"ripple {ripple}"] = count
+        number["direction of gravity", 1, "own ripples"] = 3 * len(OWN_RIPPLES)
+    lengths = Counter((name, many) for name, many, _ in number)
+
+    def weight(name: str, many: int, part: str) -> float:
+        share = (_KINDS if many == 1 else _OF_TRIADS)[name]
+        return RIVAL * share / lengths[name, many] / number[name, many, part]
+
+    bank = Bank(
+        [
+            Candidate(name, index, weight(name, len(own), part), False, own, **about)
+            for part, name, own, index, about in found
+        ]
+    )
+    if "direction of gravity" in skip:
+        return bank, {}
+    known = {r: weight("direction of gravity", 1, f"ripple {r}") for r in (0.0, *RIPPLES)}
+    known |= dict.fromkeys(OWN_RIPPLES.tolist(), weight("direction of gravity", 1, "own ripples"))
+    return bank, known
+
+
+def _drafts(
+    channels: tuple[str, ...],
+    places: tuple[tuple[_Place, ...], ...],
+    first: IntArray,
+    local: list[Local],
+) -> Iterator[_Draft]:
+    """Yield what windows may hold on one channel, or on three at once."""
+    starts = {
+        kind: [start for own in places for name, start, _ in own if name == kind]
+        for kind in ("slots", "segments")
+    }
+    every = np.arange(max(stop for own in places for _, _, stop in own))
+    slots = first.tolist()
+    for item in local:
+        a, b = item.window
+        kind, low, high = "slots", slots[a], slots[b]
+        if item.name == "gain in a window":
+            kind, low, high = "segments", a, b
+        own = [every[start + low : start + high] for start in starts[kind]]
+        index = own[0] if len(own) == 1 else np.concatenate(own)
+        about = {
+            "summed": item.mixing is None,
+            "interval": item.interval,
+            "shape": item.shape,
+            "mixing": item.mixing,
+        }
+        yield f"{b - a} segments", item.name, channels, index, about
+
+
+def _smooth_drafts(channel: str, places: tuple[_Place, ...]) -> Iterator[_Draft]:
+    """Yield what follows something smoothly on a channel."""
+    for name, start, stop in places:
+        if name not in _KINDS:
+            continue
+        yield "smooth", name, (channel,), np.arange(start, stop), {}
+        if name == "direction of gravity":
+            # Harmonics come in the order of their degree: 3 + 6 of degrees 1 and 2.
+            yield "quadratic", name, (channel,), np.arange(start, start + 9), {}
+
+
+def _waves(
+    channel: str,
+    places: tuple[_Place, ...],
+    waves: list[tuple[dict[str, float], FloatArray]],
+) -> Iterator[_Draft]:
+    """Yield waves that a channel has throughout."""
+    index = next(np.arange(start, stop) for name, start, stop in places if name == "slots")
+    for shape, mixing in waves:
+        yield "throughout", THROUGHOUT, (channel,), index, {"shape": shape, "mixing": mixing}
+
+
+def _of_triad(item: Local, first: IntArray) -> Local:
+    """Return what three channels have at once, each in a way of its own; but one gain."""
+    if item.name == "gain in a window":
+        return item
+    a, b = item.window
+    mixing = np.ones((first[b] - first[a], 1)) if item.mixing is None else item.mixing
+    n, k = mixing.shape
+    each = np.zeros((3, n, 3, k))
+    each[range(3), :, range(3)] = mixing
+    return replace(item, mixing=each.reshape(3 * n, -1))
+
+
+def _fading(stack: Stack, rows: Rows) -> Iterator[Candidate]:
+    """Yield what a channel, or a triad, may have from the recording's start on, while it fades."""
+    began, share = rows.state.power_on, RIVAL / len(FADING)
+    every, alone = _OF_TRIADS[FROM_START] * share / 2, _KINDS[FROM_START] * share / len(CHANNELS)
+    shapes = np.exp(-(rows.state.time - began)[:, None] / FADING)
+    for triad in (CHANNELS[:3], CHANNELS[3:]):
+        size = typical_size(triad[0].split(".")[0])
+        index = np.stack(
+            [
+                stack.columns.add(size * rows.columns(c, shapes), _touched(rows, c))
+                for c in map(CHANNELS.index, triad)
+            ]
+        )
+        for k, tau in enumerate(FADING.tolist()):
+            interval = (began, began + FADED * tau)
+            yield Candidate(FROM_START, index[:, k], every, False, triad, interval=interval)
+            for channel, own in zip(triad, index[:, k : k + 1], strict=True):
+                yield Candidate(FROM_START, own, alone, False, (channel,), interval=interval)
+
+
+def _up(rows: Rows, slots: Slots) -> FloatArray:
+    """Return the mean direction of gravity in each slot, (n, 3)."""
+    count = np.maximum(slots.member.sum(axis=0).A1, 1.0)
+    return np.asarray((slots.member.T @ rows.state.gravity_direction) / count[:, None])
+
+
+def _ripples(up: FloatArray) -> Iterator[tuple[float, FloatArray]]:
+    """Yield how fast a function of gravity's direction varies, and what each slot has of it.
+
+    Waves over one component of the direction; and what acts near one direction only (0).
+    """
+    for ripple in RIPPLES:
+        for phase in ripple * (_axes(ripple) @ up.T):
+            yield ripple, _wave(phase)
+    for near in _axes(0.0) @ up.T:
+        yield 0.0, np.exp(CAP * (near - 1.0))[:, None]
+
+
+def _wave(phase: FloatArray) -> FloatArray:
+    return np.stack((np.cos(phase), np.sin(phase)), axis=1)
+
+
+def _axes(ripple: float) -> FloatArray:
+    """Return the unit vectors along which a ripple is tried, (n, 3)."""
+    if not ripple:
+        return _spiral(64)
+    # Half a sphere of directions: close enough for half a radian of phase.
+    axes = _spiral(int(np.ceil(16.0 * ripple**2)))
+    return np.asarray(axes[axes[:, 2] > 0])
+
+
+def _spiral(number: int) -> FloatArray:
+    """Return unit vectors (n, 3) that cover the sphere evenly: a Fibonacci spiral."""
+    turn = np.pi * (3.0 - np.sqrt(5.0)) * np.arange(number)
+    z = (2.0 * np.arange(number) + 1.0) / number - 1.0
+    flat = np.sqrt(1 - z**2)
+    return np.stack((flat * np.cos(turn), flat * np.sin(turn), z), axis=1)
+
+
+def _smooth(state: State) -> Iterator[tuple[str, FloatArray]]:
+    """Yield bases of smooth functions; coefficients fall with order, so that they are smooth."""
+    span = max(float(np.ptp(state.time)), 1e-9)
+    order = np.arange(1, 9)
+    yield "time", np.cos(np.pi * (state.time - state.time[0])[:, None] / span * order) / order
+    warmth = state.warmth
+    if warmth is not None and np.ptp(warmth) > 0:
+        scaled = (warmth - warmth.min()) / np.ptp(warmth)
+        yield "temperature", np.cos(np.pi * scaled[:, None] * order[:5]) / order[:5]
+    # Of unit length where it shakes, too: powers of 16 g would take the place of any physics.
+    yield "direction of gravity", _harmonics(state.gravity_direction)
+    if state.mat_ns is not None:
+        # A field that is fixed to the room, as the sensor sees it: linear in the attitude.
+        yield "orientation", state.mat_ns.reshape(-1, 9)
+    speed = np.linalg.norm(_scaled_rates(state), axis=1)
+    yield "speed of rotation", np.stack((speed, speed**2, speed**3, np.sqrt(speed)), axis=1)
+
+
+def _history(rows: Rows) -> Iterator[tuple[str, FloatArray]]:
+    """Yield what came before: the direction of gravity in the last poses, and the last turn.
+
+    What has play or sticks remembers the last one, what creeps forgets it slowly. A turn belongs to
+    the rest before it.
+    """
+    rests = np.flatnonzero(rows.is_rest)
+    if len(rests) < 2:
+        return
+    state, segment, number = rows.state, rows.point_segment, len(rows.interval)
+    count = np.maximum(np.bincount(segment, minlength=number), 1)[:, None]
+    up, rate = (
+        np.stack([np.bincount(segment, v, number) for v in signal.T], axis=1) / count
+        for signal in (state.gravity_direction, state.rate)
+    )
+    turn = rate * np.ptp(rows.interval, axis=1)[:, None]
+    turn /= np.maximum(np.linalg.norm(turn, axis=1, keepdims=True), 1.0)
+    pose = np.cumsum(rows.is_rest)[segment] - 1
+    for name, what, last in (
+        ("the pose before", up, rests[:-1]),
+        ("the turn before", turn, rests[1:] - 1),
+    ):
+        # Nothing was before the first rest, and nothing is after the last.
+        before = np.zeros((len(rests) + 1, 3))
+        before[1:-1] = what[last]
+        yield name, before[pose]
+    start = rows.interval[:, 0]
+    for memory in MEMORIES * float(np.median(np.diff(rows.interval[rests].mean(axis=1)))):
+        known = up.copy()
+        for k in range(1, number):
+            kept = np.exp(-(start[k] - start[k - 1]) / memory)
+            known[k] = up[k - 1] + kept * (known[k - 1] - up[k - 1])
+        kept = np.exp(-(state.time - start[segment]) / memory)[:, None]
+        yield "the pose before", up[segment] + kept * (known - up)[segment]
+
+
+def _own_rate(state: State, c: int) -> FloatArray:
+    """Return the basis of smooth functions of the rate about a channel's axis, (n, 7)."""
+    rate = _scaled_rates(state)[:, c % 3]
+    size, square = np.abs(rate), np.square(rate)
+    odd = (rate, size, rate * size, square, square * rate, square**2, np.tanh(5 * rate))
+    return np.stack(odd, axis=1)
+
+
+def _scaled_rates(state: State) -> FloatArray:
+    """Return rates in brisk turns; where one is brisker, in units of that."""
+    return state.rate / max(FAST, float(np.abs(state.rate).max()))
+
+
+def _harmonics(direction: FloatArray) -> FloatArray:
+    """Return products of a direction's components, degrees 1 to 4, falling with degree."""
+    power = np.ones((5, *direction.T.shape))
+    power[1:] = np.cumprod(np.broadcast_to(direction.T, power[1:].shape), axis=0)
+    powers = [
+        (i, j, k)
+        for degree in range(1, 5)
+        for i in range(degree + 1)
+        for j in range(degree + 1 - i)
+        for k in (degree - i - j,)
+    ]
+    each = [power[i, 0] * power[j, 1] * power[k, 2] / (i + j + k) for i, j, k in powers]
+    return np.stack(each, axis=1)

@@ -1,0 +1,284 @@
+"""Evidence for what was left out: closed-form Bayes factors that are e-values.
+
+A hypothesis adds columns ``Z`` (whitened, with all that is fitted projected out, in units of their
+typical size) with coefficients drawn from ``N(0, s²)``, s running over `SCALES`. Against the
+residual y alone its Bayes factor is
+
+    log B(s) = -1/2 log det(I + s² Z'Z) + 1/2 y'Z (I/s² + Z'Z)^-1 Z'y.
+
+Averaged over scales, places and shapes with weights that sum to one it has expectation at most one
+where nothing was left out, so that P(B > 100) < 1 %: the price of all looks is in the weights.
+
+References
+----------
+.. [1] Vovk, Wang, "E-values: calibration, combination and applications", Ann. Statist. 49, 2021.
+.. [2] Liang et al., "Mixtures of g priors for Bayesian variable selection", JASA 103, 2008.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.linalg import lapack
+from scipy.special import log_ndtr
+
+from calib.mismatch.hypotheses.candidates import MANY, Alike, Bank, Candidate, Sums
+from calib.mismatch.hypotheses.columns import LOST, Columns, Seen
+from calib.mismatch.noise.noise import Whitener
+from calib.types import BoolArray, FloatArray, IntArray
+
+PRESENT = 0.6
+"""How far from 1 the coefficient of what is there or not may be: neighbouring cut-off frequencies
+on the grid differ by a factor of 2, and what a low-pass takes away goes with their inverse or its
+square."""
+
+LARGE = 30.0
+"""Size relative to the typical one beyond which a number is hardly physical."""
+
+SCALES = np.append(np.geomspace(0.01, 3.0, 8), [10.0, LARGE, 100.0, 300.0])
+"""Sizes that are tried, relative to the typical one; the last for what is far beyond typical. A
+part may be broken, and what is typical is known to a power of ten: the shape must speak then."""
+
+SHARES = np.append(np.full(8, 0.1175), [0.02, 0.02, 0.01, 0.01])
+"""How probable each of them is."""
+
+_LOG_SHARES = np.log(SHARES)
+
+ALL_AT_ONCE = 8
+"""Columns of candidates up to which these are reduced side by side; of more, one by one."""
+
+
+class Stack:
+    """Columns that candidates share, so that whitening them is one product."""
+
+    def __init__(self, rows: int) -> None:
+        self.columns = Columns(rows)
+        self.candidates: list[Candidate] = []
+        self._banks: list[Bank] = []
+        self._rest = Bank(())
+
+    def extend(self, bank: Bank) -> None:
+        """Add candidates that were sorted before; those that are added one by one come later."""
+        if len(self.candidates) > sum(len(known.candidates) for known in self._banks):
+            raise ValueError("`bank` must be added before single candidates")
+        self._banks.append(bank)
+        self.candidates.extend(bank.candidates)
+
+    @property
+    def banks(self) -> list[Bank]:
+        """All candidates, in their order."""
+        known = sum(len(bank.candidates) for bank in self._banks)
+        if len(self._rest.candidates) != len(self.candidates) - known:
+            self._rest = Bank(self.candidates[known:])
+        return [*self._banks, self._rest]
+
+    @property
+    def weight(self) -> FloatArray:
+        """Logarithm of the prior probability of each candidate."""
+        return np.concatenate([bank.weight for bank in self.banks])
+
+    def groups(self) -> tuple[list[str], IntArray]:
+        """Return the names of the groups, and which of them each candidate belongs to."""
+        known: dict[str, int] = {}
+        code = []
+        for bank in self.banks:
+            number = np.array([known.setdefault(g, len(known)) for g in bank.groups], np.int64)
+            code.append(number[bank.group])
+        return list(known), np.concatenate(code)
+
+    def of_channels(self, channels: tuple[str, ...], *, physical: bool) -> BoolArray:
+        """Return which candidates are those of some channels, and physics or not."""
+        own = []
+        for bank in self.banks:
+            number = bank.channels.index(channels) if channels in bank.channels else -1
+            own.append((bank.channel == number) & (bank.physical == physical))
+        return np.concatenate(own)
+
+    def of(self, candidate: Candidate) -> FloatArray:
+        """Return the (m, k) columns of one candidate."""
+        own = self.columns.take(candidate.index)
+        if candidate.mixing is not None:
+            return np.asarray(own @ candidate.mixing)
+        return own.sum(axis=1, keepdims=True) if candidate.summed else own
+
+    def log_bayes_factors(
+        self, whitener: Whitener, y: FloatArray, *, which: BoolArray | None = None
+    ) -> FloatArray:
+        """Return log B of every candidate, averaged over `SCALES`.
+
+        Parameters
+        ----------
+        whitener : Whitener
+            With all that is fitted projected out. A column that keeps less than 1e-8 of its power
+            there cannot be told from what is fitted, and counts as nothing.
+        y : (m,) array
+            Whitened projected residual.
+        which : array of bool, optional
+            The candidates to score; the others get -inf.
+        """
+        which = np.ones(len(self.candidates), bool) if which is None else which
+        out = np.full(len(which), -np.inf)
+        at, makes = 0, []
+        for bank in self.banks:
+            mine = slice(at, at + len(bank.candidates))
+            makes += [(out[mine], make) for make in bank.made(which[mine])]
+            at = mine.stop
+        used = np.unique(np.concatenate([make.columns for _, make in makes]))
+        place = np.zeros(len(self.columns), np.int64)
+        place[used] = np.arange(len(used))
+        seen = self.columns.project(whitener, y, used)
+        gram: tuple[IntArray, FloatArray] = np.zeros(0, np.int64), np.zeros((0, 0))
+        mixed: dict[int, list[tuple[FloatArray, IntArray, FloatArray, FloatArray]]] = {}
+        for values, make in makes:
+            columns = place[make.columns]
+            if isinstance(make, Sums):
+                values[make.which] = _sums(make, seen, columns)
+            elif make.mixing is not None:
+                if gram[0] is not make.columns:
+                    gram = make.columns, seen.gram(columns)
+                alike = mixed.setdefault(make.mixing.shape[2], [])
+                alike.append((values, make.which, *_mixed(make, gram[1], seen.match[columns])))
+            else:
+                values[make.which] = _several(make, seen, columns)
+        for alike in mixed.values():
+            # Many at once: a few of them cost as much in calls as in numbers.
+            found = log_bayes_factors(*map(np.concatenate, list(zip(*alike, strict=True))[2:]))
+            ends = np.cumsum([len(own) for _, own, *_ in alike])[:-1]
+            for (values, own, *_), part in zip(alike, np.split(found, ends), strict=True):
+                values[own] = part
+        return out
+
+    def average(self, whitener: Whitener, y: FloatArray) -> float:
+        """Return log B of all candidates as one, each as probable as any other."""
+        return float(_average(self.log_bayes_factors(whitener, y))) - float(
+            np.log(len(self.candidates))
+        )
+
+
+def _several(make: Alike, seen: Seen, columns: IntArray) -> FloatArray:
+    """Return log B of candidates that have a coefficient for each of their columns."""
+    own = columns[make.index]
+    match = seen.match[own]
+    if own.shape[1] > 1:
+        return log_bayes_factors(np.stack([seen.gram(each) for each in own]), match)
+    power = seen.power[own[:, 0]]
+    return np.where(make.present, present_factors(power, match[:, 0]), _single(power, match[:, 0]))
+
+
+def _sums(make: Sums, seen: Seen, columns: IntArray) -> FloatArray:
+    """Return log B of candidates that are sums of columns."""
+    inner = make.pick @ seen.gram(columns)
+    power = np.asarray(make.pick.multiply(inner).sum(axis=1)).ravel()
+    lost = power < LOST * (make.pick @ seen.total[columns])
+    along = make.pick @ seen.match[columns]
+    return _single(np.where(lost, 0.0, power), np.where(lost, 0.0, along))
+
+
+def _mixed(make: Alike, gram: FloatArray, match: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return Gram matrices and matches of candidates that mix columns, from those of these."""
+    assert make.mixing is not None
+    mixing, index = make.mixing, make.index
+    n, k, r = mixing.shape
+    inner, along = np.empty((n, r, r)), match[index][:, None] @ mixing
+    both = np.empty((MANY, k, r))
+    for first, last, runs in make.parts:
+        for start, stop in runs:
+            # A window's columns lie side by side: no copy. And all at once: a product with each
+            # alone would be one with a few columns.
+            own = index[start]
+            side = slice(own[0], own[-1] + 1)
+            part = gram[side, side] if own[-1] - own[0] == k - 1 else gram[np.ix_(own, own)]
+            if stop - start == 1:
+                np.matmul(part, mixing[start], out=both[start - first])
+                continue
+            flat = mixing[start:stop].transpose(1, 0, 2).reshape(k, -1)
+            found = (part @ flat).reshape(k, stop - start, r)
+            both[start - first : stop - first] = found.transpose(1, 0, 2)
+        np.matmul(
+            mixing[first:last].transpose(0, 2, 1), both[: last - first], out=inner[first:last]
+        )
+    return inner, along[:, 0]
+
+
+def _single(power: FloatArray, along: FloatArray) -> FloatArray:
+    """Return log B of single columns, from their power and their match with the residual."""
+    strength = np.square(SCALES)[:, None] * power
+    gain = 0.5 * np.square(along) / np.maximum(power, 1e-300) * strength / (1 + strength)
+    return _average(gain - 0.5 * np.log1p(strength) + _LOG_SHARES[:, None])
+
+
+def log_bayes_factor(columns: FloatArray, y: FloatArray) -> float:
+    """Return log B of one hypothesis, its whitened projected columns given."""
+    return float(log_bayes_factors((columns.T @ columns)[None], (y @ columns)[None])[0])
+
+
+def present_factors(power: FloatArray, along: FloatArray) -> FloatArray:
+    """Return log B of single columns with a positive coefficient from ``N(1, PRESENT²)``."""
+    strength = PRESENT**2 * power
+    more = along - power
+    gain: FloatArray = along - 0.5 * power + 0.5 * PRESENT**2 * np.square(more) / (1 + strength)
+    mean = 1.0 + PRESENT**2 * more / (1 + strength)
+    positive = log_ndtr(mean * np.sqrt(1 + strength) / PRESENT) - log_ndtr(1.0 / PRESENT)
+    return np.where(power > 0, gain - 0.5 * np.log1p(strength) + positive, 0.0)
+
+
+def log_bayes_factors(gram: FloatArray, match: FloatArray) -> FloatArray:
+    """Return log B of n hypotheses with Gram matrices (n, k, k) and matches (n, k).
+
+    In a basis that begins with the match and has a tridiagonal Gram matrix T, only the corner of
+    the inverse of ``I + s² T`` counts, which elimination from the other end gives with the
+    determinant, for all scales at once.
+    """
+    diagonal, beside = _tridiagonal(gram, match)
+    square = np.square(SCALES)[:, None]
+    # What is left of a pivot is never below one: the rest is rounding.
+    pivot = np.maximum(1.0 + square * diagonal[-1], 1.0)
+    log_det = np.log(pivot)
+    for d, b in zip(diagonal[-2::-1], beside[:0:-1], strict=True):
+        pivot = np.maximum(1.0 + square * (d - square * (np.square(b) / pivot)), 1.0)
+        log_det += np.log(pivot)
+    gain = square * (np.square(beside[0]) / pivot)
+    return _average(0.5 * (gain - log_det) + _LOG_SHARES[:, None])
+
+
+def _tridiagonal(gram: FloatArray, match: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return n Gram matrices as tridiagonal ones: their diagonals and what is beside, (k, n) each.
+
+    The first of what is beside is the length of the match, which lies along the first direction:
+    Householder's reduction of a matrix that has the match as its first row leaves that row alone.
+    """
+    n, k = match.shape
+    left = np.zeros((n, k + 1, k + 1))
+    left[:, 0, 1:] = left[:, 1:, 0] = match
+    left[:, 1:, 1:] = gram
+    diagonal, beside = np.empty((k + 1, n)), np.empty((k, n))
+    if k > ALL_AT_ONCE:
+        for i, one in enumerate(left):
+            _, diagonal[:, i], beside[:, i], _, _ = lapack.dsytrd(one.T, lower=1, overwrite_a=1)
+        return diagonal[1:], beside
+    for j in range(k):
+        diagonal[j], first, left = left[:, 0, 0], left[:, 1:, 0], left[:, 1:, 1:]
+        beside[j] = size = np.sqrt(np.einsum("ni,ni->n", first, first))
+        if j < k - 1:
+            mirror = first.copy()
+            mirror[:, 0] += np.copysign(size, first[:, 0])
+            square = np.einsum("ni,ni->n", mirror, mirror)
+            mirror *= np.sqrt(2.0 / np.where(square > 0, square, 1.0))[:, None]
+            along = np.einsum("nij,nj->ni", left, mirror)
+            along -= 0.5 * np.einsum("ni,ni->n", along, mirror)[:, None] * mirror
+            change = mirror[:, :, None] * along[:, None, :]
+            left -= change + np.swapaxes(change, 1, 2)
+    diagonal[k] = left[:, 0, 0]
+    return diagonal[1:], beside
+
+
+def average_of_scales(log_factors: FloatArray) -> FloatArray:
+    """Return log B over all `SCALES`, from its values (n, ...) at each."""
+    shares = _LOG_SHARES.reshape(-1, *[1] * (log_factors.ndim - 1))
+    return _average(log_factors + shares)
+
+
+def _average(log_factors: FloatArray) -> FloatArray:
+    """Return the logarithm of the sum over the first axis of factors that hold their shares."""
+    top = log_factors.max(axis=0)
+    mean: FloatArray = top + np.log(np.exp(log_factors - top).sum(axis=0))
+    return mean

@@ -1,0 +1,276 @@
+"""Windows of a recording, and what may be wrong in one: a bias, a gain, a fluctuation or a wave."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import sparse
+
+from calib.effects import effects
+from calib.effects.base import State
+from calib.mismatch.hypotheses.candidates import Candidate
+from calib.mismatch.rows.rows import Rows
+from calib.recording import CHANNELS
+from calib.types import FloatArray, IntArray
+
+FAST = 3.0
+"""A brisk turn by hand, rad/s: what rates are scaled by."""
+
+WINDOWED = ("bias in a window", "gain in a window", "fluctuation in a window", "wave in a window")
+"""Rivals that are functions of time (or a gain) in a window, whose ends can be moved."""
+
+THROUGHOUT = "wave throughout"
+"""A rival that is a wave in time, from the first segment to the last."""
+
+FLUCTUATION = 4
+"""Segments in a window of fluctuation, fewest."""
+
+CORNERS = {2.0: (1, 32), 6.0: (2, 32)}
+"""Half periods in a window above which a fluctuation is weaker (slow swings, and jumps), and how
+many cosines it then has for each segment, and at most. With fewer than there are segments it cannot
+jump from one to the next, however weak the fast ones are."""
+
+APART, MOST_APART = {"apart": 1.0}, 32
+"""What has its own value in each segment of a window, and in how many at most: a contact that every
+turn makes anew."""
+
+MIDDLE = {6.0: (1, 16)}
+"""The same for what a triad has, where three times the columns make every hypothesis dear."""
+
+MOST_ORDERS = 64
+"""Cosines that a moved window has at most, twice as many as on the grid: a window that comes to
+hold a rest of hours would have thousands, of which the rows of a few segments know nothing."""
+
+WAVES = 6
+"""Segments in a window with a wave, fewest: a wave has a mean, an amplitude and a phase."""
+
+CYCLES = 12.0
+"""Periods of a wave within a window, at most; and never less than four segments to a period."""
+
+SHORTEST_WAVE = 2.0
+"""Segments to a period of a wave throughout the recording, at least: each has a rest and a turn."""
+
+SLOTS = (3, 2)
+"""Parts of a rest and of a turn that a function of time in a window is constant in. A mean and two
+contrasts are all that the rows know of a rest."""
+
+MOST_SLOTS = 240
+"""Where there are more parts, functions of time are constant in each segment."""
+
+ROOM = 1.22
+"""Half the ratio, in its logarithm, of one length of window to the next."""
+
+NEARBY = 5
+"""Windows near one of the grid that are tried, for each of their ends, about."""
+
+
+def typical_size(triad: str) -> float:
+    """Return the size of an unknown disturbance: the median over the catalogue's bias steps."""
+    known = effects().get(f"{triad}_bias_step")
+    if known is not None:
+        return float(known.parameters[0].typical)
+    return 0.02 if triad == "accel" else float(np.radians(0.05))
+
+
+@dataclass(frozen=True, eq=False)
+class Slots:
+    """Parts of segments: which points (n, k) are in each, their middles, each segment's first."""
+
+    member: sparse.csr_matrix
+    middle: FloatArray
+    first: IntArray
+
+
+def make_slots(rows: Rows, *, coarse: bool = False) -> Slots:
+    """Cut segments into what a function of time in a window is constant in; one each if coarse."""
+    each = np.where(rows.is_rest, *SLOTS)
+    if coarse or each.sum() > MOST_SLOTS or not rows.is_rest.any():
+        each = np.ones_like(each)
+    first = np.concatenate(([0], np.cumsum(each)))
+    segment = rows.point_segment
+    start, stop = rows.interval[segment].T
+    part = (rows.state.time - start) / np.maximum(stop - start, 1e-9) * each[segment]
+    slot = first[segment] + np.clip(part.astype(np.int64), 0, each[segment] - 1)
+    member = sparse.csr_matrix(
+        (np.ones(len(slot)), (np.arange(len(slot)), slot)), shape=(len(slot), first[-1])
+    )
+    share = (np.arange(first[-1]) - np.repeat(first[:-1], each) + 0.5) / np.repeat(each, each)
+    start, stop = np.repeat(rows.interval, each, axis=0).T
+    return Slots(member, start + share * (stop - start), first)
+
+
+@dataclass(frozen=True, eq=False)
+class Local:
+    """A hypothesis about a window that holds for any channel: the slots that it mixes, and how."""
+
+    name: str
+    window: tuple[int, int]
+    interval: tuple[float, float]
+    shape: Mapping[str, float]
+    mixing: FloatArray | None
+
+
+def is_step(item: Local, segments: int) -> bool:
+    """Whether it is a bias in a window that is open at one end."""
+    ends = item.window[0] == 0 or item.window[1] == segments
+    return item.name == "bias in a window" and ends
+
+
+def in_windows(
+    interval: FloatArray,
+    middle: FloatArray,
+    first: IntArray,
+    corners: Mapping[float, tuple[int, int]],
+) -> Iterator[Local]:
+    """Yield what each window of segments (s, 2) may hold, with slots as `Slots` has them."""
+    for a, b in windows(len(interval)):
+        start, stop = float(interval[a, 0]), float(interval[b - 1, 1])
+        time = middle[first[a] : first[b]]
+        yield Local("bias in a window", (a, b), (start, stop), {}, None)
+        yield Local("gain in a window", (a, b), (start, stop), {}, None)
+        if FLUCTUATION <= b - a <= MOST_APART:
+            own = np.repeat(np.eye(b - a), np.diff(first[a : b + 1]), axis=0)
+            yield Local("fluctuation in a window", (a, b), (start, stop), dict(APART), own)
+        shapes: list[tuple[str, dict[str, float]]] = []
+        if b - a >= FLUCTUATION:
+            for corner, (each, most) in corners.items():
+                order = float(min(each * (b - a), most))
+                shapes.append(("fluctuation", {"order": order, "corner": corner}))
+        if b - a >= WAVES:
+            cycles = np.arange(0.5, min(CYCLES, (b - a) / 4) + 0.25, 0.5)
+            shapes += [("wave", {"period": (stop - start) / k}) for k in cycles]
+        for kind, shape in shapes:
+            name = f"{kind} in a window"
+            mixing = _function(shape, time, start, stop)
+            yield Local(name, (a, b), (start, stop), shape, mixing)
+
+
+def _function(
+    shape: Mapping[str, float], time: FloatArray, start: float, stop: float
+) -> FloatArray:
+    """Return the (n, k) functions of time that a window from `start` to `stop` holds."""
+    since = time - start
+    if "period" in shape:
+        phase = 2 * np.pi * since / shape["period"]
+        return np.stack((np.ones(len(time)), np.cos(phase), np.sin(phase)), axis=1)
+    if "order" in shape:
+        order = np.arange(int(shape["order"]))
+        size = 1.0 / np.sqrt(1.0 + np.square(order / shape["corner"]))
+        size[1:] *= np.sqrt(2.0 / np.square(size[1:]).sum())
+        # What disturbs seldom does so as much upwards as downwards: pulses have a sign.
+        return np.asarray(np.cos(np.pi * since[:, None] / (stop - start) * order) * size)
+    return np.ones((len(time), 1))
+
+
+def moved_window(candidate: Candidate, start: float, stop: float) -> Candidate:
+    """Return what a candidate says of a window for another one, as fast in seconds as it was."""
+    assert candidate.interval is not None
+    shape = dict(candidate.shape)
+    if "order" in shape:
+        ratio = (stop - start) / max(candidate.interval[1] - candidate.interval[0], 1e-9)
+        shape["order"] = float(np.clip(round(shape["order"] * ratio), 2, MOST_ORDERS))
+        shape["corner"] *= ratio
+    return replace(candidate, interval=(start, stop), shape=shape)
+
+
+def window_columns(rows: Rows, candidate: Candidate) -> FloatArray:
+    """Return the (m, k) columns of what a candidate says of its window, to the very ends."""
+    assert candidate.interval is not None
+    start, stop = candidate.interval
+    if "apart" in candidate.shape:
+        inside = (rows.interval[:, 0] < stop) & (rows.interval[:, 1] > start)
+        parts = segment_columns(rows, replace(candidate, shape={}))[:, inside]
+        return np.asarray(parts.reshape(len(parts), -1))
+    state, size = rows.state, typical_size(candidate.channels[0].split(".")[0])
+    inside = (state.time >= start) & (state.time <= stop)
+    shape = size * inside[:, None] * _function(candidate.shape, state.time, start, stop)
+    out = []
+    for c in map(CHANNELS.index, candidate.channels):
+        own = own_signal(state, c)[:, None] if candidate.name == "gain in a window" else 1.0
+        out.append(rows.columns(c, shape * own))
+    return np.asarray(sum(out)) if _is_one(candidate) else np.hstack(out)
+
+
+def _is_one(candidate: Candidate) -> bool:
+    """Whether the channels share one size: the gain of a triad is that of its reference."""
+    return candidate.name == "gain in a window"
+
+
+def fluctuating(candidate: Candidate, start: float, stop: float, *, segments: int) -> Candidate:
+    """Return a fluctuation in a window of so many segments, on a candidate's channels."""
+    corners = CORNERS if len(candidate.channels) == 1 else MIDDLE
+    corner, (each, most) = list(corners.items())[-1]
+    shape = {"order": float(max(min(each * segments, most), 2)), "corner": corner}
+    return replace(candidate, name="fluctuation in a window", interval=(start, stop), shape=shape)
+
+
+def slot_columns(rows: Rows, slots: Slots, channels: tuple[str, ...]) -> FloatArray:
+    """Return the (m, n, c) columns of a disturbance in each slot, on each of some channels."""
+    out = []
+    for name in channels:
+        seen = rows.functional[CHANNELS.index(name)] @ slots.member
+        out.append(typical_size(name.split(".")[0]) * seen.toarray())
+    return np.stack(out, axis=2)
+
+
+def segment_columns(rows: Rows, candidate: Candidate) -> FloatArray:
+    """Return the (m, s, k) columns of what a candidate says of a window, in each segment alone."""
+    assert candidate.interval is not None
+    state, size = rows.state, typical_size(candidate.channels[0].split(".")[0])
+    shape = size * _function(candidate.shape, state.time, *candidate.interval)
+    points = np.arange(len(state.time))
+    found = []
+    for c in map(CHANNELS.index, candidate.channels):
+        own = own_signal(state, c)[:, None] if candidate.name == "gain in a window" else 1.0
+        out = []
+        for values in (shape * own).T:
+            member = sparse.csr_matrix(
+                (values, (points, rows.point_segment)), shape=(len(points), len(rows.interval))
+            )
+            out.append((rows.functional[c] @ member).toarray())
+        found.append(np.stack(out, axis=2))
+    return np.asarray(sum(found)) if _is_one(candidate) else np.concatenate(found, axis=2)
+
+
+def throughout(
+    interval: FloatArray, middle: FloatArray
+) -> Iterator[tuple[dict[str, float], FloatArray]]:
+    """Yield waves that a whole recording may have: their shape, and what each slot has of them."""
+    start, stop = float(interval[0, 0]), float(interval[-1, 1])
+    for cycles in np.arange(1.0, len(interval) / SHORTEST_WAVE + 0.25, 0.5):
+        shape = {"period": (stop - start) / cycles}
+        yield shape, _function(shape, middle, start, stop)
+
+
+def own_signal(state: State, c: int) -> FloatArray:
+    """Return a channel's own signal (n,), in g or brisk turns."""
+    return state.force[:, c] / state.gravity if c < 3 else state.rate[:, c - 3] / FAST
+
+
+def nearby_windows(rows: Rows, candidate: Candidate) -> Iterator[tuple[float, float]]:
+    """Yield the windows, to the segment, that are nearer to a candidate's than to others tried."""
+    if candidate.interval is None:
+        return
+    start, stop = candidate.interval
+    a = int(np.searchsorted(rows.interval[:, 0], start - 1e-9))
+    length = int(np.searchsorted(rows.interval[:, 1], stop - 1e-9)) + 1 - a
+    reach = max(1, length // 4) // 2
+    shortest, longest = int(np.ceil(length / ROOM)), int(length * ROOM)
+    low, high = 0, len(rows.interval)
+    if candidate.name == "bias in a window":
+        # Open at one end it would be a step, which has a name.
+        low, high = 1, high - 1
+    for first in range(a - reach, a + reach + 1, max(1, (2 * reach + 1) // NEARBY)):
+        for size in range(shortest, longest + 1, max(1, (longest - shortest + 1) // NEARBY)):
+            if first >= low and first + size <= high:
+                yield float(rows.interval[first, 0]), float(rows.interval[first + size - 1, 1])
+
+
+def windows(segments: int) -> Iterator[tuple[int, int]]:
+    """Yield ``[a, b)`` of 1, 2, 3, 4, 6, 8, 12 ... segments, at every quarter of their length."""
+    lengths = {1} | {n << k for n in (2, 3) for k in range(segments.bit_length())}
+    for length in sorted(n for n in lengths if n <= max(segments // 2, 1)):
+        for a in range(0, segments - length + 1, max(1, length // 4)):
+            yield a, a + length

@@ -1,0 +1,67 @@
+"""The noise of contrasts within rests and windows, which no drift couples."""
+
+from __future__ import annotations
+
+from itertools import product
+
+import numpy as np
+
+from calib.mismatch.noise.noise import typical
+from calib.mismatch.rows.rows import Rows
+from calib.types import BoolArray, FloatArray
+
+
+def contrast_variance(rows: Rows, *, apart: BoolArray | None = None) -> FloatArray:
+    """Return the variance of the contrast rows: white noise times one robust factor a channel.
+
+    Restless segments have a factor of their own, each. Rows that are marked in ``apart``, by number
+    of contrast, hold more than noise: their channel's factor is that of the others.
+
+    Drift within a rest and correlated noise lift it above white noise. What repeats in every rest
+    or goes with time (an effect) is taken out first.
+    """
+    variance = rows.white_diagonal.copy()
+    start = rows.n_dense
+    y, channel = rows.residual[start:], rows.channel[start:]
+    time = rows.interval[rows.segment[start:]].mean(axis=1)
+    order = (
+        np.tile(np.repeat([0, 1], 6), len(y) // 12) if len(y) % 12 == 0 else np.zeros(len(y), int)
+    )
+    restless = rows.restless[start:] if rows.restless.size else np.zeros(len(y), bool)
+    for c, moved in product(range(6), (False, True)):
+        mine = (channel == c) & (restless == moved)
+        squares = []
+        for k in (0, 1):
+            own = np.flatnonzero(mine & (order == k))
+            if apart is not None and (~apart[own]).sum() >= 5:
+                own = own[~apart[own]]
+            if len(own) < 5:
+                continue
+            scaled = y[own] / np.sqrt(variance[own])
+            design = np.stack((np.ones(len(own)), (time[own] - time[own].mean())), axis=1)
+            left = scaled - design @ np.linalg.lstsq(design, scaled, rcond=None)[0]
+            squares.append(np.square(left) * len(own) / (len(own) - 2))
+        if not squares:
+            continue
+        values = np.concatenate(squares)
+        level = typical(values)
+        level = max(level, float(np.minimum(values, 9.0 * max(level, 1e-12)).mean()))
+        variance[mine] *= _inflation(len(values) * level, len(values))
+        if not moved:
+            continue
+        # A knock or a slip errs by far more than shaking does elsewhere.
+        for s in np.unique(rows.segment[start:][mine]):
+            own = mine & (rows.segment[start:] == s)
+            variance[own] *= _inflation(float(np.square(y[own]) @ (1 / variance[own])), own.sum())
+    return variance
+
+
+def contrast_likelihood(rows: Rows, variance: FloatArray) -> float:
+    """Return the log-likelihood of the contrast rows as noise of this variance."""
+    y = rows.residual[rows.n_dense :]
+    return float(-0.5 * (np.log(variance) + np.square(y) / variance).sum())
+
+
+def _inflation(total: float, count: int) -> float:
+    """Return a factor on variance from a sum of squares, shrunk to 1 as by six more; at least 1."""
+    return max(1.0, (total + 6.0) / (count + 6.0))

@@ -1,0 +1,329 @@
+"""The noise model: white noise, jitter and random walk of each bias, the closures' own errors.
+
+Their levels are estimated by restricted maximum likelihood: the likelihood of what no column of
+the mean can reach. With the columns of every effect in the mean, an effect cannot hide as drift.
+
+References
+----------
+.. [1] Patterson, Thompson, "Recovery of inter-block information when block sizes are unequal",
+   Biometrika 58, 1971, p. 545 (restricted likelihood).
+.. [2] Gilmour, Thompson, Cullis, "Average information REML", Biometrics 51, 1995, p. 1440, eq. (7).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import linalg
+
+from calib.mismatch.rows.arrow import Factor
+from calib.mismatch.rows.rows import UNKNOWN, Rows
+from calib.types import FloatArray, IntArray
+
+WITHIN = 0.7
+"""How much levels of one group differ among each other: standard deviation of the logarithm of a
+level (a variance)."""
+
+INDEPENDENT = 1e-5
+"""Share of a column's length that those before it must leave for it to be clearly independent."""
+
+ROUNDING = 1e-12
+"""Products of unit vectors up to which these are orthogonal."""
+
+
+@dataclass(frozen=True, eq=False)
+class Levels:
+    """Levels of the components, and the penalised restricted log-likelihood that they reach.
+
+    ``log_share`` is the logarithm of the share of the prior that reaches about as much: the
+    likelihood averaged over the prior is the product of both (Laplace's method). It is 0 for levels
+    that the rows say nothing of, and the lower, the more closely they determine them.
+    """
+
+    values: FloatArray
+    log_likelihood: float
+    log_share: float
+
+
+def covariance(rows: Rows, levels: FloatArray) -> FloatArray:
+    """Return the covariance of the dense rows."""
+    out = rows.white.copy()
+    for level, c in zip(levels, rows.components, strict=True):
+        out[np.ix_(c.index, c.index)] += level * c.matrix
+    return out
+
+
+def expected_levels(rows: Rows) -> FloatArray:
+    """Return the levels that the priors are centred on."""
+    return np.array([c.expected for c in rows.components])
+
+
+def prior_precision(rows: Rows) -> FloatArray:
+    """Return the precision of the logarithms of the levels.
+
+    Each is uncertain by its ``spread``; components of one group (the drift of one triad) share most
+    of that, and differ among each other by `WITHIN` only.
+    """
+    spread = np.array([c.spread for c in rows.components])
+    group = np.array([c.group for c in rows.components])
+    same = (group[:, None] == group) & (group != "")
+    shared = np.where(same, np.outer(spread, spread) - WITHIN**2, 0.0)
+    own = np.where(group != "", WITHIN**2, np.square(spread))
+    return np.asarray(np.linalg.inv(shared + np.diag(own)))
+
+
+def estimate_levels(
+    rows: Rows, mean: FloatArray, start: FloatArray, *, iterations: int = 15
+) -> Levels:
+    """Estimate the levels by penalised average-information REML.
+
+    Parameters
+    ----------
+    rows : Rows
+    mean : (n_dense, p) array
+        Columns of the mean; any rank.
+    start : (c,) array
+        Levels to start from.
+    """
+    y = rows.residual[: rows.n_dense]
+    centre = np.log(expected_levels(rows))
+    precision = prior_precision(rows)
+    basis = range_basis(mean)
+    logs = np.log(start)
+    best: tuple[float, FloatArray] | None = None
+    halved, caution, log_share = 0, 0.1, 0.0
+    for _ in range(iterations):
+        levels = np.exp(logs)
+        factor = rows.arrow.factorise(levels)
+        likelihood, white, left = _restricted(factor, basis, y)
+        value = likelihood - 0.5 * float((logs - centre) @ precision @ (logs - centre))
+        if best is not None and value < best[0] - 1e-6:
+            # Too long a step: go back half way.
+            halved, caution = halved + 1, 0.1
+            if halved > 4:
+                break
+            logs = 0.5 * (logs + best[1])
+            continue
+        gain = np.inf if best is None else value - best[0]
+        best = (value, logs)
+        if gain < 0.02:
+            break
+        py, trace, vpy = rows.arrow.slopes(factor, white, left)
+        trace, vpy = trace * levels, vpy * levels
+        gradient = 0.5 * (vpy.T @ py - trace) - precision @ (logs - centre)
+        information = _information(factor, white, vpy) + precision
+        log_share = -0.5 * float(np.linalg.slogdet(np.linalg.solve(precision, information))[1])
+        # Average information is poor far from the optimum; near it, caution only costs steps.
+        information += np.diag(caution * np.abs(trace))
+        caution *= 0.3
+        step = np.linalg.solve(information, gradient)
+        logs = logs + np.clip(step, -2.0, 2.0)
+    assert best is not None
+    return Levels(np.exp(best[1]), best[0], log_share)
+
+
+def _information(factor: Factor, white: FloatArray, vpy: FloatArray) -> FloatArray:
+    """Return the average information ``(V_i P y)' P (V_j P y) / 2``, (c, c)."""
+    pulled = factor.solve(vpy)
+    kept = white.T @ pulled
+    return np.asarray(0.5 * (pulled.T @ pulled - kept.T @ kept))
+
+
+def spread_of_variance(
+    rows: Rows,
+    mean: FloatArray,
+    levels: FloatArray,
+    influence: FloatArray,
+    variance: FloatArray,
+) -> FloatArray:
+    """Return how uncertain variances are: the standard deviation of the logarithm of each.
+
+    An estimate ``a' y`` has the variance ``v = a' V a``, in which the levels of V are estimates
+    themselves. With W the precision of their logarithms and ``g_i = level_i a' V_i a``, log v has
+    the variance ``g' inv(W) g / v²``.
+
+    Parameters
+    ----------
+    rows : Rows
+    mean : (n_dense, p) array
+        Columns of the mean beside which the levels were estimated.
+    levels : (c,) array
+        Their estimates.
+    influence : (n_dense, k) array
+        One a in each column, as far as it weighs rows with levels.
+    variance : (k,) array
+        What each v is.
+
+    References
+    ----------
+    .. [1] Giesbrecht, Burns, "Two-stage analysis based on a mixed model: large-sample asymptotic
+       theory and small-sample simulation results", Biometrics 41, 1985, p. 477.
+    """
+    factor = rows.arrow.factorise(levels)
+    _, white, left = _restricted(factor, range_basis(mean), rows.residual[: rows.n_dense])
+    vpy = rows.arrow.slopes(factor, white, left)[2] * levels
+    precision = _information(factor, white, vpy) + prior_precision(rows)
+    slopes = np.empty((len(levels), influence.shape[1]))
+    for i, c in enumerate(rows.components):
+        felt = c.response.T @ influence[c.index]
+        slopes[i] = levels[i] * np.einsum("sk,sk->k", felt, c.kernel @ felt)
+    # Beside priors a variance is less than its parts would make: they are shares of it.
+    share = slopes / np.maximum(np.maximum(variance, slopes.sum(axis=0)), 1e-300)
+    spread = np.einsum("ik,ik->k", share, np.linalg.solve(precision, share))
+    return np.asarray(np.sqrt(np.maximum(spread, 0.0)))
+
+
+def find_levels(rows: Rows, mean: FloatArray, start: FloatArray) -> Levels:
+    """Estimate the levels from `start` and from closures that explain themselves; keep the better.
+
+    The likelihood has two maxima where turns close badly (shocks, a coarse clock): closures with
+    errors of their own, or drift that is far too large for the rests. From levels that expect good
+    closures only the second is reached. Where white noise is most of what closures err, there is
+    one.
+    """
+    above = expected_levels(rows)
+    square = np.square(rows.residual[: rows.n_dense])
+    white = np.diag(rows.white)
+    worst = 0.0
+    for i, component in enumerate(rows.components):
+        if component.group or component.spread < UNKNOWN:
+            continue  # of these more is known beforehand
+        size = component.variance
+        own = size > 0
+        if own.any():
+            index = component.index[own]
+            above[i] = max(above[i], typical(square[index] / size[own]))
+            worst = max(worst, typical(square[index] / white[index]))
+    alone = worst < 2.0 or np.array_equal(start, above)
+    found = [estimate_levels(rows, mean, at) for at in ([start] if alone else [start, above])]
+    return max(found, key=lambda levels: levels.log_likelihood)
+
+
+def typical(squares: FloatArray) -> float:
+    """Return the variance of normal errors by the median of their squares."""
+    # The median of chi-squared with one degree of freedom is 0.4549.
+    return float(np.median(squares)) / 0.4549
+
+
+def range_basis(mean: FloatArray, *, tolerance: float = 1e-9) -> FloatArray:
+    """Return independent columns with the span of `mean`, scaled to unit length."""
+    size = np.linalg.norm(mean, axis=0)
+    scaled = mean[:, size > 0] / size[size > 0]
+    if not scaled.size:
+        return np.asarray(scaled)
+    plain = _orthonormal(scaled)
+    if plain is not None:
+        return plain
+    q, r, _ = linalg.qr(scaled, mode="economic", pivoting=True)
+    rank = int((np.abs(np.diag(r)) > tolerance * abs(r[0, 0])).sum())
+    return np.asarray(q[:, :rank])
+
+
+def _orthonormal(scaled: FloatArray) -> FloatArray | None:
+    """Return an orthonormal basis of clearly independent columns; None of others.
+
+    Cholesky QR, twice if need be: the second makes up for the rounding of the first, which squares
+    how nearly dependent the columns are [1]_. It is products alone, many times faster than
+    pivoting.
+
+    References
+    ----------
+    .. [1] Yamamoto, Nakatsukasa, Yanagisawa, Fukaya, "Roundoff error analysis of the CholeskyQR2
+       algorithm", ETNA 44, 2015, p. 306.
+    """
+    q = scaled
+    for most in (np.inf, 0.1):
+        gram = q.T @ q
+        off = np.abs(gram - np.eye(len(gram))).max()
+        if off < ROUNDING:
+            return q
+        if off > most:
+            return None
+        try:
+            inner = linalg.cholesky(gram, lower=True, check_finite=False)
+        except linalg.LinAlgError:
+            return None
+        if np.diag(inner).min() < INDEPENDENT:
+            return None
+        q = np.ascontiguousarray(linalg.blas.dtrsm(1.0, inner, q.T, lower=1).T)
+    return q
+
+
+def _restricted(
+    factor: Factor, basis: FloatArray, y: FloatArray
+) -> tuple[float, FloatArray, FloatArray]:
+    """Return the restricted log-likelihood, the whitened mean (orthonormal), and what it leaves."""
+    mean, left = factor.solve(basis), factor.solve(y)
+    log_det = factor.log_det
+    if basis.size:
+        inner = linalg.cholesky(mean.T @ mean, lower=True, check_finite=False)
+        mean = linalg.blas.dtrsm(1.0, inner, mean.T, lower=1, overwrite_b=1).T
+        left = left - mean @ (mean.T @ left)
+        log_det += 2 * np.log(np.diag(inner)).sum()
+    return float(-0.5 * (log_det + left @ left)), mean, left
+
+
+@dataclass(frozen=True, eq=False)
+class Whitener:
+    """Whitens rows and projects out what is always fitted (baseline and nuisances)."""
+
+    factor: Factor
+    scale: FloatArray
+    basis: FloatArray
+    n_dense: int
+
+    def whiten(self, values: FloatArray) -> FloatArray:
+        """Return whitened (m, ...) rows."""
+        rest = values[self.n_dense :]
+        rest = rest / (self.scale if rest.ndim == 1 else self.scale[:, None])
+        return np.concatenate((self.factor.solve(values[: self.n_dense]), rest))
+
+    def unwhiten_transposed(self, values: FloatArray) -> FloatArray:
+        """Return the transposed whitening applied to (m, k) rows: ``inv(L)' values``."""
+        first = self.factor.solve_transposed(values[: self.n_dense])
+        return np.concatenate((first, values[self.n_dense :] / self.scale[:, None]))
+
+    def restricted(self, rows: IntArray) -> Whitener:
+        """Return the whitener of values that are zero but on some rows, of which it takes those.
+
+        They are those of turns and of whole channels, in their order.
+        """
+        dense = int(np.searchsorted(rows, self.n_dense))
+        factor = self.factor.restricted(rows[:dense])
+        return Whitener(factor, self.scale[rows[dense:] - self.n_dense], self.basis[rows], dense)
+
+    def project(self, values: FloatArray) -> FloatArray:
+        """Return whitened rows without what the fitted columns can reach."""
+        white = self.whiten(values)
+        return white - self.basis @ (self.basis.T @ white)
+
+
+def make_whitener(
+    rows: Rows,
+    levels: FloatArray,
+    contrast: FloatArray,
+    fitted: FloatArray,
+    *,
+    factor: Factor | None = None,
+) -> Whitener:
+    """Return the whitener for these levels, with the (m, p) `fitted` columns projected out.
+
+    ``factor`` is what `Arrow.factorise` makes of the levels, where it is known.
+    """
+    factor = rows.arrow.factorise(levels) if factor is None else factor
+    plain = Whitener(factor, np.sqrt(contrast), np.zeros((len(rows.residual), 0)), rows.n_dense)
+    return Whitener(factor, plain.scale, range_basis(plain.whiten(fitted)), rows.n_dense)
+
+
+def level_likelihood(
+    rows: Rows, basis: FloatArray, levels: FloatArray, *, factor: Factor | None = None
+) -> float:
+    """Return the penalised restricted log-likelihood of given levels.
+
+    ``basis`` is the `range_basis` of the mean's dense rows; ``factor`` as in `make_whitener`.
+    """
+    factor = rows.arrow.factorise(levels) if factor is None else factor
+    likelihood, _, _ = _restricted(factor, basis, rows.residual[: rows.n_dense])
+    logs = np.log(levels / expected_levels(rows))
+    return likelihood - 0.5 * float(logs @ prior_precision(rows) @ logs)

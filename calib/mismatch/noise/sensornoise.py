@@ -1,0 +1,192 @@
+"""Noise of a sensor: white, from samples at rest; and how a bias drifts, as covariances.
+
+How much it drifts is a level that `noise` estimates; how much to expect is said here.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import sparse
+
+from calib.effects.vibration import quiet_level
+from calib.mismatch.rows.grid import Grid, fast_power
+from calib.mismatch.rows.rows import Component
+from calib.types import BoolArray, FloatArray, IntArray
+
+DRIFT = {"accel": 0.15, "gyro": 0.5}
+"""How far a bias wanders in `DRIFT_TIME`, per noise density: the ratio of bias instability to noise
+density in data sheets and Allan plots (MPU-6050: 50 µg to 400 µg/√Hz, 10 °/h to 18 °/h/√Hz). In
+minutes at rest a few slow modes are all that shows of drift, and effects go with them; so the prior
+on drift is part of the physics. Jitter, flicker and walk of the axes of one triad share their
+scale, so that what is seen from pose to pose says what to expect over minutes."""
+
+SPREAD = 1.4
+"""Standard deviation of the logarithm of a level (a variance) of drift, or of what sampling adds: a
+factor of 2 in size."""
+
+DRIFT_TIME = 600.0
+"""s."""
+
+CAUTION = 6.0
+"""Differences that count as those of white noise, besides what is seen of rests that are shaken."""
+
+
+def sample_noise(grid: Grid) -> FloatArray:
+    """Return the variance of each point's mean on each channel, (n, 6), white part.
+
+    From successive differences of the points at rest (quarter seconds), so that noise that is
+    correlated over a few samples counts in full and drift does not. A rest that is clearly noisier
+    than the others (vibration, a hand) has its own level.
+    """
+    values = np.hstack((grid.accel, grid.gyro))
+    segment, pose = grid.segment, grid.pose
+    pair = (segment[1:] == segment[:-1]) & (pose[1:] >= 0)
+    gap = np.diff(grid.time)
+    # Across a hole in time the bias has drifted.
+    pair &= gap <= 3 * np.median(gap[pair]) if pair.any() else pair
+    weight = grid.count[1:] * grid.count[:-1] / (grid.count[1:] + grid.count[:-1])
+    square = np.square(np.diff(values, axis=0)) * weight[:, None]
+    own = np.empty((grid.n_poses, 6))
+    number = np.bincount(pose[1:][pair], minlength=grid.n_poses)
+    for c in range(6):
+        own[:, c] = np.bincount(pose[1:][pair], square[pair, c], grid.n_poses)
+    own /= np.maximum(number, 1)[:, None]
+    usable = number >= 4
+    # A level beyond four standard errors of its estimate is that of one rest by itself.
+    limit = 1.0 + 4.0 * np.sqrt(2.0 / np.maximum(number, 1))
+    known = usable if usable.any() else np.ones_like(usable)
+    common = np.array([quiet_level(own[known, c], limit[known]) for c in range(6)])
+    floor = np.maximum(common, 1e-12 * np.square(np.abs(values)).max(axis=0) + 1e-18)
+    ratio = np.where(usable[:, None], own / floor, 1.0)
+    loud = ratio > limit[:, None]
+    error = np.broadcast_to(3.0 / np.maximum(number, 1)[:, None], ratio.shape)
+    for triad in (np.arange(6) < 3, np.arange(6) >= 3):
+        mine = loud & triad
+        ratio[mine] = shrunk(ratio[mine], error[mine])
+    level = floor * np.where(loud, ratio, 1.0)
+    left = _averaged(grid, values, level, floor, loud)
+    level = np.where(loud, floor + left * (level - floor), level)
+    each = np.where((grid.near >= 0)[:, None], level[np.maximum(grid.near, 0)], floor)
+    for s in np.flatnonzero(~grid.is_rest).tolist():
+        loudest = np.maximum(level[grid.before[s]], level[grid.after[s]])
+        if (loudest > floor).any():
+            own = np.arange(grid.first[s], grid.last[s])
+            own = own[grid.near[own] < 0]
+            each[own] = floor + _still_shaken(grid, s, own, floor) * (loudest - floor)
+    return np.asarray(each / grid.count[:, None])
+
+
+def _still_shaken(grid: Grid, turn: int, moving: IntArray, floor: FloatArray) -> float:
+    """Return how much of what shakes a rest beside a turn goes on while it moves, as power.
+
+    What is as fast there as in the louder rest: a hand may have taken the sensor off the bench.
+    """
+    beside = grid.vibration[[grid.first[turn] - 1, grid.last[turn]]].sum(axis=1).max()
+    beside -= grid.vibration.min(axis=0).sum()
+    if len(moving) < 3 or not beside > 0:
+        return 0.0
+    seen = fast_power(grid.accel[moving]).sum() - floor[:3].sum()
+    return float(np.clip(seen / beside, 0.0, 1.0))
+
+
+def _averaged(
+    grid: Grid, values: FloatArray, level: FloatArray, floor: FloatArray, loud: BoolArray
+) -> FloatArray:
+    """Return how much of what shakes rests is left in means over parts of them, (6,).
+
+    A machine shakes at frequencies of its own, and over seconds that averages out faster than
+    white noise does. Thirds of the rests show by how much: what they differ by, of `level` (k, 6)
+    above `floor` (6,) in those that are `loud` (k, 6). The axes of a triad have it in common.
+    """
+    out = np.ones(6)
+    places = [np.flatnonzero(grid.pose == k) for k in range(grid.n_poses)]
+    square, white = np.zeros((grid.n_poses, 6)), np.zeros(grid.n_poses)
+    for k, own in enumerate(places):
+        if len(own) < 6:
+            continue
+        thirds = np.array_split(own, 3)
+        weight = np.array([grid.count[part].sum() for part in thirds])
+        early, _, late = (
+            np.average(values[part], axis=0, weights=grid.count[part]) for part in thirds
+        )
+        square[k], white[k] = np.square(late - early), 1 / weight[0] + 1 / weight[2]
+    for triad in (slice(0, 3), slice(3, 6)):
+        mine = loud[:, triad] & (white > 0)[:, None]
+        share = (floor / level)[:, triad][mine]
+        seen = (square[:, triad] / np.maximum(white, 1e-300)[:, None] / level[:, triad])[mine]
+        # With one standard error; the square of a normal variable's square is three on average.
+        total = seen.sum() + np.sqrt(np.square(seen).sum() * 2 / 3)
+        left = (total - share.sum() + CAUTION) / ((1.0 - share).sum() + CAUTION)
+        out[triad] = np.clip(left, 0.0, 1.0)
+    return out
+
+
+def shrunk(level: FloatArray, error: FloatArray) -> FloatArray:
+    """Return variances from few differences each, drawn to what they have in common.
+
+    Where each is weighted by its own, those that are too small by chance would count most. The
+    logarithm of a variance from n successive differences has a variance of about 3/n, `error`; what
+    levels differ by beyond that is how much each is its own.
+    """
+    if not len(level):
+        return level
+    logs = np.log(level) + 0.5 * error
+    between = max(float(np.var(logs) - error.mean()), 0.0) if len(level) > 1 else np.inf
+    own = 1.0 if np.isinf(between) else between / (between + error)
+    # The mean of a variance whose logarithm is uncertain.
+    return np.asarray(np.exp(logs.mean() + own * (logs - logs.mean()) + 0.5 * own * error))
+
+
+def flicker_covariance(time: FloatArray, length: FloatArray) -> FloatArray:
+    """Return the covariance of means of 1/f noise with a bias instability of one.
+
+    A sum of Gauss-Markov processes, correlation times a factor of 3 apart from shorter than any
+    segment to longer than the recording, each of variance ``ln(3) / pi``: one-sided density
+    ``1 / (pi f)``. Those shorter than a segment are averaged down in it.
+    """
+    gap = np.abs(np.subtract.outer(time, time))
+    span = max(float(gap.max()), 1e-9)
+    size = np.maximum(length, 1e-9)
+    out = np.zeros_like(gap)
+    for correlation in 3 * span * 3.0 ** -np.arange(12.0):
+        ratio = size / correlation
+        # Variance of the mean of a Gauss-Markov process over a segment.
+        own = 2 * (ratio - 1 + np.exp(-ratio)) / np.square(ratio)
+        part = np.exp(-np.maximum(gap, 0) / correlation) * np.sqrt(np.outer(own, own))
+        np.fill_diagonal(part, own)
+        out += part
+    return np.asarray(out * np.log(3.0) / np.pi)
+
+
+def drift_components(
+    channel: str,
+    pieces: sparse.csr_matrix,
+    flicker: FloatArray,
+    walk: FloatArray,
+    drift: float,
+    spread: float,
+) -> list[Component]:
+    """Return the drift of one channel's bias: jitter, flicker and random walk.
+
+    Parameters
+    ----------
+    channel : str
+    pieces : sparse (n_dense, s) matrix
+        Response to a constant on that channel in each segment.
+    flicker, walk : (s, s) arrays
+        Covariances of the mean bias of the segments, for a level of one.
+    drift : float
+        Expected level.
+    spread : float
+    """
+    index = np.flatnonzero(np.diff(pieces.indptr))
+    response = pieces[index]
+    triad = channel.split(".")[0]
+    return [
+        Component(f"{channel} {label}", index, response, kernel, share * drift, spread, triad)
+        for label, kernel, share in (
+            ("jitter", np.eye(len(flicker)), 0.1),
+            ("flicker", flicker, 1.0),
+            ("walk", walk, 1.0),
+        )
+    ]

@@ -1,0 +1,1 @@
+"""A recording beside a truth: a simulation, motion capture, a table, another IMU."""

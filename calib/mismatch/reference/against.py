@@ -1,0 +1,361 @@
+"""Diagnose a recording against a simulation or a reference that gives its motion."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from calib.calibration import Quantity
+from calib.effects import effects, get_effect
+from calib.mismatch.findings.diagnosis import Diagnosis, Finding, summarise
+from calib.mismatch.findings.heldout import HeldOut, held_out
+from calib.mismatch.hypotheses.families import PHYSICAL
+from calib.mismatch.hypotheses.score import SCALES, SHARES
+from calib.mismatch.reference.alignment import LEAST_OVERLAP, Alignment, align
+from calib.mismatch.reference.band import follows_noise, matched, too_few
+from calib.mismatch.reference.comparison import ComparisonProblem
+from calib.mismatch.reference.truths import RecordingTruth
+from calib.mismatch.samples.samples import Samples, look_at_samples
+from calib.mismatch.search.estimate import Estimate
+from calib.mismatch.search.explain import changes, explain, verdict
+from calib.mismatch.search.ranking import CLAIM, chance
+from calib.mismatch.search.search import Outcome, search
+from calib.model import SensorModel
+from calib.recording import CHANNELS, Recording
+from calib.statics import find_poses
+from calib.timing import evened
+from calib.types import FloatArray
+
+_OPEN = {"bias": 0.1, "scale_factor_error": 0.02, "misalignment": 0.02}
+"""Standard errors (SI) of the baseline beyond which a recording cannot tell much."""
+
+_LINEAR = {"time_offset": 0.02, "clock_scale": 1e-4, "reference_misalignment": 0.1}
+"""Sizes (SI) up to which an alignment acts in proportion, so that it can be left out again to see
+what it is worth on held-out windows."""
+
+_SELDOM_ALONE = ("earth_rate", "gravity_magnitude")
+"""What is in a simulation's own signals already, or is a scale that the baseline has."""
+
+
+def diagnose_against(
+    real: Recording,
+    simulated: Recording,
+    *,
+    gravity: float,
+    model: SensorModel | None = None,
+) -> Diagnosis:
+    """Find what a recording has that the user's own simulation of it lacks.
+
+    Parameters
+    ----------
+    real, simulated : Recording
+        The simulation's motion is the truth; its sensor may be perfect or have errors of the
+        baseline's kinds. Rates and start times may differ.
+    gravity : float, m/s²
+    model : SensorModel, optional
+        Where the baseline starts; by default a perfect sensor.
+
+    Raises
+    ------
+    NoCommonMotionError
+        If the simulation is of another motion.
+    """
+    real, simulated = evened(real), evened(simulated)
+    seen = look_at_samples(real, find_poses(real))
+    summary = summarise(real)
+    if seen.fatal:
+        return unfit(seen, summary)
+    still = at_rest(real, simulated)
+    if still:
+        return undetermined(still, summary)
+    alignment = align(real.time, real.gyro, simulated.time, simulated.gyro)
+    if follows_noise(real, RecordingTruth(simulated, gravity), alignment):
+        return undetermined(
+            "a simulation with a motion of its own: this one moves with the recording's noise, so "
+            "its motion was estimated from it (simulate --like), and what the sensor gets wrong is "
+            "in both. Leave out --against and give --calibration with the twin's sensor: that "
+            "compares the recording with its twin",
+            summary,
+        )
+    problem, skip = compare_simulation(
+        real, simulated, seen, alignment=alignment, gravity=gravity, model=model
+    )
+    # When a simulation starts is nobody's fault; what its clock does to the motion is.
+    few: tuple[str, ...] = ()
+    if too_few(real, simulated):
+        few = (
+            f"a simulation at a higher rate: at {1.0 / simulated.interval:.3g} Hz it has too few "
+            "samples for its motion, of which only the slow part was compared",
+        )
+    return conclude(problem, seen, summary, setups=("clock_scale",), skip=skip, missing=few)
+
+
+def compare_simulation(
+    real: Recording,
+    simulated: Recording,
+    seen: Samples,
+    *,
+    gravity: float,
+    alignment: Alignment | None = None,
+    model: SensorModel | None = None,
+) -> tuple[ComparisonProblem, tuple[str, ...]]:
+    """Align a simulation with a recording; return what to compare, and what cannot show."""
+    if alignment is None:
+        alignment = align(real.time, real.gyro, simulated.time, simulated.gyro)
+    common = matched(
+        real,
+        RecordingTruth(simulated, gravity),
+        alignment,
+        np.eye(3),
+        spoilt=seen.spoilt,
+    )
+    problem = ComparisonProblem(
+        common.real,
+        common.truth,
+        alignment,
+        gravity=gravity,
+        model=model,
+        spoilt=common.spoilt,
+        blur=common.blur,
+        band=common.band,
+        raw=real if common.limited else None,
+    )
+    return problem, ((*_SELDOM_ALONE, "bandwidth") if common.limited else _SELDOM_ALONE)
+
+
+def at_rest(*recordings: Recording) -> str:
+    """Return what to say if one of the recordings is at rest all along, else nothing."""
+    for name, recording in zip(
+        ("the recording", "what it is compared with"), recordings, strict=True
+    ):
+        moved = np.linalg.norm(recording.gyro - np.median(recording.gyro, axis=0), axis=1).std()
+        if recording.duration < LEAST_OVERLAP or moved < 0.05:
+            return (
+                f"motion to compare: {name} lasts {recording.duration:.3g} s and turns by "
+                f"{np.degrees(moved):.2g} dps; turn it for {LEAST_OVERLAP:g} s or more"
+            )
+    return ""
+
+
+def conclude(
+    problem: ComparisonProblem,
+    seen: Samples,
+    summary: Mapping[str, object],
+    *,
+    setups: tuple[str, ...],
+    skip: tuple[str, ...] = (),
+    missing: tuple[str, ...] = (),
+) -> Diagnosis:
+    """Search, explain, and report alignments among ``setups`` as findings."""
+    skip += ("clock_scale", *(("reference_misalignment",) if problem.turned else ()))
+    outcome = search(problem, skip=skip)
+    outcome, model = _in_samples(outcome, problem.setup.model, problem.thin)
+    fit = outcome.fit(reference=True)
+    findings, unexplained, (known, covariance) = explain(outcome, fit, names=problem.names)
+    found = _setups(outcome, fit, problem, setups)
+    findings = [f for f in findings if not any(_the_same(f, item) for item in seen.findings)]
+    findings = [*seen.findings, *found, *findings]
+    unexplained = [*seen.unexplained, *unexplained]
+    slugs = {f.effect for f in findings}
+    keep = [i for i, n in enumerate(known) if n in problem.names or n.split(".")[0] in slugs]
+    known, covariance = tuple(known[i] for i in keep), covariance[np.ix_(keep, keep)]
+    open_ = _open(problem.names, fit)
+    if open_:
+        missing += (f"motion that determines {', '.join(open_)}",)
+    change, likelihood = changes(outcome)
+    shown = {c.name for c in outcome.candidates if c.physical}
+    alignment = problem.setup.alignment
+    return Diagnosis(
+        verdict=verdict(tuple(findings), tuple(unexplained), able=not open_),
+        findings=tuple(findings),
+        unexplained=tuple(unexplained),
+        missing=missing,
+        hidden={
+            slug: effect.needs
+            for slug, effect in effects().items()
+            if slug not in shown and effect.kind == "sensor" and slug not in skip
+        },
+        changes=change,
+        log_likelihood=likelihood,
+        model=model,
+        names=known,
+        covariance=covariance,
+        summary={
+            **summary,
+            "compared_samples": len(problem.time),
+            "alignment": {
+                "offset": alignment.offset,
+                "stretch": alignment.stretch,
+                "middle": alignment.middle,
+                "rotation": _rotvec(problem.setup.mat_sr).tolist(),
+                "correlation": alignment.correlation,
+                "reference_gyro": problem.setup.errors.tolist(),
+            },
+        },
+    )
+
+
+def _in_samples(outcome: Outcome, model: SensorModel, thin: int) -> tuple[Outcome, SensorModel]:
+    """Return findings and model with numbers of samples as the recording counts them.
+
+    They were counted in the samples that are compared, every `thin`-th.
+    """
+    counted = {
+        slug: [p.name for p in effect.parameters if p.unit == "samples"]
+        for slug, effect in effects().items()
+    }
+    accepted = tuple(
+        replace(a, columns=a.columns / thin) if counted.get(a.candidate.name) else a
+        for a in outcome.accepted
+    )
+    terms = tuple(
+        replace(
+            t,
+            parameters={
+                k: v * (thin if k in counted[t.effect] else 1) for k, v in t.parameters.items()
+            },
+        )
+        for t in model.terms
+    )
+    return replace(outcome, accepted=accepted), replace(model, terms=terms)
+
+
+def _the_same(finding: Finding, seen: Finding) -> bool:
+    """Whether the samples themselves show an event, at a moment that is exact there."""
+    if finding.effect != seen.effect or "moment" not in finding.parameters:
+        return False
+    own = finding.parameters["moment"]
+    return abs(own.value - seen.parameters["moment"].value) <= 3.0 * (own.sigma or 0.0)
+
+
+def _open(names: tuple[str, ...], fit: Estimate) -> list[str]:
+    sigma = np.sqrt(np.diag(fit.covariance))
+    return [n for n, s in zip(names, sigma, strict=False) if s == 0 or s > _OPEN[n.split(".")[1]]]
+
+
+def _setups(
+    outcome: Outcome, fit: Estimate, problem: ComparisonProblem, setups: tuple[str, ...]
+) -> list[Finding]:
+    """Return the alignments that are beyond noise as findings, with the evidence of any other."""
+    out = []
+    alignment, mat = problem.setup.alignment, problem.setup.mat_sr
+    p = len(problem.names)
+    slugs = [name.split(".")[0] for name in problem.alignments]
+    # The fit's last small step is still to be taken from where the rows stand.
+    step = fit.step[p : p + len(slugs)]
+    turn = _rotvec(mat)
+    value = np.array([-alignment.offset, 1.0 / (1.0 + alignment.stretch) - 1.0, *(-turn)])
+    value = value[: len(slugs)] + step
+    for slug in dict.fromkeys(slugs):
+        if slug not in setups:
+            continue
+        own = np.array([i for i, s in enumerate(slugs) if s == slug])
+        names = [problem.alignments[i].split(".")[1] for i in own]
+        sizes = {x.name: x.typical for x in get_effect(slug).parameters}
+        typical = np.array([sizes[n] for n in names])
+        covariance = fit.covariance[np.ix_(p + own, p + own)]
+        e_value = PHYSICAL / len(effects()) * bayes_factor(value[own], covariance, typical)
+        if e_value >= CLAIM:
+            out.append(_setup(outcome, problem, slug, names, own, value[own], covariance, e_value))
+    return out
+
+
+def bayes_factor(value: FloatArray, covariance: FloatArray, typical: FloatArray) -> float:
+    """Return the evidence that an estimate is not zero, averaged over `SCALES` of its size."""
+    logs = []
+    for scale in SCALES:
+        wide = covariance + np.diag(np.square(scale * typical))
+        gain = value @ np.linalg.solve(covariance, value) - value @ np.linalg.solve(wide, value)
+        change = np.linalg.slogdet(covariance)[1] - np.linalg.slogdet(wide)[1]
+        logs.append(0.5 * (gain + change))
+    return float(np.exp(min(max(logs), 690.0)) * (SHARES @ np.exp(np.array(logs) - max(logs))))
+
+
+def _setup(
+    outcome: Outcome,
+    problem: ComparisonProblem,
+    slug: str,
+    names: list[str],
+    own: FloatArray,
+    value: FloatArray,
+    covariance: FloatArray,
+    e_value: float,
+) -> Finding:
+    effect, rows = get_effect(slug), outcome.rows
+    units = {x.name: x.unit for x in effect.parameters}
+    proof: HeldOut | None = None
+    reason = "without it the two are not aligned, and nothing can be compared"
+    if np.abs(value).max() <= _LINEAR[slug]:
+        keep = np.ones(rows.nuisance.shape[1], bool)
+        keep[own] = False
+        columns = rows.nuisance[:, own]
+        mean = np.hstack(
+            (rows.baseline, rows.nuisance[:, keep], *(a.columns for a in outcome.accepted))
+        )
+        proof, reason = (
+            held_out(
+                rows,
+                mean,
+                columns,
+                rows.residual + columns @ value,
+                levels=outcome.levels,
+                contrast=outcome.contrast,
+                channels=CHANNELS,
+            ),
+            "",
+        )
+    sigma = np.sqrt(np.diag(covariance))
+    return Finding(
+        effect=slug,
+        title=effect.title,
+        kind=effect.kind if slug != "time_offset" else "setup",
+        channels=CHANNELS,
+        intervals=((float(problem.time[0]), float(problem.time[-1])),),
+        regime=effect.follows,
+        parameters={
+            n: Quantity(float(v), float(s), units[n])
+            for n, v, s in zip(names, value, sigma, strict=True)
+        },
+        p_value=chance(e_value),
+        absorbed_by=(),
+        held_out=proof,
+        held_out_reason=reason,
+        rivals=(),
+        to_separate="",
+        sentence=effect.sentence,
+    )
+
+
+def _rotvec(mat: FloatArray) -> FloatArray:
+    from scipy.spatial.transform import Rotation  # a third of a second to import
+
+    out: FloatArray = Rotation.from_matrix(mat).as_rotvec()
+    return out
+
+
+def undetermined(missing: str, summary: Mapping[str, object]) -> Diagnosis:
+    """Return the diagnosis of what cannot be compared."""
+    return Diagnosis(
+        verdict="undetermined",
+        findings=(),
+        unexplained=(),
+        missing=(missing,),
+        hidden={},
+        changes=(),
+        log_likelihood=None,
+        model=SensorModel(),
+        names=(),
+        covariance=np.zeros((0, 0)),
+        summary=dict(summary),
+    )
+
+
+def unfit(seen: Samples, summary: Mapping[str, object]) -> Diagnosis:
+    """Return the diagnosis of a recording whose units or axes must be mended first."""
+    return replace(
+        undetermined("right units and axes: mend them and diagnose again", summary),
+        verdict="explained",
+        findings=seen.findings,
+    )

@@ -1,0 +1,284 @@
+"""The band that a recording and a noisy truth share.
+
+The noise of a truth is in every regressor that is made of it: an effect that acts on high
+frequencies (a low-pass, a delay) would be found in noise alone. So where the truth is noisy, both
+sides go through the same low-pass, up to where they agree. Where they agree as far as the samples
+reach there is motion that samples do not resolve: its derivative, and so the angular acceleration
+that a lever arm feels, is not known. There the differences are blurred.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy import fft
+
+from calib.mismatch.reference.alignment import Alignment
+from calib.mismatch.reference.truths import DEGREE, RecordingTruth
+from calib.recording import Recording
+from calib.types import BoolArray, FloatArray, IntArray
+
+COHERENT = 0.5
+"""Coherence of the rates of recording and reference below which a frequency is noise: half of its
+power is not common."""
+
+NARROWEST = 5.0
+"""Hz: hand motion reaches so far in any case."""
+
+KEPT = 6.0
+"""Samples kept for each period of the highest frequency that is compared."""
+
+BLUR = 1.1
+"""Sample intervals: passes 40 % at a fifth of the rate, up to where a spline through samples gives
+derivatives, and 3 % at 0.4 of it."""
+
+RESOLVED = 0.3
+"""Of the slower rate: the highest frequency that both are limited to. A low-pass that is cut off at
+half the rate while it still passes something rings."""
+
+FELT = 2.0
+"""Periods of the cut-off within which the low-pass still passes 0.2 % of a step."""
+
+PART = 2.0
+"""s: a turn by hand."""
+
+QUIET = 0.1
+"""Noise of a truth, relative to the recording's, up to which it counts as exact."""
+
+
+STILL, MOVES = 0.05, 0.5
+"""rad/s below which a motion is at rest, and above which it moves."""
+
+ENOUGH = 300
+"""Samples of either kind that tell how loud the noise is: 1 in 20."""
+
+LESS = 0.9
+"""Noise of the differences where it moves, relative to that at rest, below which part of it is in
+the motion. A simulation's own noise hides that; as loud as the recording's it leaves 0.7 to 0.8."""
+
+
+class Matched(NamedTuple):
+    """A recording and its truth, limited to what both know.
+
+    ``blur`` is the standard deviation (s) of the Gaussian through which differences are seen,
+    ``band`` the frequency (Hz) up to which both passed `zero_phase`; 0 is none.
+    """
+
+    real: Recording
+    truth: RecordingTruth
+    spoilt: BoolArray
+    blur: float = 0.0
+    band: float = 0.0
+
+    @property
+    def limited(self) -> bool:
+        """Whether the truth has noise, that something was done about."""
+        return self.blur > 0 or self.band > 0
+
+
+def matched(
+    real: Recording,
+    truth: RecordingTruth,
+    alignment: Alignment,
+    mat: FloatArray,
+    *,
+    spoilt: BoolArray,
+    forces: bool = False,
+) -> Matched:
+    """Return a recording and its truth in the band that both share.
+
+    Both come back as they are if the truth has little noise beside the recording, and samples
+    enough for its motion. With ``forces`` the specific forces have a say in the band too.
+    """
+    other = truth.recording
+    if (noise_of(other) <= QUIET * noise_of(real)).all():
+        if not too_few(real, other):
+            return Matched(real, truth, spoilt)
+        return limited(real, truth, RESOLVED / max(real.interval, other.interval), spoilt)
+    bandwidth = common_band(real, truth, alignment, mat, forces=forces)
+    if bandwidth is None:
+        blur = BLUR * max(real.interval, other.interval)
+        return Matched(real, truth, spoilt, blur=blur)
+    bandwidth = min(bandwidth, RESOLVED / max(real.interval, other.interval))
+    return limited(real, truth, bandwidth, spoilt)
+
+
+def noise_of(recording: Recording) -> FloatArray:
+    """Return the standard deviation of the white noise of both triads, (2,), from quiet samples."""
+    out = []
+    for values in (recording.accel, recording.gyro):
+        second = np.abs(np.diff(values, n=2, axis=0))
+        # A third of the samples, the quietest, are at rest if anything is.
+        low = np.quantile(second, 0.2, axis=0) / 0.2533 / np.sqrt(6.0)
+        out.append(float(low.mean()))
+    return np.array(out)
+
+
+def follows_noise(real: Recording, truth: RecordingTruth, alignment: Alignment) -> bool:
+    """Whether a simulation has the recording's noise in its motion: it was estimated from it.
+
+    At rest such a motion is still, and the differences hold all of the noise; where it moves they
+    hold less. Those of any other simulation hold as much there, or more. Of the rests the quiet
+    ones count: a bench that shakes is louder than the sensor.
+    """
+    at = alignment.times(real.time)
+    state = truth.state(at)
+    noise = np.abs(np.diff(real.accel - state.force, n=2, axis=0))
+    turning = np.linalg.norm(state.rate - np.median(state.rate, axis=0), axis=1)[1:-1]
+    known = truth.covers(at)[1:-1]
+    moving, still = noise[known & (turning > MOVES)], noise[known & (turning < STILL)]
+    if min(len(moving), len(still)) < ENOUGH:
+        return False
+    parts = np.array_split(still, max(1, int(len(still) * real.interval / PART)))
+    quiet = np.quantile([np.median(part, axis=0) for part in parts], 0.25, axis=0)
+    ratio = np.median(moving, axis=0) / np.maximum(quiet, 1e-12)
+    return bool(np.mean(ratio) < LESS)
+
+
+def too_few(real: Recording, other: Recording) -> bool:
+    """Whether another recording has too few samples for its motion, beside this one's noise."""
+    return bool((between(other) > noise_of(real)).any())
+
+
+def between(recording: Recording) -> FloatArray:
+    """Return by how much a spline errs between a recording's samples, (2,) for both triads.
+
+    The root-mean-square over the liveliest `PART` seconds. Through even samples a spline of degree
+    d gives back a sinusoid of frequency f (in cycles per sample) but for ``(f / (1 - f))**(d + 1)``
+    of it, and as much of its first alias.
+
+    References
+    ----------
+    .. [1] M. Unser, "Splines: a perfect fit for signal and image processing", IEEE Signal Process.
+       Mag. 16(6), 1999 (the frequency response of cardinal splines).
+    """
+    n = min(max(16, round(PART / recording.interval)), len(recording))
+    window = np.hanning(n)
+    frequency = fft.rfftfreq(n)
+    lost = 2.0 * np.square((frequency / (1.0 - frequency)) ** (DEGREE + 1))
+    lost[1:] *= 2.0
+    out = []
+    for values in (recording.accel, recording.gyro):
+        parts = np.lib.stride_tricks.sliding_window_view(values, n, axis=0)[:: max(n // 2, 1)]
+        spread = parts - parts.mean(axis=2, keepdims=True)
+        power = np.square(np.abs(fft.rfft(spread * window, axis=2))) @ lost
+        out.append(float(np.sqrt(power.max() / n / np.square(window).sum())))
+    return np.array(out)
+
+
+def limited(real: Recording, truth: RecordingTruth, bandwidth: float, spoilt: BoolArray) -> Matched:
+    """Return a recording and its truth through one low-pass, with as many samples as that needs.
+
+    It is the signals in the sensors' own frames that pass: orientations and positions that had
+    passed it would give other ones, as a turn makes products of them. So would rates of what an arm
+    makes a sensor feel.
+    """
+    thin = max(1, int(1.0 / (KEPT * bandwidth * real.interval)))
+    kept, wide = low_passed(real, bandwidth), widened(real, bandwidth, spoilt)
+    other = truth.recording
+    gradient = truth.state(other.time).gradient.reshape(-1, 9)
+    narrow = replace(
+        truth,
+        recording=low_passed(other, bandwidth),
+        spoilt=widened(other, bandwidth, truth.spoilt),
+        gradient=smoothed(other.time, gradient, bandwidth).reshape(-1, 3, 3),
+    )
+    return Matched(thinned(kept, thin), narrow, wide[::thin], band=bandwidth)
+
+
+def widened(recording: Recording, bandwidth: float, spoilt: BoolArray | None) -> BoolArray:
+    """Return which samples of a low-pass to disbelieve: near spoilt ones, gaps, and the ends."""
+    reach = int(np.ceil(FELT / bandwidth / recording.interval))
+    at = _places(recording.time, reach)
+    bad = np.ones(at[-1] + 1 + 2 * reach, bool)
+    bad[at + reach] = False if spoilt is None else spoilt
+    # Of how many of its neighbours a sample has bad ones.
+    count = np.concatenate(([0], np.cumsum(bad)))
+    return np.asarray(count[at + 2 * reach + 1] > count[at])
+
+
+def _places(time: FloatArray, most: int) -> IntArray:
+    """Return the place of every sample among even ones, with at most so many in a gap."""
+    step = np.diff(time)
+    missing = np.round(step / np.median(step)) - 1 if len(step) else step
+    steps = 1 + np.clip(missing, 0, 2 * most).astype(np.int64)
+    return np.concatenate((np.zeros(1, np.int64), np.cumsum(steps)))
+
+
+def common_band(
+    real: Recording, truth: RecordingTruth, alignment: Alignment, mat: FloatArray, *, forces: bool
+) -> float | None:
+    """Return the frequency (Hz) up to which recording and truth agree, None if they do throughout.
+
+    Derivatives of captured orientations and positions grow with frequency, and so does their
+    noise. The lower of what the rates and what the specific forces allow holds for both.
+    """
+    from scipy.signal import coherence  # half a second to import
+
+    if truth.recording.interval < real.interval:
+        # Its noise above what the recording resolves must not be folded down.
+        narrow = low_passed(truth.recording, 0.4 / real.interval)
+        truth = replace(truth, recording=narrow)
+    at = alignment.times(real.time)
+    state = truth.state(np.clip(at, *truth.span))
+    rate = 1.0 / real.interval
+    found = []
+    for measured, true in ((real.gyro, state.rate), (real.accel, state.force))[
+        : 2 if forces else 1
+    ]:
+        length = min(len(measured) // 8, round(2.0 * rate))
+        if length < 16:
+            continue
+        f, each = coherence(measured, true @ mat.T, fs=rate, nperseg=length, axis=0)
+        above = np.flatnonzero((f > NARROWEST) & (each.max(axis=1) < COHERENT))
+        if len(above):
+            found.append(float(f[above[0]]))
+    return max(min(found), NARROWEST) if found else None
+
+
+def low_passed(recording: Recording, bandwidth: float) -> Recording:
+    """Return the recording through `zero_phase`; gaps are bridged by straight lines."""
+    signals = smoothed(recording.time, np.hstack((recording.accel, recording.gyro)), bandwidth)
+    return replace(recording, accel=signals[:, :3], gyro=signals[:, 3:])
+
+
+def smoothed(time: FloatArray, values: FloatArray, bandwidth: float) -> FloatArray:
+    """Return (n, k) values at (n,) times through `zero_phase`, gaps bridged by straight lines."""
+    cutoff = bandwidth * float(np.median(np.diff(time)))
+    at = _places(time, int(np.ceil(FELT / cutoff)))
+    if at[-1] >= len(at):
+        whole = np.arange(at[-1] + 1)
+        values = np.stack([np.interp(whole, at, column) for column in values.T], axis=1)
+    return zero_phase(values, cutoff)[at]
+
+
+def zero_phase(values: FloatArray, cutoff: float) -> FloatArray:
+    """Return (n, k) values through ``1 / (1 + (f / cutoff)**8)``, f in cycles per sample.
+
+    That is a Butterworth low-pass of fourth order there and back, of the same response at any rate:
+    a digital one is warped, and two sampled at unlike rates would differ by their filters.
+    """
+    from scipy.fft import dct, idct  # only comparisons need them
+
+    # Mirrored at both ends: there noise makes no step, and what moves does not jump.
+    spectrum = dct(values, axis=0)
+    frequency = np.arange(len(values)) / (2 * len(values))
+    out: FloatArray = idct(spectrum / (1.0 + (frequency[:, None] / cutoff) ** 8), axis=0)
+    return out
+
+
+def thinned(recording: Recording, step: int) -> Recording:
+    """Return every `step`-th sample."""
+    if step == 1:
+        return recording
+    temperature = recording.temperature
+    return replace(
+        recording,
+        time=recording.time[::step],
+        accel=recording.accel[::step],
+        gyro=recording.gyro[::step],
+        temperature=None if temperature is None else temperature[::step],
+        lost=None,
+    )

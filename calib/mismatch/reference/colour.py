@@ -1,0 +1,175 @@
+"""The colour of differences, and what they are seen through so that their noise is white.
+
+What a captured motion says of rates and accelerations are derivatives of what was seen: its noise
+grows with frequency. Seen through ``1 / sqrt(S(f) / S(0))`` every frequency counts by what it
+tells; the response at zero frequency is 1, so that a constant stays what it is.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy import fft
+from scipy import sparse
+
+from calib.types import BoolArray, FloatArray, IntArray
+
+PASSED = 0.898
+"""Noise bandwidth of `calib.mismatch.reference.band.zero_phase`, relative to its cut-off."""
+
+PART = 1.5
+"""s of the parts that spectra are taken of: short, so that most of them hold no turn."""
+
+SLOWEST = 1.0
+"""Hz: noise below is drift, which has a model of its own."""
+
+STEEPEST = 1e4
+"""Power of the noise at the cut-off, relative to that at rest, beyond which it is taken as this."""
+
+
+class Blur(NamedTuple):
+    """What signals are seen through: from n points to the m that are ``seen``.
+
+    ``matrices`` (m, n) are those of accelerometer and gyroscope, ``power`` how many of the m points
+    are independent, as a share. Where the noise of the n points is white, it is not afterwards; if
+    the blur ``whitens``, it is the other way round: of white noise that comes on top (shaking) the
+    shares ``white`` are seen on accelerometer and gyroscope, and slow noise whole. What shakes at
+    one moment is ``heard`` around it, through the low-pass too: so its variance is spread.
+    """
+
+    matrices: tuple[sparse.csr_matrix, sparse.csr_matrix]
+    seen: IntArray
+    power: float
+    whitens: bool = False
+    white: tuple[float, float] = (1.0, 1.0)
+    heard: tuple[FloatArray, FloatArray] = (np.ones(1), np.ones(1))
+
+
+class Colour(NamedTuple):
+    """Spectral density of noise relative to that of slow noise: ``1 + square f² + fourth f⁴``."""
+
+    square: float
+    fourth: float
+
+    def at(self, frequency: FloatArray) -> FloatArray:
+        """Return the density at (n,) frequencies, Hz."""
+        return np.asarray(1.0 + self.square * frequency**2 + self.fourth * frequency**4)
+
+
+WHITE = Colour(0.0, 0.0)
+
+
+def gaussian(time: FloatArray, width: float, interval: float) -> Blur:
+    """Return the blur of points at (n,) times; those near a gap have none, and are not seen.
+
+    Parameters
+    ----------
+    time : (n,) array, s
+    width : float, s
+        Standard deviation; 0 leaves the points as they are.
+    interval : float, s
+        Between neighbours.
+    """
+    reach = int(np.ceil(3.0 * width / interval))
+    if not reach:
+        same = sparse.identity(len(time), format="csr")
+        return Blur((same, same), np.arange(len(time)), 1.0)
+    tap = np.exp(-0.5 * np.square(np.arange(-reach, reach + 1) * interval / width))
+    tap /= tap.sum()
+    seen = _away(time, reach, interval)
+    matrix = _running(tap, seen, len(time))
+    return Blur((matrix, matrix), seen, float(tap @ tap))
+
+
+def whitening(time: FloatArray, colours: list[Colour], interval: float, band: float) -> Blur:
+    """Return what makes low-passed noise of these colours (accelerometer, gyroscope) flat.
+
+    Parameters
+    ----------
+    time : (n,) array, s
+    colours : two of Colour
+    interval : float, s
+    band : float, Hz
+        Cut-off of the low-pass.
+    """
+    size = 2 * int(np.ceil(PART / interval))
+    taps, heard = [], []
+    frequency = np.asarray(fft.rfftfreq(size, interval), np.float64)
+    for colour in colours:
+        response = 1.0 / np.sqrt(colour.at(frequency))
+        taps.append(fft.irfft(response, size)[: size // 2])
+        both = np.square(fft.irfft(response / (1.0 + (frequency / band) ** 8), size))
+        heard.append(np.roll(both, size // 2)[1:] / both.sum())
+    # As far as anything of it is left.
+    left = np.max([np.abs(t) / np.abs(t).max() for t in taps], axis=0)
+    reach = int(np.flatnonzero(left > 3e-3)[-1])
+    seen = _away(time, reach, interval)
+    matrices = []
+    for half in taps:
+        tap = np.concatenate((half[reach:0:-1], half[: reach + 1]))
+        matrices.append(_running(tap / tap.sum(), seen, len(time)))
+    power = min(1.0, 2.0 * PASSED * band * interval)
+    inside = np.linspace(0.0, PASSED * band, 50)
+    accel, gyro = (float(np.mean(1.0 / colour.at(inside))) for colour in colours)
+    return Blur(
+        (matrices[0], matrices[1]),
+        seen,
+        power,
+        whitens=True,
+        white=(accel, gyro),
+        heard=(heard[0], heard[1]),
+    )
+
+
+def find_colour(
+    time: FloatArray,
+    left: FloatArray,
+    interval: float,
+    band: float,
+    *,
+    steepest: float = np.inf,
+) -> Colour:
+    """Return the colour of (n, k) differences that passed `zero_phase`.
+
+    The median over parts counts little of what a few turns have of their own. ``steepest`` bounds
+    the rise with the square of the frequency, 1/Hz².
+    """
+    from scipy.optimize import nnls  # a fifth of a second to import
+
+    length = max(int(PART / interval), 16)
+    starts = np.arange(0, len(time) - length + 1, max(length // 2, 1))
+    even = time[starts + length - 1] - time[starts] < (length + 0.5) * interval
+    if even.sum() < 8:
+        return WHITE
+    parts = np.stack([left[a : a + length] for a in starts[even]])
+    parts = (parts - parts.mean(axis=1, keepdims=True)) * np.hanning(length)[:, None]
+    density = np.median(np.square(np.abs(fft.rfft(parts, axis=1))), axis=0).mean(axis=1)
+    frequency = fft.rfftfreq(length, interval)
+    own = (frequency >= SLOWEST) & (frequency <= 0.9 * band)
+    if own.sum() < 4:
+        return WHITE
+    f = frequency[own]
+    density = density[own] * np.square(1.0 + (f / band) ** 8)
+    design = np.stack((np.ones(len(f)), f**2, f**4), axis=1)
+    expected = density
+    for _ in range(3):
+        found = nnls(design / expected[:, None], density / expected)[0]
+        expected = design @ found
+    slow = max(float(found[0]), float(found[1]) / steepest, float(expected[-1]) / STEEPEST)
+    return Colour(float(found[1]) / slow, float(found[2]) / slow)
+
+
+def _away(time: FloatArray, reach: int, interval: float) -> IntArray:
+    """Return the indices of points with so many neighbours on either side, and no gap."""
+    steps = np.concatenate(([0], np.cumsum(np.diff(time) > 1.5 * interval)))
+    seen = np.arange(reach, len(time) - reach)
+    whole: BoolArray = steps[seen + reach] == steps[seen - reach]
+    return seen[whole]
+
+
+def _running(tap: FloatArray, seen: IntArray, n: int) -> sparse.csr_matrix:
+    reach = len(tap) // 2
+    column = seen[:, None] + np.arange(-reach, reach + 1)
+    row = np.repeat(np.arange(len(seen)), len(tap))
+    return sparse.csr_matrix((np.tile(tap, len(seen)), (row, column.ravel())), shape=(len(seen), n))

@@ -1,0 +1,396 @@
+"""A recording against a truth that something else measured: a simulation, or a reference.
+
+``real(t) = model(x(t + offset + stretch (t - middle))) + noise``, x the truth. The differences are
+not judged sample by sample: in each window and on each channel they are projected on its mean and
+on the few shapes that the sensor's baseline, the alignment and the catalogue can have there. Those
+projections are the rows; what is left of the samples is white noise, and gives its level.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from calib.effects import get_effect
+from calib.effects.base import State, Term
+from calib.effects.observed import observed
+from calib.errors import NoCommonMotionError
+from calib.mismatch.reference.alignment import LEAST_OVERLAP, Alignment
+from calib.mismatch.reference.alike import check_motion, check_units
+from calib.mismatch.reference.captured import Known, sensor_densities
+from calib.mismatch.reference.carried import (
+    NAMES,
+    SIZES,
+    arm_of,
+    arm_term,
+    carried,
+    rough_arm,
+    true_force,
+)
+from calib.mismatch.reference.colour import WHITE, Colour, find_colour, gaussian, whitening
+from calib.mismatch.reference.scatter import scatter
+from calib.mismatch.reference.truths import RecordingTruth
+from calib.mismatch.reference.visible import catalogue_shapes
+from calib.mismatch.reference.windowed import Shapes, find_shapes, make_rows, robust_step
+from calib.mismatch.rows.rows import Rows
+from calib.mismatch.twin.twin import ACCEL_MISALIGNMENT, baseline_column
+from calib.model import SensorModel
+from calib.recording import AXES, Recording
+from calib.rotation import mat_from_rotvec
+from calib.statics import find_poses
+from calib.thermometer import smooth_temperature
+from calib.types import BoolArray, FloatArray
+
+FAST = 0.98
+"""Share of the samples that turn slower than the motion at its fastest."""
+
+ACCEL_BASELINE = (
+    *(f"accel.bias.{a}" for a in AXES),
+    *(f"accel.scale_factor_error.{a}" for a in AXES),
+    *(f"accel.misalignment.{p}" for p in ACCEL_MISALIGNMENT),
+)
+GYRO_BASELINE = (
+    *(f"gyro.bias.{a}" for a in AXES),
+    *(f"gyro.scale_factor_error.{a}" for a in AXES),
+)
+BASELINE = (*ACCEL_BASELINE, *GYRO_BASELINE)
+
+LOOSE = {
+    "bias": 2.0,
+    "scale_factor_error": 0.05,
+    "misalignment": 0.05,
+    "zero_rate": 0.35,
+    "delay": 0.1,
+    "scale": 0.01,
+    **dict.fromkeys(("rx", "ry", "rz"), 0.2),
+}
+"""How far (SI) baseline and alignment may be from where they start.
+
+Some more than data sheets say (MPU-6050 product specification rev. 3.4: 3 % of scale, 2 % across
+axes, 80 mg, 20 dps), and of the alignment what the correlation of rates and Wahba's problem leave
+open. What the motion does not determine (the heading of a sensor on a table that turns about the
+vertical) stays there.
+"""
+
+
+class Setup(NamedTuple):
+    """Where the comparison stands: sensor model, alignment in time, frames."""
+
+    model: SensorModel
+    alignment: Alignment
+    mat_sr: FloatArray
+    errors: FloatArray
+    """Of the other gyroscope, as an arm carries them."""
+
+
+class ComparisonProblem:
+    """Rows of a recording against a truth, under a sensor model that is fitted to it.
+
+    Parameters
+    ----------
+    real : Recording
+    truth : RecordingTruth
+    alignment : Alignment
+    gravity : float, m/s²
+    model : SensorModel, optional
+        Where the baseline starts; its misalignment and further terms stay.
+    mat_sr : (3, 3) array, optional
+        From the truth's frame to s. Given, its three angles are fitted; else the frames are one.
+    spoilt : (n,) array of bool, optional
+        Samples that no model explains (clipped, repeated).
+    blur : float, s
+        Standard deviation of the Gaussian through which the differences are seen; 0 is none.
+    band : float, Hz
+        Cut-off of the low-pass that both have passed; 0 is none. What it leaves of the noise of
+        derivatives (a captured motion's) grows with frequency, and is made white again.
+    raw : Recording, optional
+        The recording before it was limited to what a truth with noise knows. It shows how the
+        sensor vibrates, and when it is at rest: what effects are functions of is still then. Noise
+        that is in the differences and in a column as well would be a scale factor error of that
+        rest. The differences keep it: it is white there.
+    """
+
+    reference = True
+    moves_signals = True
+
+    def __init__(
+        self,
+        real: Recording,
+        truth: RecordingTruth,
+        alignment: Alignment,
+        *,
+        gravity: float,
+        model: SensorModel | None = None,
+        mat_sr: FloatArray | None = None,
+        spoilt: BoolArray | None = None,
+        blur: float = 0.0,
+        band: float = 0.0,
+        raw: Recording | None = None,
+    ) -> None:
+        self.truth, self.gravity = truth, gravity
+        self.turned = mat_sr is not None
+        covered = truth.covers(alignment.times(real.time))
+        if spoilt is not None:
+            covered = covered & ~spoilt
+        common = float(covered.sum()) * real.interval
+        if common < LEAST_OVERLAP:
+            raise NoCommonMotionError(
+                f"the two have {common:.2g} s in common that both know without gaps, expected "
+                f"{LEAST_OVERLAP:g} s or more"
+            )
+        self.index = np.flatnonzero(covered)
+        self.time = real.time[self.index]
+        self.band, self.interval, self.unresolved = band, real.interval, blur > 0
+        self.blur = (
+            whitening(self.time, [WHITE, WHITE], self.interval, band)
+            if band
+            else gaussian(self.time, blur, real.interval)
+        )
+        self.measured = np.hstack((real.accel, real.gyro))[self.index]
+        self.temperature = (
+            None
+            if real.temperature is None
+            else smooth_temperature(real.time, real.temperature)[self.index]
+        )
+        start = SensorModel() if model is None else model
+        if model is None and self.temperature is not None:
+            start = replace(start, reference_temperature=float(np.median(self.temperature)))
+        self.noisy = raw is not None
+        self.densities: tuple[float, float] | None = None
+        shaken = real if raw is None else raw
+        self.thin = max(1, round(real.interval / shaken.interval))
+        self.rests = np.zeros((0, 2), np.int64)
+        if raw is not None:
+            poses = find_poses(raw)
+            if truth.quat is not None and band:
+                self.densities = sensor_densities(raw, np.stack((poses.start, poses.stop), axis=1))
+            edges = np.stack((raw.time[poses.start], raw.time[poses.stop - 1]), axis=1)
+            self.rests = np.searchsorted(self.time, edges)
+        level = start.gyro.bias if not len(self.rests) else np.median(poses.gyro, axis=0)
+        still = State(shaken.time, shaken.accel, shaken.gyro - level)
+        variance = observed(still, ("vibration",)).vibration
+        assert variance is not None
+        self.vibration = np.stack(
+            [np.interp(self.time, shaken.time, v) for v in variance.T], axis=1
+        )
+        self.given = start.terms
+        self.power_on = float(real.time[0])
+        mat = np.eye(3) if mat_sr is None else mat_sr
+        self.gyroscopic = self.turned and truth.quat is None
+        self.setup = Setup(start, alignment, mat, np.zeros(len(NAMES)))
+        self.names = BASELINE
+        self.moved = np.zeros(len(BASELINE) + len(self.aligned))
+        self.shapes: Shapes | None = None
+        self.colours: list[Colour] | None = None
+        self.fit()
+
+    @property
+    def alignments(self) -> tuple[str, ...]:
+        """The parameters of alignment."""
+        turned = tuple(f"reference_misalignment.r{a}" for a in AXES) if self.turned else ()
+        return ("time_offset.delay", "clock_scale.scale", *turned)
+
+    @property
+    def aligned(self) -> tuple[str, ...]:
+        """The nuisances in their order: alignment, and the errors of another gyroscope."""
+        return (*self.alignments, *(NAMES if self.gyroscopic else ()))
+
+    def state(self) -> State:
+        """Return the true state at the recording's times, in frame s."""
+        model, alignment, mat, errors = self.setup
+        state = self.truth.state(alignment.times(self.time))
+        given = state.angular_acceleration
+        state = replace(
+            state,
+            time=self.time,
+            force=state.force @ mat.T,
+            rate=state.rate @ mat.T,
+            angular_acceleration=None if given is None else given @ mat.T,
+            known_gradient=self._gradient(state.known_gradient, mat),
+            mat_ns=None if state.mat_ns is None else state.mat_ns @ mat.T,
+            temperature=self.temperature,
+            temperature_slope=None,
+            reference_temperature=model.reference_temperature,
+            power_on=self.power_on,
+            gravity=self.gravity,
+            since_turn=None,
+            turning=None,
+            vibration=self.vibration,
+        )
+        if self.gyroscopic:
+            state = replace(state, force=true_force(state, arm_of(self.setup.model), errors))
+        return observed(state, ("since_turn", "turning"))
+
+    def move(
+        self, baseline: Mapping[str, float], nuisance: FloatArray, terms: tuple[Term, ...]
+    ) -> None:
+        """Move model and alignment by steps; set the further terms."""
+        self.moved += np.append([baseline[n] for n in self.names], nuisance)
+        model, alignment, mat, errors = self.setup
+        triads = []
+        for name, triad in (("accel", model.accel), ("gyro", model.gyro)):
+            now = triad.parameters(name)
+            new = {k: now[k] + v for k, v in baseline.items() if k in now}
+            triads.append(triad.with_parameters(new))
+        model = replace(model, accel=triads[0], gyro=triads[1], terms=(*self.given, *terms))
+        alignment = alignment.moved(-float(nuisance[0]), -float(nuisance[1]))
+        if self.turned:
+            # f x rho is -skew(rho) f: the frame turned by -rho.
+            mat = mat_from_rotvec(-np.asarray(nuisance[2:5])) @ mat
+        if self.gyroscopic:
+            errors = errors + nuisance[5:]
+        self.setup = Setup(model, alignment, mat, errors)
+
+    def rows(self) -> Rows:
+        """Return recording minus model of the truth."""
+        state = self.state()
+        left = self.residual(state)
+        state = self._stilled(state)
+        # The sensor's errors act on what it feels where it is. Of a motion that is not resolved
+        # that is not known: it would be noise, and the same in many columns.
+        felt = state if self.unresolved else self.setup.model.felt(state)
+        if self.shapes is None:
+            columns = list(self._shape_columns(felt, left))
+            rough = None
+            if self.noisy:
+                rough = scatter(felt, left, columns, blur=self.blur, resolved=not self.unresolved)
+            self.shapes = find_shapes(self.time, left, columns, blur=self.blur, scatter=rough)
+        turned = [n.startswith("reference_misalignment") for n in self.alignments]
+        rows = make_rows(
+            self.shapes,
+            felt,
+            left,
+            blur=self.blur,
+            names=self.names,
+            nuisance=[
+                *(
+                    self._nuisance(state if turn else felt, name)
+                    for name, turn in zip(self.alignments, turned, strict=True)
+                ),
+                *(carried(state, arm_of(self.setup.model)) if self.gyroscopic else ()),
+            ],
+            aligned=self.aligned,
+            prior=np.stack((self.moved, self.loose), axis=1),
+            known=self._known(self.shapes),
+        )
+        if felt is state:
+            return rows
+        plain = [rows.column(baseline_column(n, state)) for n in self.names]
+        return replace(rows, plain=np.stack(plain, axis=1))
+
+    def _known(self, shapes: Shapes) -> Known | None:
+        """Return what is known of the noise of a captured motion once its colour is."""
+        if self.densities is None or self.colours is None:
+            return None
+        seen = np.median(shapes.noise, axis=0).reshape(2, 3).mean(axis=1)
+        accel, gyro = np.sqrt(2.0 * self.interval * seen)
+        # A rate is 2 pi f times an angle.
+        angle = gyro * np.sqrt(self.colours[1].square) / (2.0 * np.pi)
+        own = min(self.densities[0], accel), min(self.densities[1], gyro)
+        return Known(*own, angle, self.interval)
+
+    def _stilled(self, state: State) -> State:
+        force, rate = state.force.copy(), state.rate.copy()
+        turning, gradient = state.rate_dot.copy(), state.gradient.copy()
+        for a, b in self.rests:
+            if b > a:
+                force[a:b], rate[a:b] = force[a:b].mean(axis=0), rate[a:b].mean(axis=0)
+                turning[a:b], gradient[a:b] = 0.0, 0.0
+        return replace(
+            state, force=force, rate=rate, angular_acceleration=turning, known_gradient=gradient
+        )
+
+    def _gradient(self, given: FloatArray | None, mat: FloatArray) -> FloatArray | None:
+        """Return a truth's gradient in frame s, without what squares of its noise are at rest."""
+        if given is None:
+            return None
+        still = [given[a:b].sum(axis=0) for a, b in self.rests if b > a]
+        if still:
+            given = given - np.sum(still, axis=0) / np.maximum(np.diff(self.rests), 0).sum()
+        return np.asarray(mat @ given @ mat.T)
+
+    @property
+    def loose(self) -> FloatArray:
+        """How far baseline and nuisances may be from where they start."""
+        kinds = [n.split(".")[1] for n in (*self.names, *self.aligned)]
+        return np.array([LOOSE[k] for k in kinds])
+
+    def residual(self, state: State) -> FloatArray:
+        """Return recording minus model, (n, 6)."""
+        predicted = self.setup.model.distort(state)
+        return np.asarray(self.measured - np.hstack((predicted.accel, predicted.gyro)))
+
+    def fit(self, *, iterations: int = 6) -> None:
+        """Fit baseline and alignment by robust Gauss-Newton.
+
+        Beside an arm, as far as it is roughly known: what half a metre makes a sensor feel would
+        draw scale factors and time with it. It is left to be found as any other effect.
+        """
+        check_units(self.state(), self.measured)
+        given, arm = self.given, np.zeros(3)
+        for k in range(iterations):
+            self.shapes = None if k < 3 else self.shapes
+            if k == 2 and self.band:
+                self._whiten()
+            rows = self.rows()
+            step = robust_step(rows)
+            p = len(self.names)
+            terms = self.setup.model.terms[len(self.given) :]
+            self.move(dict(zip(self.names, step[:p], strict=True)), step[p:], terms)
+            if k > 3 and np.abs(step).max() < 1e-7:
+                break
+            state = self.state()
+            arm = arm + rough_arm(self.setup.model.felt(state), self.residual(state)[:, :3])
+            self._give((*given, arm_term(arm)) if arm.any() else given)
+        self._give(given)
+        self.shapes = None
+        state = self.state()
+        check_motion(state, self.measured, self.residual(state))
+
+    def _give(self, terms: tuple[Term, ...]) -> None:
+        model = self.setup.model
+        found = model.terms[len(self.given) :]
+        self.given = terms
+        self.setup = self.setup._replace(model=replace(model, terms=(*terms, *found)))
+
+    def _whiten(self) -> None:
+        """Look from here on through what makes the noise that is left white."""
+        state = self.state()
+        left = self.residual(state)
+        # A turn makes slow noise of rates of the noise of angles: w x angle beside d(angle)/dt.
+        turning = float(np.quantile(np.linalg.norm(state.rate, axis=1), FAST))
+        steepest = (2 * np.pi / max(turning, 1e-3)) ** 2
+        colours = [
+            find_colour(self.time, left[:, own], self.interval, self.band, steepest=steepest)
+            for own in (slice(0, 3), slice(3, 6))
+        ]
+        self.blur = whitening(self.time, colours, self.interval, self.band)
+        self.colours = colours
+
+    def _nuisance(self, state: State, name: str) -> Mapping[str, FloatArray]:
+        slug, parameter = name.split(".")
+        if slug != "clock_scale":
+            return get_effect(slug).columns(state, {})[parameter]
+        delay = get_effect("time_offset").columns(state, {})["delay"]
+        since = state.time - self.setup.alignment.middle
+        return {c: since * values for c, values in delay.items()}
+
+    def _shape_columns(self, state: State, left: FloatArray) -> Iterator[tuple[str, FloatArray]]:
+        """Yield what can show in the signals, in units of its typical size: channel and values."""
+        for name in self.names:
+            if ".bias." not in name:
+                for channel, values in baseline_column(name, state).items():
+                    yield channel, 0.01 * values
+        for name, size in zip(self.alignments, (5e-3, 1e-4, 0.02, 0.02, 0.02), strict=False):
+            for channel, values in self._nuisance(state, name).items():
+                yield channel, size * values
+        if self.gyroscopic:
+            arm = arm_of(self.setup.model) + rough_arm(state, left[:, :3])
+            if arm.any():
+                for size, column in zip(SIZES, carried(state, arm), strict=True):
+                    for channel, values in column.items():
+                        yield channel, size * values
+        yield from catalogue_shapes(state)

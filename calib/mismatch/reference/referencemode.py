@@ -1,0 +1,276 @@
+"""Diagnose a recording against a reference: motion capture, a table, another IMU on the same body.
+
+The reference has a clock, a frame and a point of its own. Its time and the rotation between the
+frames are found first, and fitted along with the sensor's baseline; where they are not zero they
+are findings (`time_offset`, `clock_scale`, `reference_misalignment`), and so are a leaning vertical
+(`reference_tilt`) and the lever arm between the two points (`accel_lever_arm`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from calib.errors import NoCommonMotionError
+from calib.mismatch.findings.diagnosis import Diagnosis, summarise
+from calib.mismatch.reference.against import (
+    at_rest,
+    conclude,
+    undetermined,
+    unfit,
+)
+from calib.mismatch.reference.alignment import Alignment, align
+from calib.mismatch.reference.band import Matched, limited, low_passed, matched, smoothed
+from calib.mismatch.reference.comparison import ComparisonProblem
+from calib.mismatch.reference.swaps import swapped
+from calib.mismatch.reference.truths import DEGREE, RecordingTruth
+from calib.mismatch.samples.samples import Samples, look_at_samples
+from calib.model import SensorModel
+from calib.recording import Recording
+from calib.rotation import mat_from_quat, quat_multiply
+from calib.statics import find_poses
+from calib.timing import even_times, evened
+from calib.types import BoolArray, FloatArray
+
+BRISK = 2.0
+"""Times the fastest rate that the sensor saw at which nothing of the body turned."""
+
+UNTURNED = 1e-3
+"""Weight of no rotation in a mounting, relative to what was measured."""
+
+ROUGH = 20.0
+"""Hz up to which a captured motion is aligned and its frame is found, noisy as its rates are."""
+
+BEYOND = 4.0
+"""Cut-off of the first low-pass of a captured motion relative to that of what is compared, of which
+it takes 2e-5. A rate is a product of orientations, and a force of one and an acceleration: the
+noise of one times that of the other would be noise at any frequency."""
+
+BRIDGE = 8
+"""Samples beside an end, or a gap, after which a spline has forgotten it to a hundredth."""
+
+SETUPS = ("time_offset", "clock_scale", "reference_misalignment")
+
+
+class _Placed(NamedTuple):
+    """A captured motion in the time of a recording, the frame ``mat``, and what that leaves."""
+
+    reference: ReferenceMotion
+    truth: RecordingTruth
+    alignment: Alignment
+    mat: FloatArray
+    error: float
+
+
+@dataclass(frozen=True, eq=False)
+class ReferenceMotion:
+    """What motion capture or a table says: orientations, and positions if it knows them.
+
+    Parameters
+    ----------
+    time : (n,) array, s
+        Increasing, on the reference's own clock.
+    quat : (n, 4) array
+        Scalar first, ``mat_ns`` or its inverse (the recording tells which); rows that are not
+        finite are gaps.
+    position : (n, 3) array, m, or None
+    """
+
+    time: FloatArray
+    quat: FloatArray
+    position: FloatArray | None = None
+
+    @property
+    def known(self) -> BoolArray:
+        """Where the reference saw the body, (n,) bool."""
+        good = np.isfinite(self.quat).all(axis=1)
+        if self.position is not None:
+            good &= np.isfinite(self.position).all(axis=1)
+        return np.asarray(good)
+
+    def evened(self) -> ReferenceMotion:
+        """Return it with times of a steady clock, if what it saw was taken evenly."""
+        time = even_times(self.time, self.quat * _one_sign(self.quat, self.known))
+        return self if time is None else replace(self, time=time)
+
+    def truth(self, *, gravity: float, bandwidth: float | None = None) -> RecordingTruth:
+        """Return what a perfect sensor at its point, in its frame, would have recorded.
+
+        With ``bandwidth`` (Hz) orientations and positions pass a low-pass before all else.
+        """
+        # A third of a second to import.
+        from scipy.interpolate import PchipInterpolator, make_interp_spline
+
+        good = self.known
+        if good.sum() < 4 * BRIDGE:
+            raise NoCommonMotionError(
+                f"the reference has {good.sum()} finite rows, expected at least {4 * BRIDGE}: give "
+                "the motion at even steps, not only the corners of a profile"
+            )
+        first, last = np.flatnonzero(good)[[0, -1]]
+        good = good[first : last + 1]
+        time = self.time[first : last + 1]
+        values = self.quat[first : last + 1] * _one_sign(self.quat[first : last + 1], good)
+        if self.position is not None:
+            values = np.hstack((values, self.position[first : last + 1]))
+        if not good.all():
+            values[~good] = PchipInterpolator(time[good], values[good])(time[~good])
+        if bandwidth is not None:
+            values = smoothed(time, values, bandwidth)
+        # A cubic spline would lose 2 % of the acceleration of a tremor.
+        spline = make_interp_spline(time - time[0], values, k=DEGREE)
+        slope, bend = spline(time - time[0], nu=1), spline(time - time[0], nu=2)
+        size = np.linalg.norm(values[:, :4], axis=1, keepdims=True)
+        quat = values[:, :4] / size
+        # dq/dt = q (0, w) / 2
+        rate = 2 * quat_multiply(quat * [1, -1, -1, -1], slope[:, :4] / size)[:, 1:]
+        total = np.tile([0.0, 0.0, gravity], (len(time), 1))
+        if self.position is not None:
+            total += bend[:, 4:]
+        force = np.einsum("nij,ni->nj", mat_from_quat(quat), total)
+        bridged = np.convolve(~good, np.ones(2 * BRIDGE + 1), mode="same") > 0
+        # At its ends the derivatives of a spline are loose.
+        inner = slice(BRIDGE, -BRIDGE)
+        recording = Recording(time[inner], force[inner], rate[inner], "device")
+        return RecordingTruth(recording, gravity, bridged[inner], quat[inner])
+
+    def inverted(self) -> ReferenceMotion:
+        """Return the reference with the inverse orientations."""
+        return replace(self, quat=self.quat * np.array([1.0, -1.0, -1.0, -1.0]))
+
+
+def _one_sign(quat: FloatArray, good: BoolArray) -> FloatArray:
+    """Return the signs (n, 1) that make neighbours alike, over what is not known too."""
+    known = quat[good]
+    flip = np.where(np.einsum("ij,ij->i", known[1:], known[:-1]) < 0, -1.0, 1.0)
+    sign = np.ones((len(quat), 1))
+    sign[good, 0] = np.concatenate(([1.0], np.cumprod(flip)))
+    return sign
+
+
+def diagnose_reference(
+    real: Recording,
+    reference: Recording | ReferenceMotion,
+    *,
+    gravity: float,
+    model: SensorModel | None = None,
+) -> Diagnosis:
+    """Find what a recording has that a reference of its motion lacks.
+
+    Raises
+    ------
+    NoCommonMotionError
+        If the two do not show the same motion.
+    """
+    real = evened(real)
+    reference = evened(reference) if isinstance(reference, Recording) else reference.evened()
+    seen = look_at_samples(real, find_poses(real))
+    summary = summarise(real)
+    if seen.fatal:
+        return unfit(seen, summary)
+    if isinstance(reference, Recording):
+        still = at_rest(real, reference)
+        if still:
+            return undetermined(still, summary)
+    elif reference.position is None:
+        summary["position"] = "not known: the point of the reference counts as at rest"
+    problem, skip = compare_reference(real, reference, seen, gravity=gravity, model=model)
+    return conclude(problem, seen, summary, setups=SETUPS, skip=skip)
+
+
+def compare_reference(
+    real: Recording,
+    reference: Recording | ReferenceMotion,
+    seen: Samples,
+    *,
+    gravity: float,
+    model: SensorModel | None = None,
+) -> tuple[ComparisonProblem, tuple[str, ...]]:
+    """Align a reference with a recording; return what to compare, and what cannot show."""
+    if isinstance(reference, Recording):
+        alignment = align(real.time, real.gyro, reference.time, reference.gyro)
+        mat = mounting(real, RecordingTruth(reference, gravity), alignment)[0]
+        known = look_at_samples(reference, find_poses(reference))
+        if known.fatal:
+            raise NoCommonMotionError(
+                "the reference cannot be trusted: "
+                + "; ".join(f.sentence for f in known.findings or ())
+            )
+        truth = RecordingTruth(reference, gravity, known.spoilt)
+        common = matched(real, truth, alignment, mat, spoilt=seen.spoilt)
+    else:
+        common, alignment, mat = _captured(real, reference, gravity, seen.spoilt)
+    problem = ComparisonProblem(
+        common.real,
+        common.truth,
+        alignment,
+        gravity=gravity,
+        model=model,
+        mat_sr=mat,
+        spoilt=common.spoilt,
+        blur=common.blur,
+        band=common.band,
+        raw=real if common.limited else None,
+    )
+    # What both were limited to hides the sensor's own low-pass. Where samples do not resolve the
+    # motion, one that is lost cannot be told from motion either.
+    hidden = ("bandwidth",) if common.limited else ()
+    return problem, ((*hidden, "dropped_samples") if common.blur else hidden)
+
+
+def _captured(
+    real: Recording, reference: ReferenceMotion, gravity: float, spoilt: BoolArray
+) -> tuple[Matched, Alignment, FloatArray]:
+    """Align a captured motion, and limit both to the band that they share."""
+    ways = (_placed(real, way, gravity) for way in (reference, reference.inverted()))
+    reference, truth, alignment, mat, _ = min(ways, key=lambda placed: placed.error)
+    bad = swapped(reference.time, reference.quat, real, alignment, mat)
+    if bad.any():
+        seen = replace(reference, quat=np.where(bad[:, None], np.nan, reference.quat))
+        reference, truth, alignment, mat, _ = _placed(real, seen, gravity)
+    forces = reference.position is not None
+    common = matched(real, truth, alignment, mat, spoilt=spoilt, forces=forces)
+    if common.band and BEYOND * common.band < 0.5 / truth.recording.interval:
+        truth = reference.truth(gravity=gravity, bandwidth=BEYOND * common.band)
+        common = limited(real, truth, common.band, spoilt)
+    return common, alignment, mat
+
+
+def _placed(real: Recording, reference: ReferenceMotion, gravity: float) -> _Placed:
+    truth = reference.truth(gravity=gravity)
+    rough = replace(truth, recording=low_passed(truth.recording, ROUGH))
+    known = rough.recording.time[truth.covers(truth.recording.time)]
+    rate = rough.state(known).rate
+    # Faster than the sensor ever turned: markers that were taken for one another.
+    rate[np.linalg.norm(rate, axis=1) > BRISK * np.linalg.norm(real.gyro, axis=1).max()] = 0.0
+    alignment = align(real.time, real.gyro, known, rate)
+    return _Placed(reference, truth, alignment, *mounting(real, rough, alignment))
+
+
+def mounting(
+    real: Recording, truth: RecordingTruth, alignment: Alignment
+) -> tuple[FloatArray, float]:
+    """Return the rotation from the truth's frame to s, and the share of rotation that it leaves.
+
+    Wahba's problem over rates and specific forces, by singular values.
+
+    References
+    ----------
+    .. [1] F. L. Markley, "Attitude determination using vector observations and the singular value
+       decomposition", J. Astronaut. Sci. 36, 1988, p. 245.
+    """
+    at = alignment.times(real.time)
+    inside = truth.covers(at)
+    state = truth.state(at[inside])
+    gyro = real.gyro[inside] - np.median(real.gyro[inside], axis=0)
+    rate = state.rate - np.median(state.rate, axis=0)
+    product = gyro.T @ rate / max(float(np.square(rate).sum()), 1e-12)
+    product += real.accel[inside].T @ state.force / float(np.square(state.force).sum())
+    # A turn that nothing tells of (heading, on a table) is none.
+    product += UNTURNED * np.linalg.norm(product) * np.eye(3)
+    u, _, vt = np.linalg.svd(product)
+    mat = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
+    left = np.square(gyro - rate @ mat.T).sum() / max(float(np.square(gyro).sum()), 1e-12)
+    return mat, float(left)

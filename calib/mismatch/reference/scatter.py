@@ -1,0 +1,148 @@
+"""How far samples scatter about what a reference with noise of its own says of them.
+
+More while the sensor vibrates, for that is no motion of the body. And where samples do not resolve
+the motion, what happens between two of them reaches a recording and its reference unlike: they
+sample at moments and through filters of their own, and an angular acceleration of which the samples
+show a part only is felt whole at the end of an arm. So the variance of a sample is a sum of parts
+that go with the vibration, the rate and its changes, found along with all that could explain the
+differences.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy import linalg
+
+from calib.effects.base import State
+from calib.mismatch.reference.colour import Blur
+from calib.recording import CHANNELS
+from calib.types import FloatArray
+
+PASSES = 8
+"""How often columns and variance are fitted in turn: what scatters most is reached from what is at
+rest by a factor of `KNOCK` each."""
+
+KNOCK = 9.0
+"""Square of a difference, relative to its variance, from which on it is a knock of its own."""
+
+QUIETEST, LOUD = 0.2, 2.0
+"""Share of a recording that is taken to be free of vibration, and the short-time variance relative
+to what it is there above which there is some: that of noise alone differs by less from second to
+second."""
+
+LOOSE = 30.0
+"""How large, in its typical size, an effect may be that takes its part before the rest scatters."""
+
+
+class Scatter(NamedTuple):
+    """The noise of n points on every channel, but for a factor.
+
+    ``variance`` (n, 6) is that of slow noise; the m points that are seen show the share ``seen``
+    (m, 6) of it. It is 1 but where a blur that whitens takes most of what is white away.
+    """
+
+    variance: FloatArray
+    seen: FloatArray
+
+
+def scatter(
+    state: State,
+    left: FloatArray,
+    columns: list[tuple[str, FloatArray]],
+    *,
+    blur: Blur,
+    resolved: bool,
+) -> Scatter:
+    """Return how far points scatter.
+
+    Parameters
+    ----------
+    state : State
+        At the n points.
+    left : (n, 6) array
+        Recording minus model.
+    columns : list of (channel, (n,) values)
+        What the differences can have besides, each in its typical size.
+    blur : Blur
+        What their differences are seen through. What they scatter more than always is white.
+    resolved : bool
+        Whether the samples resolve the motion.
+    """
+    parts = _parts(state, resolved=resolved)
+    size = parts.mean(axis=0)
+    parts = parts[:, size > 0] / size[size > 0]
+    variance = np.empty((len(parts), len(CHANNELS)))
+    shown = np.ones((len(blur.seen), len(CHANNELS)))
+    for c, name in enumerate(CHANNELS):
+        matrix = blur.matrices[c // 3]
+        own = [values for channel, values in columns if channel == name]
+        design = matrix @ np.stack([*own, np.ones(len(parts))], axis=1)
+        y = matrix @ left[:, c]
+        heard = np.stack([_spread(part, blur.heard[c // 3]) for part in parts.T], axis=1)
+        seen = heard[blur.seen] if blur.whitens else matrix.power(2) @ heard
+        share = _of_parts(seen, y, design, blur.power)
+        known = seen @ share
+        share[1:] /= blur.white[c // 3]
+        variance[:, c] = heard @ share
+        shown[:, c] = known / (seen @ share)
+    return Scatter(variance, shown)
+
+
+def _parts(state: State, *, resolved: bool) -> FloatArray:
+    """Return what the variance may go with, (n, k): the same always, vibration, rate, changes."""
+    same = np.ones(len(state.time))
+    vibration = _shaking(state)
+    if resolved:
+        return np.stack((same, vibration), axis=1)
+    rate = np.square(state.rate).sum(axis=1)
+    turning = np.square(state.rate_dot).sum(axis=1)
+    bent = [np.square(_bend(values)).sum(axis=1) for values in (state.rate, state.force)]
+    return np.stack((same, vibration, rate, np.square(rate), turning, *bent), axis=1)
+
+
+def _shaking(state: State) -> FloatArray:
+    """Return the variance of what shakes the sensor, (n,): more than its own noise explains.
+
+    That noise is always there. Counted as vibration it would be the part that is always the same
+    once more, and which of the two it is would be left to chance.
+    """
+    if state.vibration is None:
+        return np.zeros(len(state.time))
+    total = state.vibration.sum(axis=1)
+    return np.asarray(np.maximum(total - LOUD * np.quantile(total, QUIETEST), 0.0))
+
+
+def _spread(values: FloatArray, heard: FloatArray) -> FloatArray:
+    """Return (n,) variances as they are heard, what is before the first and after the last alike.
+
+    What shakes is a thousand times louder than what does not: its echo is heard beside it.
+    """
+    reach = len(heard) // 2
+    return np.convolve(np.pad(values, reach, mode="edge"), heard, mode="valid")
+
+
+def _bend(values: FloatArray) -> FloatArray:
+    """Return second differences, the first and the last as their neighbours."""
+    return np.pad(np.diff(values, n=2, axis=0), ((1, 1), (0, 0)), mode="edge")
+
+
+def _of_parts(parts: FloatArray, y: FloatArray, design: FloatArray, power: float) -> FloatArray:
+    """Return how much of each part is in the variance of y, beside what the design explains."""
+    from scipy.optimize import nnls  # a fifth of a second to import
+
+    least = 1e-12 + 1e-6 * float(np.mean(np.square(y)))
+    share, left = np.zeros(parts.shape[1]), y
+    # Half of a normal variable's squares are below 0.455 of their mean.
+    variance = np.full(len(y), max(float(np.median(np.square(y))) / 0.455, least))
+    ridge = np.eye(design.shape[1]) / LOOSE**2
+    for _ in range(PASSES):
+        square = np.minimum(np.square(left), KNOCK * variance)
+        share = nnls(parts / variance[:, None], square / variance)[0]
+        variance = np.maximum(parts @ share, least)
+        # Neighbours are alike by the blur: so many of them are worth one.
+        weighted = design * (power / variance)[:, None]
+        factor = linalg.cho_factor(design.T @ weighted + ridge)
+        left = y - design @ linalg.cho_solve(factor, weighted.T @ y)
+    return np.asarray(share)

@@ -1,0 +1,368 @@
+"""Windows of the differences between a recording and a truth, and the rows that they make.
+
+In each window and on each channel a difference is projected on its mean and on given shapes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+
+from calib.effects.base import State
+from calib.mismatch.noise.sensornoise import (
+    DRIFT,
+    DRIFT_TIME,
+    SPREAD,
+    drift_components,
+    flicker_covariance,
+)
+from calib.mismatch.reference.captured import Known, mean_covariance
+from calib.mismatch.reference.colour import Blur
+from calib.mismatch.reference.scatter import Scatter
+from calib.mismatch.rows.rows import UNKNOWN, Component, Kind, Rows
+from calib.mismatch.search.refit import scaled
+from calib.mismatch.twin.twin import baseline_column
+from calib.recording import CHANNELS
+from calib.types import BoolArray, FloatArray, IntArray
+
+SEGMENTS = 80
+"""Windows that a recording is cut into, at most."""
+
+SHORTEST = 1.0
+"""s of a window, at least."""
+
+SHAPES = 1200
+"""Rows that follow a shape within a window, at most: the strongest ones are kept."""
+
+VISIBLE = 0.1
+"""A shape that effects of typical size reach by less than this, in standard errors, is no row."""
+
+LEAST_FREE = 0.3
+"""Share of a window's independent samples that tell of its noise at least: weak shapes that are
+much alike take up fewer of them than there are shapes."""
+
+BEYOND = 3.0
+"""Standard errors by which the noise of one window must be above that of most to be its own."""
+
+LIKE_REST = 1.5
+"""Up to so much more noise than quiet ones a window has none of its own."""
+
+SLOW = 0.1
+"""Share of the noise of samples that their means are expected to have where a captured motion's
+angles leave less: what captures the motion may err slowly, too."""
+
+RESTLESS = 4.0
+"""A window whose samples scatter by this much more (in variance) than in quiet ones holds motion
+that the truth does not follow: shaking beyond its band, play between the two."""
+
+
+@dataclass(frozen=True, eq=False)
+class Shapes:
+    """Windows ``[first, last)`` of points, and the shapes (unit vectors) that are rows there.
+
+    ``noise`` (k, 6) is the variance of a window's points. Where that is not the same throughout,
+    ``scatter`` tells of every point but for a factor of each window, and the shapes are those of
+    points in units of its root.
+    """
+
+    first: IntArray
+    last: IntArray
+    segment: IntArray
+    channel: IntArray
+    vectors: tuple[FloatArray, ...]
+    noise: FloatArray
+    scatter: Scatter | None = None
+
+
+def cut(time: FloatArray) -> tuple[IntArray, IntArray]:
+    """Return windows ``[first, last)`` of equal length with at least 12 points each."""
+    span = time[-1] - time[0]
+    count = int(np.clip(span / SHORTEST, 1, SEGMENTS))
+    edges = np.searchsorted(time, time[0] + span * np.arange(count + 1) / count)
+    edges[-1] = len(time)
+    keep = np.diff(edges) >= 12
+    return edges[:-1][keep], edges[1:][keep]
+
+
+def find_shapes(
+    time: FloatArray,
+    left: FloatArray,
+    columns: list[tuple[str, FloatArray]],
+    *,
+    blur: Blur,
+    scatter: Scatter | None = None,
+) -> Shapes:
+    """Return windows, the shapes that columns have in each, and the noise of its samples.
+
+    Parameters
+    ----------
+    time : (n,) array, s
+    left : (n, 6) array
+        Recording minus model.
+    columns : list of (channel, (n,) values)
+    blur : Blur
+        Windows and shapes are of the m points that it leaves.
+    scatter : Scatter, optional
+        Without, points are as noisy throughout a window.
+    """
+    first, last = cut(time[blur.seen])
+    noise, free = np.empty((len(first), 6)), np.empty((len(first), 6))
+    size = _sizes(scatter, blur)
+    seen_of = np.ones_like(size) if scatter is None else scatter.seen
+    independent = blur.power * np.array(
+        [seen_of[a:b].sum(axis=0) for a, b in zip(first, last, strict=True)]
+    )
+    found: list[tuple[float, int, int, FloatArray]] = []
+    for c, name in enumerate(CHANNELS):
+        matrix = blur.matrices[c // 3]
+        own = matrix @ np.stack([v for channel, v in columns if channel == name], axis=1)
+        own /= size[:, c, None]
+        seen = matrix @ left[:, c] / size[:, c]
+        rough = float(np.median(np.abs(np.diff(seen, n=2)))) / 0.6745 / np.sqrt(6.0)
+        rough = max(rough, 1e-9)
+        for s, (a, b) in enumerate(zip(first, last, strict=True)):
+            mean = 1.0 / size[a:b, c]
+            mean /= np.linalg.norm(mean)
+            part = own[a:b] - np.outer(mean, mean @ own[a:b])
+            values, vectors = np.linalg.eigh(part.T @ part)
+            strength = np.sqrt(np.maximum(values[::-1], 0.0)) / rough
+            keep = (strength > VISIBLE) & (strength > 1e-6 * strength[0])
+            keep[max((b - a) // 3, 1) :] = False
+            shapes = part @ vectors[:, ::-1][:, keep]
+            shapes /= np.linalg.norm(shapes, axis=0)
+            y = seen[a:b] - mean * (mean @ seen[a:b])
+            rest = y - shapes @ (shapes.T @ y)
+            # So many of its samples are independent; the mean and the shapes take up one each.
+            many = independent[s, c]
+            free[s, c] = max(many - 1 - shapes.shape[1], LEAST_FREE * many)
+            noise[s, c] = float(rest @ rest) / free[s, c]
+            found += [(float(v), s, c, x) for v, x in zip(strength[keep], shapes.T, strict=True)]
+    noise = _levelled(noise, free, independent, blur.white)
+    noise *= _of_windows(size, first, last)
+    strongest = sorted(found, key=lambda item: -item[0])[:SHAPES]
+    strongest.sort(key=lambda item: (item[2], item[1]))
+    return Shapes(
+        first,
+        last,
+        np.array([item[1] for item in strongest], np.int64),
+        np.array([item[2] for item in strongest], np.int64),
+        tuple(item[3] for item in strongest),
+        noise,
+        scatter,
+    )
+
+
+def _sizes(scatter: Scatter | None, blur: Blur) -> FloatArray:
+    """Return the root of how far the points that are seen scatter, (m, 6), the blur left aside."""
+    if scatter is None:
+        return np.ones((len(blur.seen), len(CHANNELS)))
+    out = []
+    for c in range(len(CHANNELS)):
+        if blur.whitens:
+            out.append(scatter.variance[blur.seen, c])
+            continue
+        square = blur.matrices[c // 3].power(2)
+        out.append(square @ scatter.variance[:, c] / np.asarray(square.sum(axis=1)).ravel())
+    return np.asarray(np.sqrt(np.stack(out, axis=1)))
+
+
+def _of_windows(size: FloatArray, first: IntArray, last: IntArray) -> FloatArray:
+    """Return the variance (k, 6) of points that tell as much as those of windows do."""
+    worth = [np.square(1.0 / size[a:b]).mean(axis=0) for a, b in zip(first, last, strict=True)]
+    return np.asarray(1.0 / np.array(worth))
+
+
+def _levelled(
+    noise: FloatArray,
+    free: FloatArray,
+    independent: FloatArray,
+    white: tuple[float, float],
+) -> FloatArray:
+    """Return the noise of windows (k, 6): that of most of them, or more where there is more.
+
+    Where shapes take up most of a window, little of its noise is left to be seen. What is more is
+    not of the colour of the rest: it is taken as white, of which the share ``white`` is seen.
+    """
+    out = np.empty_like(noise)
+    for c in range(6):
+        told = free[:, c] > 0.5 * independent[:, c]
+        if told.sum() < 5:
+            told = free[:, c] >= np.quantile(free[:, c], 0.8)
+        most = max(float(np.median(noise[told, c])), 1e-18)
+        beyond = noise[:, c] > most * (1.0 + BEYOND * np.sqrt(2.0 / free[:, c]))
+        more = (noise[:, c] - most) / white[c // 3]
+        out[:, c] = most + np.where(beyond, more, 0.0)
+    return out
+
+
+def make_rows(
+    shapes: Shapes,
+    state: State,
+    left: FloatArray,
+    *,
+    blur: Blur,
+    names: tuple[str, ...],
+    nuisance: list[Mapping[str, FloatArray]],
+    aligned: tuple[str, ...],
+    prior: FloatArray,
+    known: Known | None = None,
+) -> Rows:
+    """Return the rows: the mean of every window and channel, and what follows the shapes there.
+
+    Each is scaled such that white samples give it the variance of a mean. What is ``known`` of the
+    noise of a captured motion says more of means than the noise of samples does.
+    """
+    first, last = shapes.first, shapes.last
+    count = last - first
+    time = state.time[blur.seen]
+    n, k = len(time), len(first)
+    dense, m = 6 * k, 6 * k + len(shapes.vectors)
+    channel = np.concatenate((np.tile(np.arange(6), k), shapes.channel))
+    segment = np.concatenate((np.repeat(np.arange(k), 6), shapes.segment))
+    kind = np.full(m, int(Kind.CONTRAST))
+    kind[:dense] = Kind.MEAN
+    size = _sizes(shapes.scatter, blur)
+    typical = np.sqrt(_of_windows(size, first, last))
+    relative = [
+        size[first[s] : last[s], c] / typical[s, c] for s, c in zip(segment, channel, strict=True)
+    ]
+    weights = [1.0 / (len(r) * np.square(r)) for r in relative[:dense]]
+    weights += [
+        v / (np.sqrt(len(v)) * r) for v, r in zip(shapes.vectors, relative[dense:], strict=True)
+    ]
+    functional, white = [], np.zeros(m)
+    for c in range(6):
+        own = np.flatnonzero(channel == c)
+        row = np.repeat(own, count[segment[own]])
+        points = np.concatenate([np.arange(first[s], last[s]) for s in segment[own]])
+        values = np.concatenate([weights[i] for i in own])
+        seen = sparse.csr_matrix((values, (row, points)), shape=(m, n))
+        functional.append(seen @ blur.matrices[c // 3])
+        square = (seen if blur.whitens else functional[c]).power(2)
+        if shapes.scatter is None:
+            white += np.asarray(square.sum(axis=1)).ravel()
+        else:
+            variance = shapes.scatter.variance[blur.seen if blur.whitens else slice(None), c]
+            white[own] = (square @ variance)[own] / np.square(typical[segment[own], c])
+    variance = shapes.noise[segment, channel] * white
+    quiet = np.quantile(shapes.noise, 0.2, axis=0)
+    restless = shapes.noise[segment, channel] > RESTLESS * quiet[channel]
+    interval = np.stack((time[first], time[last - 1]), axis=1)
+    point_segment = np.clip(np.searchsorted(interval[:, 0], state.time, side="right") - 1, 0, k - 1)
+    inside = np.flatnonzero(
+        (state.time >= interval[point_segment, 0]) & (state.time <= interval[point_segment, 1])
+    )
+    member = sparse.csr_matrix(
+        (np.ones(len(inside)), (inside, point_segment[inside])), shape=(len(state.time), k)
+    )
+    pieces = tuple((f @ member).tocsr() for f in functional)
+
+    def column(signals: Mapping[str, FloatArray]) -> FloatArray:
+        out = np.zeros(m)
+        for name, values in signals.items():
+            out += functional[CHANNELS.index(name)] @ values
+        return out
+
+    residual = column(dict(zip(CHANNELS, left.T, strict=True)))
+    matrix, means = np.diag(variance[:dense]), variance[:dense]
+    slow: tuple[Component, ...] = ()
+    density = np.median(
+        2 * shapes.noise * (np.ptp(interval, axis=1) / (count - 1))[:, None], axis=0
+    )
+    if known is not None:
+        share = np.maximum(1.0 - LIKE_REST * quiet / shapes.noise, 0.0)
+        matrix = mean_covariance([f[:dense] for f in functional], channel[:dense], state, known)
+        matrix += np.diag(means * share[segment[:dense], channel[:dense]])
+        slow = _besides("slow", means, np.ones(dense, bool), channel[:dense], SLOW, SPREAD)
+        density = np.square(np.repeat(known[:2], 3))
+    return Rows(
+        residual=residual,
+        baseline=np.stack([column(baseline_column(x, state)) for x in names], axis=1),
+        names=names,
+        nuisance=np.stack([column(x) for x in nuisance], axis=1),
+        functional=tuple(functional),
+        state=state,
+        point_segment=point_segment,
+        white=matrix,
+        white_diagonal=variance[dense:],
+        components=(
+            *_components(pieces, dense, interval, density),
+            *slow,
+            *_besides("motion", means, restless[:dense], channel[:dense], 1.0, UNKNOWN),
+        ),
+        kind=kind,
+        channel=channel,
+        segment=segment,
+        block=segment,
+        interval=interval,
+        is_rest=np.zeros(k, bool),
+        pieces=pieces,
+        aligned=aligned,
+        restless=restless,
+        prior=prior,
+    )
+
+
+def _besides(
+    label: str,
+    variance: FloatArray,
+    which: BoolArray,
+    channel: IntArray,
+    expected: float,
+    spread: float,
+) -> tuple[Component, ...]:
+    """Return what else those means may err by, in parts of the variance that samples say.
+
+    The truth's errors, which go with the motion, are no white noise: neighbouring samples err
+    alike, so that a mean is off by more. Nor need a captured motion's be all in its angles.
+    """
+    out = []
+    for k, triad in enumerate(("accel", "gyro")):
+        index = np.flatnonzero(which & (channel // 3 == k))
+        if index.size:
+            name, own = f"{triad} {label}", variance[index]
+            out.append(Component.alone(name, index, own, expected=expected, spread=spread))
+    return tuple(out)
+
+
+def _components(
+    pieces: tuple[sparse.csr_matrix, ...],
+    dense: int,
+    interval: FloatArray,
+    density: FloatArray,
+) -> tuple[Component, ...]:
+    """Return the drift of each channel: jitter, flicker and walk, as in the twin's rows.
+
+    ``density`` (6,) is the square of each channel's noise density.
+    """
+    length = np.ptp(interval, axis=1)
+    middle = interval.mean(axis=1)
+    walk = np.minimum.outer(middle - middle[0], middle - middle[0]) / DRIFT_TIME
+    flicker = flicker_covariance(middle, length)
+    out = []
+    for c, name in enumerate(CHANNELS):
+        drift = DRIFT[name.split(".")[0]] ** 2 * density[c]
+        out += drift_components(name, pieces[c][:dense], flicker, walk, drift, SPREAD)
+    return tuple(out)
+
+
+def robust_step(rows: Rows) -> FloatArray:
+    """Return the Gauss-Newton step of baseline and nuisances, by Huber's weights."""
+    sigma = np.sqrt(np.concatenate((rows.expected_variance(), rows.white_diagonal)))
+    design = np.hstack((rows.baseline, rows.nuisance)) / sigma[:, None]
+    y = rows.residual / sigma
+    ridge = np.diag(1.0 / rows.prior[:, 1])
+    pull = -rows.prior[:, 0] / rows.prior[:, 1]
+    weight = np.ones(len(y))
+    step = np.zeros(design.shape[1])
+    for _ in range(5):
+        root = np.sqrt(weight)
+        stacked, size = scaled(np.vstack((design * root[:, None], ridge)))
+        step = np.linalg.lstsq(stacked, np.append(y * root, pull), rcond=1e-12)[0] / size
+        left = np.abs(y - design @ step)
+        scale = max(float(np.median(left)) / 0.6745, 1.0)
+        weight = np.minimum(1.0, 3.0 * scale / np.maximum(left, 1e-12)) / scale**2
+    return np.asarray(step)

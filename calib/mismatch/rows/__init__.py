@@ -1,0 +1,1 @@
+"""What is looked at: the grid of a recording, closures of its turns, and rows of residuals."""

@@ -1,0 +1,70 @@
+"""What a change of whole signals did to the turns of a recording.
+
+Without a reference the signals that rows start from have the change in them, and a low-pass of a
+few hertz changes a turn far beyond what is linear. So its column is no functional of signals: the
+turns are integrated as recorded and as they were before the change, and the column is the
+difference of their closures.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from functools import lru_cache
+
+import numpy as np
+
+from calib.effects.base import Signals, TransformEffect
+from calib.mismatch.rows.closure import across, end_turns, turned_frames
+from calib.mismatch.rows.rows import ClosedTurns, Rows
+from calib.types import FloatArray, IntArray
+
+STILL = 1 / 3
+"""s of rest that are put at either end of each turn, in which a low-pass of 3 Hz settles."""
+
+
+def whole_changes(
+    effect: TransformEffect, rows: Rows, shape: Mapping[str, float]
+) -> dict[str, FloatArray]:
+    """Return what each part of an effect, there in the recorded signals, did to the rows (m,)."""
+    turns = rows.turns
+    out: dict[str, FloatArray] = {}
+    if not len(turns.index):
+        return out
+    recorded, place, restore = _settled(effect, turns)
+    for p in effect.parameters:
+        alone = {q.name: float(q is p) for q in effect.parameters}
+        before = restore({**alone, **shape})
+        if all(a is b for a, b in zip(before, recorded, strict=True)):
+            continue
+        frame = turns.frame
+        if before.gyro is not recorded.gyro:
+            frame = turned_frames(turns.spans, before.gyro[place])
+        ended = end_turns(turns.spans, before.accel[place], frame)
+        tilt = np.einsum("kij,kj->ki", turns.ended.frame - ended.frame, turns.up_after)
+        out[p.name] = np.zeros(len(rows.residual))
+        out[p.name][turns.index[:, :2]] = np.einsum("kij,ki->kj", across(turns.up_before), tilt)
+        out[p.name][turns.index[:, 2:]] = turns.ended.velocity - ended.velocity
+    return out
+
+
+@lru_cache(maxsize=1)
+def _settled(
+    effect: TransformEffect, turns: ClosedTurns
+) -> tuple[Signals, IntArray, Callable[[Mapping[str, float]], Signals]]:
+    """Return signals at rest before and after each turn, and what takes an effect out of them.
+
+    Beside them the place of each of the turns' own points.
+    """
+    # Signals rest before and after each turn; of that the grid keeps only a few points.
+    spans = turns.spans
+    inside = np.ones(len(spans.time), bool)
+    inside[spans.last] = False
+    interval = float(np.median(np.diff(spans.time)[inside[:-1]]))
+    still = int(np.ceil(STILL / interval))
+    count = np.ones(len(spans.time), np.int64)
+    count[spans.start] += still
+    count[spans.last] += still
+    place = np.cumsum(count) - 1
+    place[spans.last] -= still
+    recorded = Signals(*(np.repeat(x, count, axis=0) for x in (turns.force, turns.rate)))
+    return recorded, place, effect.restorer(recorded, interval=interval)

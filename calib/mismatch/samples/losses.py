@@ -1,0 +1,316 @@
+"""Samples that went missing in a turn, and a clock that did not notice.
+
+One sample lost at 200 degrees a second turns the frame by 2 degrees at 100 Hz: hundreds of standard
+errors, too many for a linear column. So a turn that misses its closure by far is integrated with
+samples put back, at every place. A loss has two unknowns, where and how many; the turn has five
+equations.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from calib.faults import ROBUST
+from calib.mismatch.rows.closure import Ended, Spans, follow_turns, integrate_turns, open_ends
+from calib.mismatch.rows.grid import Grid
+from calib.mismatch.twin.selfmode import SelfProblem
+from calib.mismatch.twin.twin import Twin, true_state
+from calib.mismatch.twin.twinfit import fit_twin
+from calib.spline import spline_between, spline_slopes
+from calib.types import FloatArray, IntArray
+
+SURE = 1000.0
+"""Odds of a loss, against a turn that errs by as much for another reason, from which it is one. Of
+such errors, five numbers of any direction, a share of ``(after / before)**5`` is mended as well at
+one place; so many places are tried. Three turns may be looked at in a recording, and at most one in
+two hundred recordings may have a false name."""
+
+SHARP = 0.5
+"""Share of the greatest jump of the signals in a turn from which others are as likely a loss."""
+
+NEAR = 3.0
+"""The same of a turn that closes."""
+
+SHARE = 0.1
+"""Of a closure, what may be left of it: samples between fast ones are only interpolated. At a
+thousand looks it is what the odds ask for."""
+
+MOST = 5
+"""Samples lost at once, at most."""
+
+PLACES = 400
+"""Places in a turn that are tried first."""
+
+SUSPECT = 6.0
+"""Size from which a turn is looked at again, in a fit that leaves it out."""
+
+TRIED = 3
+"""Turns that are looked at so, at most."""
+
+FEWEST = 6
+"""Turns that a scatter is taken from."""
+
+FREEDOM = 3.0
+"""Degrees of freedom of the jumps that motion makes."""
+
+CONTEXT = 6
+"""Samples on either side that those put back are interpolated from."""
+
+EDGE = 4
+"""Samples at the ends of a part of a turn that are not integrated as in the whole: slopes take two
+on either side, and those of velocity take the frames there, which took slopes themselves. A turn's
+own ends rest."""
+
+PART = 2 * EDGE + 1
+"""Samples on either side that are integrated anew."""
+
+Signals = tuple[FloatArray, FloatArray, FloatArray]
+"""Time, force and rate of one turn."""
+
+
+class Loss(NamedTuple):
+    """``number`` samples are missing just before ``moment`` (s), in one segment of the grid.
+
+    ``before`` and ``after`` are the size of its closure in scatters, with and without the loss;
+    ``looks`` is at how many places, and for how many samples, a loss was as likely beforehand.
+    ``spread`` is how uncertain moment (s) and number are: two samples lost in a fast moment turn
+    the frame as much as four in a slow one. ``wrong`` is the size of the closure where one sample
+    there is what its neighbours foretell instead.
+    """
+
+    segment: int
+    moment: float
+    number: int
+    before: float
+    after: float
+    looks: int
+    spread: tuple[float, float] = (0.0, 0.0)
+    wrong: float = np.inf
+
+    @property
+    def stands(self) -> bool:
+        """Whether the loss mends the turn, and no other error would be mended so by chance.
+
+        Nor by one sample that is wrong: beside it, samples put back undo what it does.
+        """
+        mended = self.after < max(NEAR, SHARE * self.before)
+        odds = (self.before / max(self.after, 1.0)) ** 5 / self.looks
+        alone = self.wrong > max(NEAR, 2.0 * self.after)
+        return mended and alone and self.before > SUSPECT and odds > SURE
+
+
+def find_losses(problem: SelfProblem) -> list[Loss]:
+    """Return the losses that turn a turn which misses its closure by far into one that closes.
+
+    A gyroscope that is misaligned misses every closure, and a loss would not stand out of that: so
+    the twin that they are compared with has the whole matrix.
+    """
+    grid = problem.grid
+    drop = np.zeros(len(grid.first), bool) if problem.drop is None else problem.drop.copy()
+    turns = np.flatnonzero(~grid.is_rest & ~drop)
+    if len(turns) < FEWEST:
+        return []
+    whole = problem.twin
+    if not problem.full_gyro:
+        whole = fit_twin(
+            grid, replace(whole, full_gyro=True), problem.noise, drop=drop, iterations=2
+        )
+    scores = _Closures(grid, whole, turns).scores
+    out = []
+    for _ in range(TRIED):
+        if scores.max() < SUSPECT:
+            break
+        # What one turn misses by, the fit spreads over its neighbours: fit without it.
+        s = int(turns[np.argmax(scores)])
+        drop[s] = True
+        twin = fit_twin(grid, whole, problem.noise, drop=drop)
+        closures = _Closures(grid, twin, turns)
+        loss = closures.mended(s)
+        if loss.stands:
+            out.append(loss)
+        scores = np.where(drop[turns], 0.0, closures.scores)
+    return out
+
+
+class _Closures:
+    """Closures of turns, and their sizes in scatters of them all."""
+
+    def __init__(self, grid: Grid, twin: Twin, turns: IntArray) -> None:
+        self._grid, self._twin, self._turns = grid, twin, turns
+        self._state = true_state(grid, twin, headed=False)
+        state, (points, first) = self._state, grid.points_of(turns)
+        spans = Spans(grid.time[points], first)
+        ended = integrate_turns(spans, state.force[points], state.rate[points])
+        left = self._residuals(turns, ended, spans.duration)
+        # White noise of a rate turns the frame by the root of time, and gravity in it by time more.
+        longer = np.maximum(spans.duration / np.median(spans.duration), 1.0)
+        scale = np.repeat(np.sqrt([longer, longer**3]).T, (2, 3), axis=1)
+        size = ROBUST * np.median(np.abs(left / scale), axis=0)
+        scatter = np.repeat([size[:2].mean(), size[2:].mean()], (2, 3))
+        self._scatter = np.zeros((len(grid.first), 5))
+        self._scatter[turns] = scatter * scale
+        self.scores = self._sizes(left, turns)
+
+    def mended(self, s: int) -> Loss:
+        """Return the loss in one turn that leaves least of its closure."""
+        own = slice(int(self._grid.first[s]), int(self._grid.last[s]))
+        signals = self._grid.time[own], self._state.force[own], self._state.rate[own]
+        last = len(signals[0]) - 2
+        stride = max(1, last // PLACES)
+        jump = _jump(np.hstack(signals[1:]))
+        whole = Spans(signals[0], np.array([0, len(signals[0])]))
+        path = follow_turns(whole, *signals[1:])
+
+        def tried(places: Iterable[int]) -> FloatArray:
+            """Return places, numbers, sizes of what is left, and how unlikely it is, (4, n)."""
+            grid = np.meshgrid(np.fromiter(places, np.int64), np.arange(1, MOST + 1), indexing="ij")
+            at, number = (values.ravel() for values in grid)
+            mended, longer = _mended(signals, path, at, number)
+            duration = signals[0][-1] - signals[0][0] + longer
+            turns = np.full(len(at), s)
+            size = self._sizes(self._residuals(turns, mended, duration), turns)
+            return np.stack((at, number, size, 5 * size**2 + jump[number, at]))
+
+        # A long shot first; then where the signals themselves jump, and about the better of them.
+        sharp = int(np.argmin(jump[1:].min(axis=0)))
+        first = tried(range(2, last, stride))
+        places = [int(first[0, np.argmin(first[3])]), min(max(sharp, 2), last - 1)]
+        near = {k for p in places for k in range(max(2, p - stride), min(last, p + stride + 1))}
+        found = np.hstack((first, tried(sorted(near.difference(range(2, last, stride))))))
+        at, number, after, least = found[:, np.argmin(found[3])]
+        before = float(self.scores[self._turns.tolist().index(s)])
+        likely = jump[1:] <= SHARP * jump.min()
+        looks = int(likely.sum() if likely[int(number) - 1, int(at)] else likely.size)
+        weight = np.exp(0.5 * (least - found[3]))
+        moment = signals[0][found[0].astype(np.int64)]
+        here = np.array([signals[0][int(at)], number])
+        spread = np.sqrt(np.square(np.stack((moment, found[1])) - here[:, None]) @ weight)
+        spread /= np.sqrt(weight.sum())
+        return Loss(
+            int(s),
+            float(here[0]),
+            int(number),
+            before,
+            float(after),
+            looks,
+            tuple(spread.tolist()),
+            self._foretold(s, signals, int(at)),
+        )
+
+    def _foretold(self, s: int, signals: Signals, at: int) -> float:
+        """Return the least of the sizes with one sample of those near `at` as foretold."""
+        time, both = signals[0], np.hstack(signals[1:])
+        n = len(time)
+        near = np.unique(np.clip(at + np.arange(-3, 3), 2, n - 3))
+        case = np.arange(len(near))
+        values = np.repeat(both[None], len(near), axis=0)
+        beside, far = both[near - 1] + both[near + 1], both[near - 2] + both[near + 2]
+        values[case, near] = (4 * beside - far) / 6
+        clock = time + case[:, None] * (time[-1] - time[0] + 1.0)
+        spans = Spans(clock.ravel(), n * np.arange(len(near) + 1))
+        flat = values.reshape(-1, 6)
+        ended = integrate_turns(spans, flat[:, :3], flat[:, 3:])
+        turns = np.full(len(near), s)
+        return float(self._sizes(self._residuals(turns, ended, spans.duration), turns).min())
+
+    def _residuals(self, turns: IntArray, ended: Ended, duration: FloatArray) -> FloatArray:
+        """Return the five residuals of each, (k, 5)."""
+        up, gravity = self._twin.up, self._twin.gravity
+        before, after = up[self._grid.before[turns]], up[self._grid.after[turns]]
+        return open_ends(ended, before, after, duration, gravity=gravity)
+
+    def _sizes(self, closures: FloatArray, turns: IntArray) -> FloatArray:
+        return np.asarray(np.sqrt(np.mean(np.square(closures / self._scatter[turns]), axis=1)))
+
+
+def _jump(values: FloatArray) -> FloatArray:
+    """Return how much smoother (n, c) values are with 0 to `MOST` samples put back before each.
+
+    A loss of k samples makes every channel jump by k of its own steps. What is left of the jump in
+    squared scatters, less what was there: (MOST + 1, n), negative where a loss explains it.
+    """
+    out = np.zeros((MOST + 1, len(values)))
+    if len(values) < 4 * CONTEXT:
+        return out
+    at = np.arange(CONTEXT) + 0.5
+    value, slope = np.linalg.pinv(np.stack((at**0, at, at**2), axis=1))[:2]
+    windows = np.lib.stride_tricks.sliding_window_view(values, CONTEXT, axis=0)
+    before, after = windows[:-CONTEXT, :, ::-1], windows[CONTEXT:]
+    jump = after @ value - before @ value
+    step = 0.5 * (after @ slope - before @ slope)
+    scatter = ROBUST * np.median(np.abs(jump), axis=0) + 1e-12
+    jump, step = jump / scatter, step / scatter
+    for number in range(1, MOST + 1):
+        change = _heavy(jump - number * step) - _heavy(jump)
+        out[number, CONTEXT : len(values) - CONTEXT + 1] = change.sum(axis=1)
+    return out
+
+
+def _heavy(jump: FloatArray) -> FloatArray:
+    """Return minus twice the log-likelihood of jumps in scatters, by Student's t of `FREEDOM`.
+
+    A hand, or a table, makes jumps of its own, a few of which are many scatters large.
+    """
+    return np.asarray((FREEDOM + 1.0) * np.log1p(np.square(jump) / FREEDOM))
+
+
+def _mended(
+    signals: Signals, path: Ended, at: IntArray, count: IntArray
+) -> tuple[Ended, FloatArray]:
+    """Return where a turn ends with ``count[i]`` samples put in before sample ``at[i]``, k times.
+
+    Far from there it turns as it did: what is integrated anew is a few samples on either side.
+    Beside it, how much longer it takes.
+    """
+    n = len(signals[0])
+    low, high = np.maximum(at - PART, 0), np.minimum(at + PART, n)
+    near, first, longer = _put_back(signals, low, high, at, count)
+    frame, velocity = follow_turns(Spans(near[0], first), *near[1:])
+    a, b = low + EDGE * (low > 0), high - 1 - EDGE * (high < n)
+    start, stop = first[:-1] + EDGE * (low > 0), first[1:] - 1 - EDGE * (high < n)
+    leading = path.frame[a] @ np.swapaxes(frame[start], 1, 2)
+    through = leading @ frame[stop] @ np.swapaxes(path.frame[b], 1, 2)
+    gained = np.einsum("kij,kj->ki", leading, velocity[stop] - velocity[start])
+    rest = np.einsum("kij,kj->ki", through, path.velocity[-1] - path.velocity[b])
+    return Ended(through @ path.frame[-1], path.velocity[a] + gained + rest), longer
+
+
+def _put_back(
+    signals: Signals, low: IntArray, high: IntArray, at: IntArray, count: IntArray
+) -> tuple[Signals, IntArray, FloatArray]:
+    """Return the parts ``[low[i], high[i])`` of signals with ``count[i]`` samples put in, k times.
+
+    One after another, each later than the last, and where each begins; and how much longer it is.
+    """
+    time, force, rate = signals
+    step = float(np.median(np.diff(time)))
+    both = np.hstack((force, rate))
+    longer = np.asarray(count * step, np.float64)
+    put = np.empty((len(at), MOST, both.shape[1]))
+    fresh = time[at - 1, None] + step * np.arange(1, MOST + 1)
+    # Near the ends of a turn there is less to interpolate from.
+    width = high - low
+    for points in np.unique(width):
+        own = np.flatnonzero(width == points)
+        near = low[own, None] + np.arange(points)
+        true = time[near] + longer[own, None] * (near >= at[own, None])
+        slopes = spline_slopes(true, both[near])
+        gap = np.repeat(points * np.arange(len(own)) + at[own] - 1 - low[own], MOST)
+        flat = (true.ravel(), both[near.ravel()], slopes.reshape(near.size, -1))
+        put[own] = spline_between(*flat, gap, fresh[own].ravel()).reshape(len(own), MOST, -1)
+    first = np.append(0, np.cumsum(width + count))
+    case = np.repeat(np.arange(len(at)), width + count)
+    index = low[case] + np.arange(first[-1]) - first[case]
+    late = np.maximum(index - at[case] + 1, 0)
+    new = (late > 0) & (late <= count[case])
+    source = np.minimum(index - np.minimum(late, count[case]), high[case] - 1)
+    whole = both[source]
+    whole[new] = put[case[new], late[new] - 1]
+    clock = time[source] + longer[case] * (late > count[case])
+    clock[new] = fresh[case[new], late[new] - 1]
+    clock += case * (time[-1] - time[0] + (MOST + 1) * step)
+    return (clock, whole[:, :3], whole[:, 3:]), first, longer

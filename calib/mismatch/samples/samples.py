@@ -1,0 +1,382 @@
+"""What shows in the samples themselves and not in means or closures.
+
+Clipping, coarse rounding, repeats, stuck channels, a wrong unit, swapped axes: each is seen in the
+samples by the tests of `calib.faults` and `calib.units`, whose false alarm is below 1e-6.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from calib import faults
+from calib.calibration import Quantity
+from calib.effects import get_effect
+from calib.effects.axis_error import ORDERS, signed_permutation
+from calib.mismatch.findings.diagnosis import Finding, Interval, Unexplained
+from calib.mismatch.findings.heldout import HeldOut
+from calib.mismatch.noise.hush import silent
+from calib.mismatch.samples.losses import Loss
+from calib.poses import Poses
+from calib.recording import CHANNELS, Recording
+from calib.types import BoolArray, FloatArray, IntArray
+from calib.units import FEWEST, Closure, unit_faults
+
+_JOIN = 1.0
+"""Places closer than this are one interval, s."""
+
+_COARSE = 0.5
+"""A count larger than the noise over this: rounding is no longer hidden by noise."""
+
+GAP = 2.5
+"""Sample intervals without a sample, from which on a turn is not integrated across them."""
+
+CERTAIN = 0.1
+"""Standard error of a number of samples below which it is no other: one in a hundred is off."""
+
+MANY = 100_000
+"""Samples that are looked at for whether they step in counts."""
+
+BEYOND = "nothing: no gyroscope reads that at rest"
+
+DISAGREES = "turns: by the gyroscope they are others than by the accelerometer"
+"""What is unexplained where neither a unit nor an order of axes explains most turns."""
+
+STUCK = 0.2
+"""Share of the recording for which a channel that is stuck leaves nothing to compare with."""
+
+
+class Samples(NamedTuple):
+    """What the samples show. ``fatal`` means that nothing else can be said until it is mended.
+
+    ``spoilt`` marks samples that no model of the sensor can explain: a turn with one is not closed.
+    ``stuck`` counts the samples at which a channel is stuck, of ``told`` where that can be seen.
+    """
+
+    findings: tuple[Finding, ...]
+    unexplained: tuple[Unexplained, ...]
+    spoilt: BoolArray
+    fatal: bool
+    stuck: int = 0
+    told: int = 0
+
+
+def look_at_samples(recording: Recording, poses: Poses) -> Samples:
+    """Look for what is wrong with single samples, units and axes."""
+    wrong, odd = look_at_units(recording, poses)
+    if wrong:
+        return Samples(wrong, (), np.zeros(len(recording), bool), fatal=True)
+    moving = outside_rests(recording, poses.start, poses.stop)
+    return with_disagreement(look_at_faults(recording, moving, whole=True), odd)
+
+
+def with_disagreement(seen: Samples, odd: tuple[Unexplained, ...]) -> Samples:
+    """Return what the samples show with turns that disagree, if nothing seen in them does it."""
+    known = {f.effect for f in seen.findings} & {"saturation", "dropped_samples"}
+    if not odd or seen.unexplained or (known and odd[0].follows == DISAGREES):
+        return seen
+    return seen._replace(unexplained=odd, fatal=True)
+
+
+def outside_rests(part: Recording, start: IntArray, stop: IntArray, *, begin: int = 0) -> BoolArray:
+    """Return where no rest is in a part that begins at sample `begin`."""
+    moving = np.ones(len(part), bool)
+    here = (start < begin + len(part)) & (stop > begin)
+    for a, b in zip(start[here] - begin, stop[here] - begin, strict=True):
+        moving[max(a, 0) : b] = False
+    return moving
+
+
+def look_at_units(
+    recording: Recording, poses: Poses
+) -> tuple[tuple[Finding, ...], tuple[Unexplained, ...]]:
+    """Look for wrong units and axes; and for turns that no unit and no axes make agree."""
+    closure = Closure.of(recording, poses) if len(poses) else None
+    wrong = (*_units(recording, poses, closure), *_axes(recording, closure))
+    if wrong or not len(poses):
+        return wrong, ()
+    far = np.abs(np.median(poses.gyro, axis=0)) > faults.FASTEST
+    if far.any():
+        names = tuple(f"gyro.{a}" for a, off in zip("xyz", far, strict=True) if off)
+        whole = (float(recording.time[0]), float(recording.time[-1]))
+        return (), (Unexplained(names, (whole,), BEYOND, faults.FALSE_ALARM),)
+    if closure is None or len(closure) < FEWEST or closure.agrees:
+        return (), ()
+    where = _join_intervals([(float(a), float(b)) for a, b in closure.disagreeing])
+    return (), (Unexplained(CHANNELS, where, DISAGREES, faults.FALSE_ALARM),)
+
+
+def look_at_faults(recording: Recording, moving: BoolArray, *, whole: bool) -> Samples:
+    """Look for what is wrong with single samples.
+
+    Parameters
+    ----------
+    recording : Recording
+    moving : (n,) array of bool
+        Where no rest is.
+    whole : bool
+        Whether there is no more of it. In a part without motion a coarse channel may well be
+        constant: that it is stuck can then not be told.
+    """
+    spoilt = np.zeros(len(recording), bool)
+    values = faults.values_of(recording)
+    findings: list[Finding] = []
+    unexplained: list[Unexplained] = []
+    clipped = np.zeros(values.shape, bool)
+    step, noise = faults.resolution(values), faults.noise_at_rest(values)
+    for first, triad, unit in ((0, "accel", "m/s²"), (3, "gyro", "rad/s")):
+        limit = 0.0
+        for c in range(first, first + 3):
+            at = faults.find_clipping(
+                values[:, c],
+                full_scale=getattr(recording.device, f"{triad}_full_scale"),
+                lsb=getattr(recording.device, f"{triad}_lsb"),
+                noise=float(max(noise[c], step[c])),
+            )
+            if at.size and len(values) >= faults.BLOCK:
+                clipped[at, c] = True
+                limit = max(limit, float(np.abs(values[at, c]).max()))
+        if limit:
+            # The range is one: what another axis reached for a sample or two was cut there as well.
+            own = slice(first, first + 3)
+            clipped[:, own] |= np.abs(values[:, own]) >= limit - 1.5 * step[own]
+            findings.append(_saturation(recording, clipped, triad, limit, unit))
+    stuck = 0
+    told = len(recording) if whole or moving.any() else 0
+    for c, start, stop in faults.find_stuck(
+        values, moving, interval=recording.interval, clipped=clipped
+    ):
+        if not told and stop - start == len(recording):
+            continue
+        spoilt[start:stop] = True
+        stuck += stop - start
+        where = (float(recording.time[start]), float(recording.time[stop - 1]))
+        unexplained.append(
+            Unexplained((CHANNELS[c],), (where,), "nothing: it is stuck", faults.FALSE_ALARM)
+        )
+    # Without noise, samples at rest are alike because nothing happens.
+    still = silent(values, recording.interval).all()
+    repeats = np.zeros(0, np.int64) if still else faults.find_repeats(values, moving)
+    if repeats.size:
+        findings.append(_repeats(recording, repeats))
+    findings += _coarse(recording, values, moving, step)
+    assert recording.lost is not None
+    spoilt |= clipped.any(axis=1) | (recording.lost > 0)
+    spoilt[repeats] = True
+    spoilt[1:] |= np.diff(recording.time) > GAP * recording.interval
+    fatal = stuck > STUCK * len(recording)
+    return Samples(tuple(findings), tuple(unexplained), spoilt, fatal, stuck, told)
+
+
+def join_samples(parts: Sequence[Samples]) -> Samples:
+    """Return what was seen in the parts of one recording, without ``spoilt``, as one.
+
+    Each part was a look of its own, which the p-values count.
+    """
+    kinds: dict[tuple[str, str], list[Finding]] = {}
+    channels: dict[tuple[str, ...], list[Interval]] = {}
+    for part in parts:
+        for item in part.findings:
+            kinds.setdefault((item.effect, next(iter(item.parameters))), []).append(item)
+        for left in part.unexplained:
+            channels.setdefault(left.channels, []).extend(left.intervals)
+    chance = min(1.0, faults.FALSE_ALARM * len(parts))
+    findings = []
+    for items in kinds.values():
+        values = {name: [item.parameters[name] for item in items] for name in items[0].parameters}
+        findings.append(
+            replace(
+                items[0],
+                channels=tuple(c for c in CHANNELS if any(c in item.channels for item in items)),
+                intervals=_join_intervals([i for item in items for i in item.intervals]),
+                parameters={name: _common(name, found) for name, found in values.items()},
+                p_value=chance,
+            )
+        )
+    unexplained = [
+        Unexplained(names, (where,), "nothing: it is stuck", chance)
+        for names, intervals in channels.items()
+        for where in _join_intervals(intervals)
+    ]
+    stuck, told = sum(part.stuck for part in parts), sum(part.told for part in parts)
+    none = np.zeros(0, bool)
+    return Samples(tuple(findings), tuple(unexplained), none, stuck > STUCK * told, stuck, told)
+
+
+def _common(name: str, found: list[Quantity]) -> Quantity:
+    """Return what one parameter of a fault is over several parts of a recording."""
+    values = [q.value for q in found]
+    value = sum(values) if name == "count" else min(values) if name == "moment" else max(values)
+    return replace(found[0], value=value)
+
+
+def _join_intervals(found: list[Interval], *, limit: int = 50) -> tuple[Interval, ...]:
+    """Return intervals in their order, those joined that meet; at most `limit`."""
+    first, last = np.array(sorted(found)).T
+    return _cut(first, last, first[1:] - last[:-1], limit)
+
+
+def _units(recording: Recording, poses: Poses, closure: Closure | None) -> list[Finding]:
+    out = []
+    for fault in unit_faults(recording, poses, closure):
+        own = "" if fault.channel is None else f".{'xyz'[fault.channel]}"
+        channels = tuple(c for c in CHANNELS if c.startswith(fault.triad + own))
+        value = Quantity(fault.factor - 1.0, None, "1")
+        out.append(_finding("unit_error", recording, channels, {fault.triad: value}, fault.message))
+    return out
+
+
+def _axes(recording: Recording, closure: Closure | None) -> list[Finding]:
+    if closure is None or np.array_equal(closure.axes, np.eye(3)):
+        return []
+    # The closure knows what undoes the mistake; the effect states the mistake.
+    made = closure.axes.T
+    number = next((k for k in range(len(ORDERS)) if np.array_equal(signed_permutation(k), made)), 0)
+    values = {"gyro": Quantity(1.0, None, "1"), "gyro_axes": Quantity(float(number), None, "1")}
+    names = tuple(f"gyro.{a}" for a, row in zip("xyz", made - np.eye(3), strict=True) if row.any())
+    return [_finding("axis_error", recording, names, values)]
+
+
+def _saturation(
+    recording: Recording, clipped: BoolArray, triad: str, limit: float, unit: str
+) -> Finding:
+    first = 0 if triad == "accel" else 3
+    own = clipped[:, first : first + 3]
+    channels = tuple(CHANNELS[first + i] for i in range(3) if own[:, i].any())
+    values = {
+        triad: Quantity(1.0, None, "1"),
+        f"{triad}_full_scale": Quantity(limit, None, unit),
+    }
+    where = intervals_of(recording.time, np.flatnonzero(own.any(axis=1)))
+    return _finding("saturation", recording, channels, values, intervals=where)
+
+
+def _repeats(recording: Recording, repeats: IntArray) -> Finding:
+    values = {"count": Quantity(-float(repeats.size), None, "samples")}
+    values["moment"] = Quantity(float(recording.time[repeats[0]]), None, "s")
+    where = intervals_of(recording.time, repeats)
+    return _finding("dropped_samples", recording, CHANNELS, values, intervals=where)
+
+
+def lost_samples(recording: Recording, loss: Loss, turn: FloatArray) -> Finding:
+    """Return the finding of a loss that the closure of its own turn shows."""
+    late, number = loss.spread
+    values = {
+        "count": Quantity(float(loss.number), number if number > CERTAIN else None, "samples"),
+        "moment": Quantity(loss.moment, float(np.hypot(recording.interval, late)), "s"),
+    }
+    found = _finding(
+        "dropped_samples",
+        recording,
+        CHANNELS,
+        values,
+        intervals=((float(turn[0]), float(turn[1])),),
+    )
+    # Two of the turn's five equations find where and how many; the others prove it.
+    gain = 2.5 * (loss.before**2 - loss.after**2)
+    proof = HeldOut(
+        loss.before, loss.after, 1.0, "1", "closure of this turn, in scatters of all turns", gain
+    )
+    return replace(found, held_out=proof, held_out_reason="")
+
+
+def _coarse(
+    recording: Recording, values: FloatArray, moving: BoolArray, step: FloatArray
+) -> list[Finding]:
+    """Rounding is coarse where most neighbours at rest are equal, and the others a count apart."""
+    rest = np.flatnonzero(~moving)
+    inside = np.diff(rest) == 1
+    if not inside.any():
+        return []
+    change = np.abs(np.diff(values[rest], axis=0))[inside]
+    # Without noise nothing changes at rest: there the counts show in motion alone.
+    moved = np.abs(np.diff(values[:MANY], axis=0))
+    # Finer than any part rounds are the decimals of a file without noise.
+    finest = {s.name.split("_")[0]: s.low or 0.0 for s in get_effect("quantization").shape}
+    out = []
+    for first, triad, unit in ((0, "accel", "m/s²"), (3, "gyro", "rad/s")):
+        part, whole = change[:, first : first + 3], moved[:, first : first + 3]
+        lsb = _refined(whole, step[first : first + 3])
+        count, grid = _counts(part, lsb)
+        every = _counts(whole, lsb)[1]
+        # Differences of white noise have twice its variance; rounding adds a twelfth of a count².
+        # Coarse ones are no more than two counts apart: what is, is where rests begin and end.
+        few = np.minimum(count, 2.0)
+        noise = np.sqrt(np.maximum(np.mean(few**2, axis=0) / 2 - 1 / 12, 0.0))
+        coarse = (lsb > finest[triad]) & (noise < _COARSE) & (grid.mean(axis=0) > 0.99)
+        coarse &= every.mean(axis=0) > 0.99
+        if coarse.any():
+            names = tuple(CHANNELS[first + i] for i in np.flatnonzero(coarse))
+            size = float(np.median(lsb[coarse]))
+            found = {
+                triad: Quantity(1.0, None, "1"),
+                f"{triad}_lsb": Quantity(size, None, unit),
+            }
+            out.append(_finding("quantization", recording, names, found))
+    return out
+
+
+def _refined(change: FloatArray, lsb: FloatArray) -> FloatArray:
+    """Return the size of a count (3,) as changes of many counts (n, 3) tell it, step by step.
+
+    A size that is off by a thousandth, as decimals make it, is off by half a count in 500.
+    """
+    for most in (4.0, 32.0, 256.0, 2048.0):
+        count = np.rint(change / np.where(lsb > 0, lsb, 1.0))
+        own = np.where(count <= most, count, 0.0)
+        square = np.square(own).sum(axis=0)
+        lsb = np.where(square > 0, (own * change).sum(axis=0) / np.maximum(square, 1.0), lsb)
+    return np.asarray(lsb)
+
+
+def _counts(change: FloatArray, lsb: FloatArray) -> tuple[FloatArray, BoolArray]:
+    """Return changes (n, 3) in counts of `lsb`, and which are whole ones."""
+    count = np.rint(change / np.where(lsb > 0, lsb, 1.0))
+    return count, np.asarray(np.abs(change - count * lsb) < 0.01 * lsb)
+
+
+def _finding(
+    slug: str,
+    recording: Recording,
+    channels: tuple[str, ...],
+    parameters: Mapping[str, Quantity],
+    note: str = "",
+    intervals: tuple[Interval, ...] = (),
+) -> Finding:
+    effect = get_effect(slug)
+    whole = ((float(recording.time[0]), float(recording.time[-1])),)
+    return Finding(
+        effect=slug,
+        title=effect.title,
+        kind=effect.kind,
+        channels=channels,
+        intervals=intervals or whole,
+        regime=effect.follows,
+        parameters=dict(parameters),
+        p_value=faults.FALSE_ALARM,
+        absorbed_by=(),
+        held_out=None,
+        held_out_reason="it is seen in the samples themselves; no equation is fitted for it",
+        rivals=(),
+        to_separate="",
+        sentence=f"{effect.sentence} ({note})" if note else effect.sentence,
+    )
+
+
+def intervals_of(time: FloatArray, index: IntArray, *, limit: int = 50) -> tuple[Interval, ...]:
+    """Return the intervals that samples fill; at most `limit`, the closest ones joined."""
+    at = time[index]
+    return _cut(at, at, np.diff(at), limit)
+
+
+def _cut(first: FloatArray, last: FloatArray, gap: FloatArray, limit: int) -> tuple[Interval, ...]:
+    """Return at most `limit` intervals of things that begin and end at these times, in order."""
+    cut = gap > _JOIN
+    if cut.sum() >= limit:
+        cut = gap > np.sort(gap)[-limit]
+    edges = np.flatnonzero(cut)
+    begin, end = np.append(0, edges + 1), np.append(edges, len(last) - 1)
+    return tuple((float(first[a]), float(last[b])) for a, b in zip(begin, end, strict=True))

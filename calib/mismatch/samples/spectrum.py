@@ -1,0 +1,332 @@
+"""Lines, bursts and noise that changes, in the samples at rest.
+
+A disturbance faster than the means of the rows leaves no residual there. It shows as power: at one
+frequency above its neighbours (a line), or in some rests above the others (a burst).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.special import chdtrc, chdtri, fdtrc, stdtr
+
+from calib.faults import noise_in_counts, resolution, values_of
+from calib.mismatch.findings.diagnosis import Unexplained
+from calib.mismatch.hypotheses.places import SEEN, joined
+from calib.mismatch.samples.knocks import knocked
+from calib.poses import Poses
+from calib.recording import CHANNELS, Recording
+from calib.types import BoolArray, FloatArray, IntArray
+
+LENGTH = 128
+"""Samples of one periodogram."""
+
+NEIGHBOURS = 12
+"""Frequencies on either side that a line is compared with."""
+
+CLAIM = 1e-4
+"""Family-wise p-value below which something is reported."""
+
+HIDDEN = 0.5
+"""Noise in counts below which its power depends on where between two of them a signal is."""
+
+_HERE = 0.01
+"""The same for whether one rest has what is known to be in the recording, a line or a burst."""
+
+LOUDER_THERE = "the time: noise is louder there"
+"""What a burst follows."""
+
+_LOUDER = 4.0
+"""A rest counts as louder only if its noise power is this many times the usual."""
+
+_SPREAD = 1.94
+"""Frequencies for one that is independent: sum of the squared correlations of a Hann window's."""
+
+_STEADY = 2.0
+"""Noise power whose trend over the recording stays below this factor counts as steady."""
+
+_SHARE = 0.25
+"""A line or a burst is reported if it holds this share of the channel's usual noise power: sensors
+and benches have many small ones, which matter to nobody."""
+
+
+HAND = (3.0, 14.0)
+"""Hz that a hand trembles at (physiological tremor, 4 to 12 Hz), and what a window spreads."""
+
+SEVERAL = 3
+"""Bins from the lowest to the highest frequency of a motion from which it has more than one: a
+window spreads one over three."""
+
+SWING = 1 / 3
+"""Share of the swing of gravity, as the gyroscopes' angle would have it, that accelerometers must
+show for both to be one motion: about the vertical it makes none. A hand also moves it further."""
+
+
+def look_at_spectrum(recording: Recording, poses: Poses) -> tuple[Unexplained, ...]:
+    """Return lines and bursts of the six channels at rest."""
+    starts = [
+        np.arange(a, b - LENGTH + 1, LENGTH) for a, b in zip(poses.start, poses.stop, strict=True)
+    ]
+    pose = np.repeat(np.arange(len(poses)), [len(s) for s in starts])
+    if len(pose) < 8:
+        return ()
+    start = np.concatenate(starts)
+    count = np.append(0, np.cumsum(knocked(recording, poses)))
+    still = count[start + LENGTH] == count[start]
+    start, pose = start[still], pose[still]
+    if len(pose) < 8:
+        return ()
+    # Enough for any line; a day at rest is not read whole.
+    if len(start) > 2000:
+        keep = np.linspace(0, len(start) - 1, 2000).astype(np.int64)
+        start, pose = start[keep], pose[keep]
+    out: list[Unexplained] = []
+    window = np.hanning(LENGTH)[:, None, None]
+    index = start + np.arange(LENGTH)[:, None]
+    values = np.concatenate((recording.accel[index], recording.gyro[index]), axis=2)
+    at = np.arange(LENGTH) - (LENGTH - 1) / 2
+    values = values - values.mean(axis=0)
+    slope = np.einsum("n,nkc->kc", at, values) / float(at @ at)
+    values -= at[:, None, None] * slope
+    power = np.square(np.abs(np.fft.rfft(window * values, axis=0)))[2:-1]
+    power += _between_counts(recording, poses) * float(np.square(window).sum())
+    held = _trembling(power, recording.interval, float(np.linalg.norm(poses.accel, axis=1).mean()))
+    for c, channel in enumerate(CHANNELS):
+        own = power[:, :, c]
+        if not np.median(own) > 0:
+            continue
+        # Where rounding leaves a channel constant there is no floor to compare with.
+        noisy = own.all(axis=0)
+        own, rest = own[:, noisy], pose[noisy]
+        line = _lines(recording, poses, own, rest, channel, held)
+        narrow = not line and not held.any()
+        bursts = _bursts(recording, poses, own, rest, channel, narrow=narrow)
+        out += line + (bursts or _changes(recording, poses, own, rest, channel))
+    return tuple(_merged(out))
+
+
+def _between_counts(recording: Recording, poses: Poses) -> FloatArray:
+    """Return the variance (6,) that noise has at most if it is less than half a count.
+
+    By where a signal is, it jumps between two counts all the time or stays on one: no louder noise.
+    """
+    values = values_of(recording)
+    moving = np.ones(len(recording), bool)
+    for a, b in zip(poses.start, poses.stop, strict=True):
+        moving[a:b] = False
+    step = resolution(values)
+    return np.where(noise_in_counts(values, moving, step) < HIDDEN, np.square(step) / 4, 0.0)
+
+
+def _merged(found: list[Unexplained]) -> list[Unexplained]:
+    """Return one entry for all channels of one kind, or in one place."""
+    out = joined([item for item in found if item.follows.endswith(SEEN)])
+    kinds: dict[str, list[Unexplained]] = {}
+    for item in found:
+        if not item.follows.endswith(SEEN):
+            kinds.setdefault(item.follows.split(" at ")[0], []).append(item)
+    for items in kinds.values():
+        best = min(items, key=lambda item: item.p_value)
+        start = min(item.intervals[0][0] for item in items)
+        stop = max(item.intervals[0][1] for item in items)
+        channels = tuple(c for c in CHANNELS if any(c in item.channels for item in items))
+        follows = sorted({item.follows for item in items})
+        out.append(Unexplained(channels, ((start, stop),), ", ".join(follows), best.p_value))
+    return out
+
+
+def _above(power: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the mean over rests at each frequency, its floor, and the p-value of all at once.
+
+    A line stands above both sides: motion of a hand, whose power falls with frequency, does not.
+    """
+    bins, number = power.shape
+    mean = power.mean(axis=1)
+    padded = np.pad(np.log(mean), NEIGHBOURS, mode="reflect", reflect_type="odd")
+    around = np.lib.stride_tricks.sliding_window_view(padded, 2 * NEIGHBOURS + 1)
+    sides = around[:, :NEIGHBOURS], around[:, NEIGHBOURS + 1 :]
+    floor = np.exp(np.maximum(*(np.median(side, axis=1) for side in sides)))
+    # What the floor itself scatters by, beyond what chance does, widens every test.
+    scatter = np.median(np.abs(np.log(mean / floor))) / 0.6745
+    freedom = min(2.0 * number, 2.0 / max(scatter**2, 1e-9) + 2.0)
+    return mean, floor, chdtrc(freedom, freedom * mean / floor) * bins * len(CHANNELS)
+
+
+def _trembling(power: FloatArray, interval: float, gravity: float) -> BoolArray:
+    """Return the frequencies at which the sensor itself moves, held in a hand, (bins,).
+
+    The gyroscopes stand above their floor there, and so do the accelerometers, by what the angle
+    makes of gravity or more. That is motion, which both follow, and no disturbance of either. Of a
+    hand that sways as well, gyroscopes show the whole band alike: above what is faster than hands.
+    """
+    bins = len(power)
+    frequency = (np.arange(bins) + 2) / (LENGTH * interval)
+    hand = (frequency >= HAND[0]) & (frequency <= HAND[1])
+    faster = frequency > HAND[1]
+    excess, seen = np.zeros((bins, 2)), np.zeros((bins, 2), bool)
+    sways, sway = np.zeros(bins, bool), np.zeros(bins)
+    for c in range(len(CHANNELS)):
+        own = power[:, power[:, :, c].all(axis=0), c]
+        if own.shape[1] > power.shape[1] / 2:
+            mean, floor, p = _above(own)
+            excess[:, c // 3] += np.maximum(mean - floor, 0.0)
+            seen[:, c // 3] |= p < CLAIM
+            if c >= 3 and faster.any():
+                level = float(np.median(mean[faster]))
+                sways |= mean > _LOUDER * level
+                sway += np.maximum(mean - level, 0.0)
+    heavy = SWING * np.square(gravity / (2 * np.pi * frequency))
+    moves = hand & seen.all(axis=1) & (excess[:, 0] > heavy * excess[:, 1])
+    at = np.flatnonzero(moves)
+    held = hand & seen[:, 0] & sways & (excess[:, 0] > heavy * sway)
+    whole = np.convolve(held, np.ones(SEVERAL + 1), mode="valid") > SEVERAL
+    if (len(at) and np.ptp(at) >= SEVERAL) or whole.any():
+        # No single machine: a hand, which trembles at other frequencies about other axes.
+        return hand
+    # A window spreads each over its neighbours, and a hand has several.
+    near = np.convolve(moves, np.ones(5), mode="same") > 0
+    return np.asarray(hand & near)
+
+
+def _lines(
+    recording: Recording,
+    poses: Poses,
+    power: FloatArray,
+    pose: IntArray,
+    channel: str,
+    held: BoolArray,
+) -> list[Unexplained]:
+    """A line: mean power over all rests, compared with that of its neighbours in frequency.
+
+    It reaches from the first to the last rest that has it by itself. What is ``held`` trembles.
+    """
+    bins = len(power)
+    mean, floor, p = _above(power)
+    p[held] = np.inf
+    k = int(np.argmin(p))
+    # A Hann window spreads a line over three frequencies.
+    near = slice(max(k - 1, 0), k + 2)
+    if p[k] >= CLAIM or (mean[near] - floor[near]).sum() < _SHARE * floor.sum():
+        return []
+    frequency = (k + 2) / (LENGTH * recording.interval)
+    found, of = np.unique(pose, return_inverse=True)
+    # Beside the frequencies that the line spreads over, each rest shows its own floor.
+    beside = np.r_[max(k - NEIGHBOURS, 0) : max(k - 2, 0), k + 3 : min(k + NEIGHBOURS + 1, bins)]
+    count = np.bincount(of)
+    own = np.bincount(of, power[k]) / count
+    quiet = np.median([power[beside][:, of == i].mean(axis=1) for i in range(len(found))], axis=1)
+    here = found[chdtrc(2.0 * count, 2.0 * count * own / quiet) * len(found) < _HERE]
+    where = (float(recording.time[0]), float(recording.time[-1]))
+    # In most of them: throughout.
+    if 0 < len(here) < 0.8 * len(found):
+        where = (float(poses.interval[here[0], 0]), float(poses.interval[here[-1], 1]))
+    return [Unexplained((channel,), (where,), f"a line at {frequency:.3g} Hz", float(p[k]))]
+
+
+def _bursts(
+    recording: Recording,
+    poses: Poses,
+    power: FloatArray,
+    pose: IntArray,
+    channel: str,
+    *,
+    narrow: bool,
+) -> list[Unexplained]:
+    """A burst: some rests have more power than others, in all or (`narrow`) at one frequency."""
+    found = np.unique(pose)
+    if len(found) < 6:
+        return []
+    count = np.bincount(pose, minlength=len(poses))[found]
+    mean = np.stack([power[:, pose == k].mean(axis=1) for k in found], axis=1)
+    floor, each = _peaks(mean, count)
+    ratio = mean / floor
+    total = np.median(floor, axis=0) * ratio.mean(axis=0)
+    total /= np.median(total)
+    # Real rests differ in noise; their own scatter sets the degrees of freedom.
+    scatter = 1.4826 * float(np.median(np.abs(np.log(total))))
+    most = min(2.0 * len(power) * float(np.median(count)), 2.0 / max(scatter**2, 1e-9))
+    p_one = fdtrc(most, most, total)
+    p_all = p_one * len(found) * len(CHANNELS)
+    loud = (p_all < CLAIM) & (total > _LOUDER)
+    extra = np.where(each < CLAIM, mean - floor, 0.0).sum(axis=0) / np.median(floor.sum(axis=0))
+    thin = (each.min(axis=0) < CLAIM) & (extra > _SHARE) & narrow
+    # Beside a rest that surely has it, others need less: at the same frequencies, if it has one.
+    own = np.unique(each[:, thin & ~loud].argmin(axis=0))
+    near = np.unique(np.clip(own[:, None] + [-1, 0, 1], 0, len(power) - 1))
+    looks = mean.size * len(CHANNELS)
+    p_near = each[near].min(axis=0, initial=looks) * len(near) / looks
+    out = []
+    for which, follows, p, alone in (
+        (loud, LOUDER_THERE, p_all, p_one),
+        (thin & ~loud, "the time: power at one frequency there", each.min(axis=0), p_near),
+    ):
+        # What most rests have is no event of some of them.
+        if not which.any() or which.mean() > 0.5:
+            continue
+        # Each run of rests that have it is a place of its own.
+        at = np.flatnonzero(which | (alone * len(found) < _HERE))
+        for run in np.split(at, np.flatnonzero(np.diff(at) > 1) + 1):
+            if not which[run].any():
+                continue
+            rest = found[run]
+            interval = (float(poses.interval[rest[0], 0]), float(poses.interval[rest[-1], 1]))
+            out.append(Unexplained((channel,), (interval,), follows, float(p[run].min())))
+    return out
+
+
+def _peaks(mean: FloatArray, count: IntArray) -> tuple[FloatArray, FloatArray]:
+    """Return the floor of each rest's mean power (bins, rests), and the p-value of what is above.
+
+    The level of each rest is the median over frequencies, and the usual spectrum one over such
+    levels: where some rests are shaken, the median of their powers would be a shaken one at one
+    frequency and a quiet one at the next. A median of few periodograms is below their mean, by 31 %
+    for one, and the level that one shows is off by a fifth: both are in the p-value.
+    """
+    low = chdtri(2.0 * count, 0.5) / (2.0 * count)
+    level = np.median(mean, axis=0) / low
+    floor = level * np.median(mean / (level * low), axis=1, keepdims=True)
+    # A median's variance, relative to the square of a mean of n exponentials, is about 2 / n.
+    variance = 2.0 * _SPREAD / (count * len(mean)) + 2.0 / count.sum()
+    return floor, fdtrc(2.0 * count, 2.0 / variance, mean / floor) * mean.size * len(CHANNELS)
+
+
+def _changes(
+    recording: Recording, poses: Poses, power: FloatArray, pose: IntArray, channel: str
+) -> list[Unexplained]:
+    """Noise power that rises or falls with temperature or time: a line through its logarithms.
+
+    The residual scatter of the rests about that line sets the standard error, so that rests which
+    merely differ from each other are no trend.
+    """
+    found = np.unique(pose)
+    if len(found) < 10:
+        return []
+    level = np.log([power[:, pose == k].mean() for k in found])
+    known = {"time": poses.interval[found].mean(axis=1)}
+    if recording.temperature is not None:
+        known["temperature"] = np.array(
+            [recording.temperature[poses.start[k] : poses.stop[k]].mean() for k in found]
+        )
+    best: tuple[float, str] = (CLAIM, "")
+    for name, values in known.items():
+        if np.ptp(values) <= 0:
+            continue
+        slope, chance = _trend(values, level)
+        p = chance * len(known) * len(CHANNELS)
+        if p < best[0] and abs(slope) * np.ptp(values) > np.log(_STEADY):
+            best = (p, name)
+    if not best[1]:
+        return []
+    where = (float(poses.interval[found[0], 0]), float(poses.interval[found[-1], 1]))
+    return [
+        Unexplained((channel,), (where,), f"the {best[1]}: the level of noise follows it", best[0])
+    ]
+
+
+def _trend(at: FloatArray, values: FloatArray) -> tuple[float, float]:
+    """Return the slope of a straight line, and the p-value of Student's test that it is zero."""
+    at, values = at - at.mean(), values - values.mean()
+    square = float(at @ at)
+    slope = float(at @ values) / square
+    freedom = len(at) - 2
+    error = float(np.square(values - slope * at).sum()) / freedom / square
+    return slope, 2 * float(stdtr(freedom, -abs(slope) / np.sqrt(max(error, 1e-300))))

@@ -1,0 +1,331 @@
+"""Disturbances that come and go within rests: pulses, jumps, and stretches of restless output.
+
+What is faster than the thirds of a rest leaves little in the rows, and what is slower than a
+periodogram, or too short for one, leaves no line. So the samples of each rest are looked at through
+windows of one sample to half a second: what a window's mean is off from those before and after it.
+A straight drift is nothing there, a jump or a pulse stands out, and noise has the same size in all
+rests but for what they differ by anyway.
+
+What several channels show at once may well be motion: a hand, a knock at the bench, a motor nearby.
+Only what one channel does alone is said to be none.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import bdtrc, ndtri, pdtrc, stdtr
+
+from calib.faults import OTHERS, ROBUST, resolution, values_of
+from calib.mismatch.findings.diagnosis import Interval, Unexplained
+from calib.mismatch.hypotheses.ends import expected_overlap
+from calib.mismatch.hypotheses.windows import windows
+from calib.poses import Poses
+from calib.recording import CHANNELS, Recording
+from calib.types import BoolArray, FloatArray, IntArray
+
+CLAIM = 1e-4
+"""Family-wise p-value below which something is reported."""
+
+WIDEST = 0.5
+"""Longest window, s: of what is slower the rows know."""
+
+MARGIN = 0.25
+"""s at either end of a rest that may still belong to the turn."""
+
+LOUDER = 2.0
+"""Power from which a stretch of rests differs in kind: below, noise counts as steady."""
+
+CHANCE = 0.1
+"""Pulses of a channel, in a recording, that noise alone is expected to make."""
+
+SEVERAL = 4
+"""Pulses on one channel that are no noise then: it has so many in 2e-5 of recordings."""
+
+MOST_SPIKES = 500
+"""Single samples of a channel that are looked at, at most; of more, every second or third."""
+
+APART = 0.5
+"""s between two pulses."""
+
+MISSED = 0.01
+"""Share of disturbances that are taken for motion as another channel shows the same by chance."""
+
+CAP = 6.0
+"""Times the usual noise beyond which a single value counts no more: those are pulses."""
+
+FEWEST = 8
+"""Rests below which none is unusual."""
+
+
+class _Look(NamedTuple):
+    """Differences of means over windows of one width: their rest, time (s) and size in noise."""
+
+    width: int
+    rest: IntArray
+    time: FloatArray
+    size: FloatArray  # (n, 6)
+
+
+def look_within(recording: Recording, poses: Poses) -> tuple[Unexplained, ...]:
+    """Return disturbances within rests of channels that are alone with it."""
+    raw = values_of(recording)
+    off, alone = _off_course(raw)
+    spikes = _spikes(recording, poses, off, alone)
+    values = _without_spikes(raw, alone)
+    rests = [(a, b) for a, b in zip(poses.start, poses.stop, strict=True) if b - a > 4]
+    if not rests:
+        return tuple(spikes)
+    # Where counts are coarse, noise comes and goes with where between two of them a signal is.
+    change = np.vstack([np.diff(values[a:b], axis=0) for a, b in rests])
+    step = resolution(raw)
+    # The mean, as a median of few counts is off by up to half of one.
+    noise = np.sqrt(np.pi) / 2.0 * np.abs(change).mean(axis=0)
+    step[noise <= step] = np.inf
+    widths = _widths(recording, poses)
+    tried = [_look(recording.time, values, poses, width, step) for width in widths]
+    looks = [look for look in tried if look is not None]
+    if not looks:
+        return tuple(spikes)
+    pulses = spikes + _pulses(looks, recording)
+    return tuple(pulses + _stretches(looks, recording, poses, {u.channels for u in pulses}))
+
+
+def _widths(recording: Recording, poses: Poses) -> list[int]:
+    """Return windows of 1, 2, 4 ... samples."""
+    longest = min(WIDEST / max(recording.interval, 1e-9), np.median(poses.stop - poses.start) / 8)
+    return [1 << k for k in range(int(np.log2(max(longest, 1.0))) + 1)]
+
+
+def _off_course(values: FloatArray) -> tuple[FloatArray, BoolArray]:
+    """Return how far samples are off their neighbours' mean, in noise, and which are so alone.
+
+    Both are (n - 2, 6), without the first and the last sample.
+    """
+    off = np.abs(values[1:-1] - 0.5 * (values[:-2] + values[2:]))
+    padded = np.pad(off, ((1, 1), (0, 0)))
+    beside = np.maximum(padded[:-2], padded[2:])
+    # One sample has half of its size on either side; an edge has as much on one.
+    usual = ROBUST * np.median(off, axis=0)
+    # To the next count and back is what noise does where counts are coarse.
+    alone = (off > CAP * usual) & (off > 1.5 * np.maximum(beside, resolution(values)))
+    return off / np.where(usual > 0, usual, np.inf), alone
+
+
+def _without_spikes(values: FloatArray, alone: BoolArray) -> FloatArray:
+    """Return (n, 6) values, single ones that are off course replaced by their neighbours' mean."""
+    out = values.copy()
+    out[1:-1][alone] = (0.5 * (values[:-2] + values[2:]))[alone]
+    return out
+
+
+def _look(
+    time: FloatArray, values: FloatArray, poses: Poses, width: int, step: FloatArray
+) -> _Look | None:
+    """Look at (n, 6) values through windows of one width, every half of it.
+
+    ``step`` is a count of each channel, infinite where nothing is to be seen.
+    """
+    half = max(1, width // 2)
+    interval = float(np.median(np.diff(time)))
+    margin = round(MARGIN / max(interval, 1e-9))
+    rest, at, rows = [], [], []
+    for k, (a, b) in enumerate(zip(poses.start + margin, poses.stop - margin, strict=True)):
+        first = np.arange(width, b - a - 2 * width + 1, half)
+        # Not across a gap: what was left out of a long rest, or lost.
+        spans = time[a + first + 2 * width - 1] - time[a + first - width]
+        first = first[spans <= (3 * width + 1) * interval]
+        if len(first) < 4:
+            continue
+        own = values[a:b]
+        total = np.concatenate((np.zeros((1, 6)), np.cumsum(own - own.mean(axis=0), axis=0)))
+        mean = (total[width:] - total[:-width]) / width
+        rows.append(mean[first] - 0.5 * (mean[first - width] + mean[first + width]))
+        rest.append(np.full(len(first), k))
+        at.append(a + first + width // 2)
+    if len(rest) < 6:
+        return None
+    off, which = np.concatenate(rows), np.concatenate(rest)
+    # Counts make these multiples of half a count over the width, and their median off by half that.
+    usual = ROBUST * (np.median(np.abs(off), axis=0) + 0.25 * step / width)
+    return _Look(width, which, time[np.concatenate(at)], off / usual)
+
+
+def _pulses(looks: list[_Look], recording: Recording) -> list[Unexplained]:
+    """Return channels with several pulses or jumps that no other shows, from first to last."""
+    start, stop = float(recording.time[0]), float(recording.time[-1])
+    number = sum(look.size.size for look in looks)
+    limit = -float(ndtri(CHANCE / (number / len(CHANNELS)) / 2))
+    moments = int((stop - start) / APART) + 3
+    # The largest of each moment, at all widths: in the usual noise, and in that of its own rest.
+    seen, hit = np.zeros((moments, 6)), np.zeros((moments, 6))
+    for look in looks:
+        at = ((look.time - start) / APART).astype(np.int64) + 1
+        np.maximum.at(seen, at, np.abs(look.size))
+        if look.width > 1:
+            # Single samples off course are mishaps of the readout, which the audit reports.
+            np.maximum.at(hit, at, np.abs(look.size) / _own_scale(look)[look.rest])
+    near = np.maximum(seen[1:-1], np.maximum(seen[:-2], seen[2:]))
+    companion = -float(ndtri(MISSED / (number / max((seen > 0).sum(), 1)) / 30))
+    out = []
+    for c, channel in enumerate(CHANNELS):
+        alone = (np.delete(near, c, axis=1) < companion).all(axis=1)
+        found = np.flatnonzero((hit[1:-1, c] > limit) & alone)
+        # A pulse on the edge of two moments is one.
+        found = found[np.diff(found, prepend=-2) > 1]
+        if len(found) < SEVERAL:
+            continue
+        p = float(pdtrc(len(found) - 1, CHANCE)) * len(CHANNELS)
+        where = _densest(np.asarray(start + APART * (found + 0.5)), (start, stop))
+        out.append(Unexplained((channel,), (where,), "the time: pulses there", p))
+    return out
+
+
+def _spikes(
+    recording: Recording, poses: Poses, off: FloatArray, alone: BoolArray
+) -> list[Unexplained]:
+    """Return channels of which single samples are off course in some part of the recording.
+
+    Those that are so anywhere are mishaps of the readout, which the audit reports.
+    """
+    still = np.zeros(len(recording) + 1)
+    np.add.at(still, poses.start, 1.0)
+    np.add.at(still, poses.stop, -1.0)
+    at_rest = np.cumsum(still[:-1]) > 0
+    # Turns are left out of time: a hand makes edges of its own.
+    passed = np.cumsum(at_rest) * recording.interval
+    out = []
+    for c, channel in enumerate(CHANNELS):
+        others = np.delete(off, c, axis=1).max(axis=1) < OTHERS
+        moments = passed[1:-1][alone[:, c] & others & at_rest[1:-1]]
+        moments = moments[:: len(moments) // MOST_SPIKES + 1]
+        n = len(moments)
+        if n < SEVERAL:
+            continue
+        first, last, begin, end = _runs(moments, (0.0, float(passed[-1])))
+        number, share = last - first + 1, (end - begin) / passed[-1]
+        # How rarely so many of the others, which may be anywhere, are between some two of them.
+        p = bdtrc(number - 3, n - 2, np.minimum(share, 1.0)) * len(first) * len(CHANNELS)
+        best = np.flatnonzero(p <= p.min())[-1]
+        if p[best] < CLAIM:
+            k = np.searchsorted(passed, [begin[best], end[best]])
+            where = float(recording.time[k[0]]), float(recording.time[min(k[1], len(off))])
+            follows = "the time: single samples are off course there"
+            out.append(Unexplained((channel,), (where,), follows, float(p[best])))
+    return out
+
+
+def _runs(
+    moments: FloatArray, whole: Interval
+) -> tuple[IntArray, IntArray, FloatArray, FloatArray]:
+    """Return the first and last of each run of several moments, and where it begins and ends."""
+    first, last = np.triu_indices(len(moments), SEVERAL - 1)
+    # Of n moments anywhere in an interval the extremes are an (n + 1)-th of it from its ends.
+    beyond = (moments[last] - moments[first]) / (last - first)
+    begin = np.maximum(moments[first] - beyond, whole[0])
+    return first, last, begin, np.minimum(moments[last] + beyond, whole[1])
+
+
+def _densest(moments: FloatArray, whole: Interval) -> Interval:
+    """Return where pulses at (k,) moments most likely begin and end, in order of time.
+
+    Poisson processes: inside with the rate that is seen, outside with that of noise.
+    """
+    start, stop = whole
+    first, last, begin, end = _runs(moments, whole)
+    number = last - first + 1
+    value = number * np.log(number / (end - begin)) - number
+    value += (len(moments) - number) * np.log(CHANCE / (stop - start))
+    best = int(np.argmax(value))
+    return float(begin[best]), float(end[best])
+
+
+def _own_scale(look: _Look) -> FloatArray:
+    """Return how much noisier each rest is than is usual, at least 1, (rests, 6)."""
+    out = np.ones((int(look.rest.max()) + 1, 6))
+    for k in np.unique(look.rest):
+        own = np.abs(look.size[look.rest == k])
+        out[k] = np.maximum(1.0, ROBUST * np.median(own, axis=0))
+    return out
+
+
+def _stretches(
+    looks: list[_Look], recording: Recording, poses: Poses, known: set[tuple[str, ...]]
+) -> list[Unexplained]:
+    """Return stretches of rests in which a channel is restless, and neither before nor after."""
+    rests = np.unique(looks[0].rest)
+    some = [w for w in windows(len(rests)) if w[1] - w[0] >= 2]
+    if len(rests) < FEWEST:
+        return []
+    found = [_louder(look, rests, some) for look in looks]
+    stands, chances, stirred = (np.stack(part) for part in zip(*found, strict=True))
+    ends = poses.interval[rests]
+    companion = -float(ndtri(MISSED / (5 * len(looks))))
+    first, last = np.array(some).T
+    out = []
+    for c, channel in enumerate(CHANNELS):
+        if (channel,) in known:
+            continue
+        k, w = np.unravel_index(int(np.argmin(chances[:, :, c])), chances.shape[:2])
+        p = float(chances[k, w, c]) * chances.size
+        others = np.delete(stirred[:, w].max(axis=0), c)
+        if p >= CLAIM or (others > companion).any():
+            continue
+        gain = 0.5 * np.square(stands[k, :, c])
+        weight = np.where(stands[k, :, c] > 0, np.exp(gain - gain.max()), 0.0)
+        where = expected_overlap(ends[first, 0], ends[last - 1, 1], weight)
+        out.append(Unexplained((channel,), (where,), "the time: it is restless there", p))
+    return out
+
+
+def _louder(
+    look: _Look, rests: IntArray, some: list[tuple[int, int]]
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return how much louder rests are in each window than outside, (w, 6): standard errors, p.
+
+    And the same against the quieter half of those outside, which a hand that moves more or less
+    throughout shows.
+
+    What rests outside differ by, beyond what chance makes of their noise, widens the errors.
+    """
+    place = np.searchsorted(rests, look.rest)
+    count = np.bincount(place, minlength=len(rests)).astype(float)
+    square = np.minimum(np.square(look.size), CAP**2)
+    power = np.stack([np.bincount(place, square[:, c], len(rests)) for c in range(6)], axis=1)
+    here = (count > 0)[:, None]
+    level = here * np.log(np.maximum(power, 1e-12) / np.maximum(count, 1.0)[:, None])
+    chance = here * 2.0 / np.maximum(count * _independent(look.width), 1.0)[:, None]
+    parts = np.hstack((here, chance, level, np.square(level)))
+    total = np.concatenate((np.zeros((1, parts.shape[1])), np.cumsum(parts, axis=0)))
+    first, last = np.array(some).T
+    inside = total[last] - total[first]
+    outside = total[-1] - inside
+    n, m = inside[:, :1], outside[:, :1]
+    # Not where nearly all rests are too short for such a width.
+    enough = (n >= 2) & (m >= FEWEST // 2)
+    inside, outside = inside[:, 1:] / np.maximum(n, 1.0), outside[:, 1:] / np.maximum(m, 1.0)
+    more = inside[:, 1:7] - outside[:, 1:7]
+    scatter = (outside[:, 7:] - np.square(outside[:, 1:7])) * m / np.maximum(m - 1.0, 1.0)
+    by_chance = inside[:, :1] / np.maximum(n, 1.0) + outside[:, :1] / np.maximum(m, 1.0)
+    own = np.maximum(scatter - outside[:, :1], 0.0)
+    error = own / np.maximum(n, 1.0) + own / np.maximum(m, 1.0) + by_chance
+    spread = own + outside[:, :1]
+    freedom = (m - 1.0) * np.square(spread / np.maximum(own, 1e-5 * spread))
+    stand = np.where(enough, more / np.sqrt(error), 0.0)
+    tail = stdtr(np.maximum(freedom, 1.0), -stand)
+    # The quieter half of normal errors has a mean of -0.8.
+    some_rests = np.flatnonzero(here[:, 0])
+    usual = float(chance[some_rests].mean())
+    half = np.sort(level[some_rests], axis=0)[: max(len(some_rests) // 2, 1)]
+    quiet = half.mean(axis=0) + np.sqrt(2.0 / np.pi * usual)
+    stirred = (inside[:, 1:7] - quiet) / np.sqrt(by_chance + usual / np.maximum(m, 1.0))
+    return stand, np.where(enough & (more > np.log(LOUDER)), tail, 1.0), enough * stirred
+
+
+def _independent(width: int) -> float:
+    """Return the share of independent ones among the differences of means of white noise."""
+    half = max(1, width // 2)
+    kernel = np.repeat([-0.5, 1.0, -0.5], width)
+    lags = np.correlate(kernel, kernel, mode="full")[len(kernel) - 1 :: half]
+    return float(1.0 / (1.0 + 2.0 * np.square(lags[1:] / lags[0]).sum()))

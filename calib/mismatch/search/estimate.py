@@ -1,0 +1,336 @@
+"""The joint fit of all that was found: sizes, shapes between the grid's, and standard errors.
+
+A time constant or a bandwidth enters nonlinearly, and what a recording says of it is often
+lopsided: an exponential much longer than the recording is a straight line, however long. So a shape
+is not linearised. The likelihood is followed along it with all else refitted (the profile).
+Standard errors are those of the mixture over it, with the profile as weights, and never less than a
+third of the longer side of the interval in which the profile stays within 4.5 of its maximum. A
+form (the order of a filter) that fits nearly as well is part of the mixture.
+
+The noise is an estimate too: of slow drift a recording shows a few modes only. Standard errors are
+as much wider as it takes for three of them to hold an error as often as three do where the noise is
+known.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.polynomial.hermite_e import hermegauss
+from scipy.special import ndtr
+
+from calib.effects import get_effect
+from calib.effects.base import ShapeParameter
+from calib.mismatch.hypotheses.families import candidate_columns, forms, is_moment, shape_grid
+from calib.mismatch.noise.noise import make_whitener, spread_of_variance
+from calib.mismatch.rows.rows import Rows
+from calib.mismatch.search.ranking import Accepted, fitted
+from calib.mismatch.search.refit import cut, likelihood_gain, prior_rows, scaled
+from calib.types import FloatArray
+
+POINTS = 25
+"""Values of a shape at which the profile is taken."""
+
+REACH = 8.0
+"""How far below its maximum the log-likelihood is followed: four standard errors."""
+
+WITHIN = 4.5
+"""How far below its maximum the log-likelihood is three standard errors away."""
+
+FINE = 9
+"""Values within that reach that show the profile's form."""
+
+NODES, HALVINGS = 40, 20
+"""Values of an uncertain variance that are averaged over, and steps to where three errors end."""
+
+SWEEPS = 2
+"""Each shape is settled so often, given the others."""
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """The joint fit of everything: steps from where the rows stand, and their covariance.
+
+    Parameters
+    ----------
+    step, covariance : (p,), (p, p) arrays
+        Of baseline, nuisances and each finding's coefficients, in units of their columns.
+    at : tuple of int
+        Where the coefficients of each finding start, and where the last ones end.
+    shapes : mapping
+        Standard error of a shape parameter, by number of the finding and name.
+    forms : mapping
+        Probability of the form that a finding has (the order of a filter), by number of the
+        finding, where there are several.
+    left : (m,) array
+        Residual of the fit.
+    """
+
+    step: FloatArray
+    covariance: FloatArray
+    at: tuple[int, ...]
+    shapes: Mapping[tuple[int, str], float]
+    forms: Mapping[int, float]
+    left: FloatArray
+
+
+def settle(
+    rows: Rows,
+    accepted: list[Accepted],
+    levels: FloatArray,
+    contrast: FloatArray,
+    *,
+    reference: bool,
+) -> tuple[Rows, list[Accepted]]:
+    """Return rows with every finding's part in them, and findings with the best of all shapes."""
+    residual = rows.residual + sum(a.columns @ (a.values / a.typical) for a in accepted)
+    rows = replace(rows, residual=residual)
+    out = [replace(a, values=np.zeros(len(a.values)), in_model=False) for a in accepted]
+    shaped = [(i, item) for i, a in enumerate(out) for item in _shapes(a)]
+    for _ in range(SWEEPS if len(shaped) > 1 else 1):
+        for i, item in shaped:
+            profiles = [
+                (form, *_profile(rows, out, i, form, item, levels, contrast, reference=reference))
+                for form in _forms(out[i])
+            ]
+            form, values, gains = max(profiles, key=lambda p: p[2].max())
+            shape = {**form, item.name: _peak(values, gains)}
+            best = _moved(rows, out[i], shape, reference=reference)
+            out[i] = out[i] if best is None else best
+    return rows, out
+
+
+def estimate(
+    rows: Rows,
+    accepted: tuple[Accepted, ...],
+    levels: FloatArray,
+    contrast: FloatArray,
+    *,
+    reference: bool,
+) -> Estimate:
+    """Fit baseline, nuisances and all findings jointly, over all shapes that the rows allow."""
+    best, covariance = _fit(rows, accepted, levels, contrast)
+    total, shapes, of_form = covariance.copy(), {}, {}
+    reach = 3.0 * np.sqrt(np.diag(covariance))
+    for i, a in enumerate(accepted):
+        for item in _shapes(a):
+            tried: list[dict[str, float]] = []
+            found: list[FloatArray] = []
+            for form in _forms(a):
+                values, gains = _profile(
+                    rows, list(accepted), i, form, item, levels, contrast, reference=reference
+                )
+                tried += [{**form, item.name: float(v)} for v in values]
+                # Even in the logarithm, but finer where the profile is narrow.
+                found.append(np.stack((gains, np.full(len(gains), np.log(values[1] / values[0])))))
+            gains, spacing = np.hstack(found)
+            drop = gains.max() - gains
+            weights = np.exp(-drop) * spacing / (np.exp(-drop) @ spacing)
+            if len(found) > 1:
+                # Its own form comes first.
+                of_form[i] = float(weights[: found[0].shape[1]].sum())
+            for shape, weight, lost in zip(tried, weights, drop, strict=True):
+                if lost > REACH:
+                    continue
+                other = _moved(rows, a, shape, reference=reference)
+                if other is None:
+                    continue
+                there = (*accepted[:i], other, *accepted[i + 1 :])
+                step, own = _fit(rows, there, levels, contrast)
+                shift = step - best
+                total += weight * (own - covariance + np.outer(shift, shift))
+                if lost < WITHIN:
+                    width = np.sqrt(2.0 * (WITHIN - lost) * np.diag(own))
+                    reach = np.maximum(reach, np.abs(shift) + width)
+            values = np.array([shape[item.name] for shape in tried])
+            off = np.abs(values - a.candidate.shape[item.name])
+            mixed = np.sqrt(weights @ np.square(off))
+            shapes[i, item.name] = float(max(mixed, off[drop < WITHIN].max() / 3.0))
+        for item in _moments(a):
+            shapes[i, item.name] = _of_moment(
+                rows, list(accepted), i, item, levels, contrast, reference=reference
+            )
+    size = np.sqrt(np.diag(total))
+    unsure = _unsure(rows, accepted, levels, contrast, covariance)
+    longer = unsure * np.maximum(reach / 3.0, size) / np.where(size > 0, size, 1.0)
+    total *= np.outer(longer, longer)
+    start = rows.baseline.shape[1] + rows.nuisance.shape[1]
+    at = np.cumsum([start, *(a.columns.shape[1] for a in accepted)])
+    for i, name in shapes:
+        # What a shape changes is as slow as what it shapes.
+        shapes[i, name] *= float(unsure[at[i] : at[i + 1]].max())
+    left = rows.residual - fitted(rows, accepted) @ best
+    return Estimate(best, total, tuple(int(k) for k in at), shapes, of_form, left)
+
+
+def _unsure(
+    rows: Rows,
+    accepted: tuple[Accepted, ...],
+    levels: FloatArray,
+    contrast: FloatArray,
+    covariance: FloatArray,
+) -> FloatArray:
+    """Return how much wider errors are, as the noise is uncertain, than where it is known."""
+    mean = fitted(rows, accepted)
+    dense = slice(rows.n_dense)
+    whitener = make_whitener(rows, levels, contrast, mean[:, :0])
+    influence = whitener.unwhiten_transposed(whitener.whiten(mean) @ covariance)
+    return wider(
+        spread_of_variance(rows, mean[dense], levels, influence[dense], np.diag(covariance))
+    )
+
+
+def wider(spread: FloatArray) -> FloatArray:
+    """Return what to multiply standard errors by whose squares' logarithms have this deviation.
+
+    Normal errors of log-normal variance are then within three of them as often as normal ones.
+    """
+    node, weight = hermegauss(NODES)
+    scale = np.exp(0.5 * spread[:, None] * node)
+    low, high = np.full(len(spread), 1.0), np.exp(1.5 * spread)
+    for _ in range(HALVINGS):
+        middle = 0.5 * (low + high)
+        beyond = ndtr(-3.0 * middle[:, None] / scale) @ weight / weight.sum()
+        low = np.where(beyond > ndtr(-3.0), middle, low)
+        high = np.where(beyond > ndtr(-3.0), high, middle)
+    return 0.5 * (low + high)
+
+
+def _fit(
+    rows: Rows, accepted: tuple[Accepted, ...], levels: FloatArray, contrast: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the least-squares step of all columns, of any rank, and its covariance."""
+    mean = fitted(rows, accepted)
+    whitener = make_whitener(rows, levels, contrast, mean[:, :0])
+    prior, value = prior_rows(rows, accepted)
+    design, scale = scaled(np.vstack((whitener.whiten(mean), prior)))
+    y = np.append(whitener.whiten(rows.residual), value)
+    aside = cut(rows, accepted)
+    inverse = np.zeros(design.T.shape)
+    inverse[~aside] = _inverse(design[:, ~aside])
+    step = inverse @ y
+    if aside.any():
+        inverse[aside] = _inverse(design[:, aside])
+        step[aside] = inverse[aside] @ (y - design @ step)
+    covariance = inverse @ inverse.T
+    if aside.any():
+        # Its part within reach of the physics is not seen, but of the size of what is.
+        size = step[aside] / scale[aside]
+        hidden = inverse[~aside] @ design[:, aside] * scale[aside]
+        covariance[np.ix_(~aside, ~aside)] += np.mean(size**2) * hidden @ hidden.T
+    return step / scale, covariance / np.outer(scale, scale)
+
+
+def _inverse(design: FloatArray) -> FloatArray:
+    u, s, vt = np.linalg.svd(design, full_matrices=False)
+    good = s > 1e-9 * s[0]
+    return np.asarray((vt[good].T / s[good]) @ u[:, good].T)
+
+
+def _shapes(a: Accepted) -> list[ShapeParameter]:
+    """Return the continuous shape parameters of a finding but for its moment."""
+    if not a.candidate.physical:
+        return []
+    shape = get_effect(a.candidate.name).shape
+    return [item for item in shape if item.spacing == "log" and item.name in a.candidate.shape]
+
+
+def _moments(a: Accepted) -> list[ShapeParameter]:
+    """Return the moment of a finding, if it has one: it is searched elsewhere."""
+    if not a.candidate.physical:
+        return []
+    shape = get_effect(a.candidate.name).shape
+    return [item for item in shape if is_moment(item) and item.name in a.candidate.shape]
+
+
+def _forms(a: Accepted) -> list[dict[str, float]]:
+    """Return the shapes of a finding in all its forms, such as the orders of a filter."""
+    return forms(get_effect(a.candidate.name), a.candidate.shape)
+
+
+def _moved(
+    rows: Rows, a: Accepted, shape: Mapping[str, float], *, reference: bool
+) -> Accepted | None:
+    """Return a finding with another shape; None if it has no columns there."""
+    columns = candidate_columns(rows, a.candidate, shape, reference=reference)
+    if columns is None:
+        return None
+    return replace(a, candidate=replace(a.candidate, shape=shape), columns=columns)
+
+
+def _profile(
+    rows: Rows,
+    accepted: list[Accepted],
+    which: int,
+    form: Mapping[str, float],
+    item: ShapeParameter,
+    levels: FloatArray,
+    contrast: FloatArray,
+    *,
+    reference: bool,
+) -> tuple[FloatArray, FloatArray]:
+    """Return values of a shape, evenly spread in their logarithm, and their log-likelihood."""
+    others = [a for i, a in enumerate(accepted) if i != which]
+    whitener = make_whitener(rows, levels, contrast, fitted(rows, others))
+    y = whitener.project(rows.residual)
+    values = shape_grid(item, rows, POINTS)
+    while True:
+        gains = np.zeros(len(values))
+        for k, value in enumerate(values):
+            shape = {**form, item.name: float(value)}
+            moved = _moved(rows, accepted[which], shape, reference=reference)
+            if moved is not None:
+                gains[k] = likelihood_gain(
+                    whitener.project(moved.columns), y, present=moved.candidate.present
+                )
+        near = np.flatnonzero(gains > gains.max() - REACH)
+        # A step finer than a thousandth is finer than any use of it.
+        if len(near) >= FINE or values[1] < 1.001 * values[0]:
+            return values, gains
+        low, high = max(near[0] - 1, 0), min(near[-1] + 1, len(values) - 1)
+        # Two tops far apart: what lies between them is taken along.
+        number = POINTS if high - low < len(values) - 1 else 2 * len(values)
+        values = np.geomspace(values[low], values[high], number)
+
+
+def _of_moment(
+    rows: Rows,
+    accepted: list[Accepted],
+    which: int,
+    item: ShapeParameter,
+    levels: FloatArray,
+    contrast: FloatArray,
+    *,
+    reference: bool,
+) -> float:
+    """Return the standard error of a moment: when in its rest or turn is open, and in which is."""
+    own = accepted[which]
+    here = own.candidate.shape[item.name]
+    others = [a for i, a in enumerate(accepted) if i != which]
+    whitener = make_whitener(rows, levels, contrast, fitted(rows, others))
+    y = whitener.project(rows.residual)
+    values, length = rows.interval.mean(axis=1), np.ptp(rows.interval, axis=1)
+    values[max(int(np.searchsorted(rows.interval[:, 0], here, side="right")) - 1, 0)] = here
+    gains = np.zeros(len(values))
+    for k, value in enumerate(values):
+        shape = {**own.candidate.shape, item.name: float(value)}
+        moved = own if value == here else _moved(rows, own, shape, reference=reference)
+        if moved is not None:
+            gains[k] = likelihood_gain(whitener.project(moved.columns), y)
+    drop, off = gains.max() - gains, np.abs(values - here)
+    weights = np.exp(-drop) * length / (np.exp(-drop) @ length)
+    mixed = np.sqrt(weights @ (np.square(off) + length**2 / 12.0))
+    return float(max(mixed, off[drop < WITHIN].max() / 3.0))
+
+
+def _peak(values: FloatArray, gains: FloatArray) -> float:
+    """Return where a profile is highest: the top of a parabola through its three highest values."""
+    k = int(np.argmax(gains))
+    if k in (0, len(values) - 1):
+        return float(values[k])
+    below, top, above = gains[k - 1 : k + 2]
+    bend = below - 2 * top + above
+    shift = 0.5 * (below - above) / bend if bend < 0 else 0.0
+    return float(values[k] * (values[1] / values[0]) ** shift)

@@ -1,0 +1,292 @@
+"""From the search's outcome to a diagnosis: numbers with standard errors, places, proof, words."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from calib.calibration import Quantity, parameter_unit
+from calib.effects import effects, get_effect
+from calib.effects.base import Effect
+from calib.mismatch.findings.diagnosis import (
+    Absorbed,
+    Change,
+    Finding,
+    Interval,
+    Rival,
+    Unexplained,
+    Verdict,
+)
+from calib.mismatch.findings.evidence import gather
+from calib.mismatch.findings.heldout import HeldOut, held_out
+from calib.mismatch.hypotheses.families import is_moment
+from calib.mismatch.hypotheses.places import joined
+from calib.mismatch.noise.noise import make_whitener, range_basis
+from calib.mismatch.rows.rows import Kind, Rows
+from calib.mismatch.search.estimate import Estimate
+from calib.mismatch.search.ranking import Accepted, chance, fitted
+from calib.mismatch.search.search import TIE, TWIN, Outcome
+from calib.recording import CHANNELS
+from calib.types import FloatArray
+
+COUNTED = 0.3
+"""Standard error of a count of samples above which it is not known to be whole."""
+
+
+def explain(
+    outcome: Outcome, fit: Estimate, *, names: tuple[str, ...]
+) -> tuple[list[Finding], list[Unexplained], tuple[tuple[str, ...], FloatArray]]:
+    """Return findings, what is unexplained, and names and covariance of the model's parameters."""
+    rows, accepted = outcome.rows, outcome.accepted
+    findings: list[Finding] = []
+    unexplained: list[Unexplained] = []
+    known = list(names)
+    index = list(range(len(names)))
+    for i, a in enumerate(accepted):
+        rivals = _rivals(a)
+        if rows.state.temperature is None and a.candidate.name.endswith("_warm_up"):
+            # What warms up does so in time; without a thermometer nobody can tell which it follows.
+            heat = a.candidate.name.replace("_warm_up", "_bias_temperature")
+            rivals = (Rival(heat, 1.0), *rivals)
+        if not a.candidate.physical:
+            unexplained.append(_unexplained(rows, a, rivals))
+            continue
+        part = slice(fit.at[i], fit.at[i + 1])
+        values = fit.step[part] * a.typical
+        sigma = np.sqrt(np.diag(fit.covariance)[part]) * a.typical
+        effect = get_effect(a.candidate.name)
+        parameters = {
+            n: Quantity(float(v), float(s), parameter_unit(f"{effect.slug}.{n}"))
+            for n, v, s in zip(a.candidate.parameters, values, sigma, strict=True)
+        }
+        if a.candidate.present:
+            (name,) = a.candidate.parameters
+            if not 0.5 < parameters[name].value < 1.5:
+                # It is there or not: what fits by half, or the other way round, is something else.
+                left = _unexplained(rows, a, rivals)
+                unexplained.append(replace(left, follows=effect.follows))
+                continue
+            parameters[name] = Quantity(1.0, None, parameters[name].unit)
+        for item in effect.shape:
+            if item.name not in a.candidate.shape:
+                continue
+            here, spread = a.candidate.shape[item.name], None
+            if item.spacing == "log" or is_moment(item):
+                spread = fit.shapes[i, item.name]
+            parameters[item.name] = Quantity(float(here), spread, item.unit)
+        sentence = effect.sentence
+        if fit.forms.get(i, 0.0) > 1.0 - TIE:
+            sentence = f"{sentence} {effect.in_words(a.candidate.shape)}".rstrip()
+        absorbed, proof, before = _proof(outcome, fit, i, names)
+        predicted = a.columns @ fit.step[part]
+        reason = ""
+        if effect.kind == "event" and proof.gain <= 0:
+            reason = "it happened once: no other pose or turn shows it"
+        useless = proof.gain <= 0 or proof.after >= proof.before
+        # Samples come whole: a part of one is something else that happened in this turn.
+        broken = any(q.unit == "samples" and not _is_whole(q) for q in parameters.values())
+        if broken:
+            moment = a.candidate.shape["moment"]
+            turn = rows.interval[np.searchsorted(rows.interval[:, 0], moment, side="right") - 1]
+            where = ((float(turn[0]), float(turn[1])),)
+            left = _unexplained(rows, a, rivals)
+            unexplained.append(replace(left, intervals=where, follows="this one turn"))
+            continue
+        if useless and effect.kind != "event":
+            unexplained.append(
+                replace(
+                    _unexplained(rows, a, rivals),
+                    follows=f"{effect.follows}, but not on held-out data",
+                )
+            )
+            continue
+        findings.append(
+            Finding(
+                effect=effect.slug,
+                title=effect.title,
+                kind=effect.kind,
+                channels=_channels(effect, parameters),
+                intervals=_intervals(rows, a),
+                regime=effect.follows,
+                parameters=parameters,
+                p_value=chance(a.e_value),
+                absorbed_by=absorbed,
+                held_out=None if reason else proof,
+                held_out_reason=reason,
+                rivals=rivals,
+                to_separate=_to_separate(effect, rivals),
+                sentence=sentence,
+                evidence=gather(rows, effect, predicted, before, fit.left),
+            )
+        )
+        if effect.kind == "sensor":
+            known += [f"{effect.slug}.{n}" for n in a.candidate.parameters]
+            index += list(range(part.start, part.stop))
+    scale = np.ones(len(fit.step))
+    for i, a in enumerate(accepted):
+        scale[fit.at[i] : fit.at[i + 1]] = a.typical
+    covariance = (fit.covariance * np.outer(scale, scale))[np.ix_(index, index)]
+    return findings, joined(unexplained), (tuple(known), covariance)
+
+
+def _is_whole(q: Quantity) -> bool:
+    """Whether a count is a whole number other than zero, and not any other."""
+    near, sigma = round(q.value), q.sigma or 0.0
+    return near != 0 and sigma < COUNTED and abs(q.value - near) < 4.0 * sigma + 0.05
+
+
+def _rivals(a: Accepted) -> tuple[Rival, ...]:
+    own = a.posterior.get(a.candidate.group, 0.0)
+    if own <= 0:
+        return ()
+    found = [
+        Rival(name, value / own)
+        for name, value in a.posterior.items()
+        if name != a.candidate.group and value > (TWIN if name in effects() else TIE)
+    ]
+    return tuple(sorted(found, key=lambda r: -r.odds))
+
+
+def _unexplained(rows: Rows, a: Accepted, rivals: tuple[Rival, ...]) -> Unexplained:
+    c = a.candidate
+    whole = (float(rows.interval[0, 0]), float(rows.interval[-1, 1]))
+    return Unexplained(
+        channels=c.channels,
+        intervals=(c.interval or whole,),
+        follows=c.name,
+        p_value=chance(a.e_value),
+        rivals=rivals,
+    )
+
+
+def _channels(effect: Effect, parameters: Mapping[str, Quantity]) -> tuple[str, ...]:
+    """Return the channels that a significant parameter touches."""
+    found = set()
+    for p in effect.parameters:
+        q = parameters.get(p.name)
+        if q is not None and (q.sigma is None or abs(q.value) > 2 * q.sigma):
+            found |= set(p.channels)
+    if not found:
+        found = {c for p in effect.parameters if p.name in parameters for c in p.channels}
+    return tuple(c for c in CHANNELS if c in found)
+
+
+def _intervals(rows: Rows, a: Accepted) -> tuple[Interval, ...]:
+    start, stop = float(rows.interval[0, 0]), float(rows.interval[-1, 1])
+    effect = get_effect(a.candidate.name)
+    if effect.kind == "event":
+        for item in effect.shape:
+            if item.unit == "s" and item.low is None:
+                start = a.candidate.shape[item.name]
+    return ((start, stop),)
+
+
+def _proof(
+    outcome: Outcome, fit: Estimate, which: int, names: tuple[str, ...]
+) -> tuple[tuple[Absorbed, ...], HeldOut, FloatArray]:
+    """Return what had absorbed a finding, its held-out worth, and the residuals without it."""
+    own = outcome.accepted[which]
+    rows = outcome.rows.judging(own.candidate.name) if own.candidate.physical else outcome.rows
+    others = [a for i, a in enumerate(outcome.accepted) if i != which]
+    mean = fitted(rows, others)
+    residual = rows.residual
+    scale = np.linalg.norm(mean, axis=0)
+    scale[scale == 0] = 1.0
+    whitener = make_whitener(rows, outcome.levels, outcome.contrast, mean[:, :0])
+    without = np.linalg.lstsq(whitener.whiten(mean / scale), whitener.whiten(residual), rcond=1e-9)
+    sigma = np.sqrt(np.diag(fit.covariance))
+    absorbed = []
+    for j, name in enumerate(names):
+        shift = float(without[0][j] / scale[j] - fit.step[j])
+        if sigma[j] > 0 and abs(shift) > sigma[j]:
+            absorbed.append(Absorbed(name, shift, parameter_unit(name), abs(shift) / sigma[j]))
+    absorbed.sort(key=lambda item: -item.standard_errors)
+    proof = held_out(
+        rows,
+        mean,
+        own.columns,
+        residual,
+        levels=outcome.levels,
+        contrast=outcome.contrast,
+        channels=own.candidate.channels,
+    )
+    left = residual - (mean / scale) @ without[0]
+    return tuple(absorbed[:8]), proof, left
+
+
+_CLOCK_LIKE = ("warm_up", "bias_step")
+_HEAT_LIKE = ("temperature", "temperature_rate")
+
+
+def _to_separate(effect: Effect, rivals: tuple[Rival, ...]) -> str:
+    """Say what to record so that a finding and its rivals come apart."""
+    if not rivals:
+        return ""
+    slugs = [effect.slug, *(r.effect for r in rivals)]
+    clock = any(s.endswith(_CLOCK_LIKE) or s.startswith("time ") for s in slugs)
+    heat = any(s.endswith(_HEAT_LIKE) for s in slugs)
+    if clock and heat:
+        return (
+            "Cool the sensor while you repeat the poses, so that temperature and time since "
+            "power-on do not rise together."
+        )
+    known = effects()
+    parts = [f"{known[s].title}: {known[s].needs}" for s in slugs if s in known]
+    return "To tell them apart, record what each needs. " + "; ".join(parts) + "."
+
+
+def changes(outcome: Outcome) -> tuple[tuple[Change, ...], tuple[float, float]]:
+    """Return residual RMS and log-likelihood before and after, on the rows that were fitted."""
+    rows = outcome.rows
+    residual = rows.residual
+    before = np.hstack((rows.baseline, rows.nuisance))
+    after = fitted(rows, outcome.accepted)
+    out: dict[str, list[float]] = {}
+    units = {}
+    likelihood = []
+    for mean in (before, after):
+        whitener = make_whitener(rows, outcome.levels, outcome.contrast, mean)
+        white = whitener.project(residual)
+        likelihood.append(-0.5 * float(white @ white))
+        plain = range_basis(whitener.whiten(mean))
+        fit = whitener.whiten(residual)
+        coefficients = np.linalg.lstsq(whitener.whiten(mean), fit, rcond=1e-10)[0]
+        left = residual - mean @ coefficients
+        floor = np.append(rows.variance(outcome.levels), outcome.contrast)
+        keep = 1.0 - plain.shape[1] / len(residual)
+        for label, unit, own in _row_kinds(rows):
+            out.setdefault(label, []).append(float(np.sqrt(np.mean(np.square(left[own])))))
+            units[label] = (unit, float(np.sqrt(np.mean(floor[own]) * keep)))
+    found = tuple(
+        Change(label, units[label][0], v[0], v[1], units[label][1]) for label, v in out.items()
+    )
+    return found, (likelihood[0], likelihood[1])
+
+
+def _row_kinds(rows: Rows) -> list[tuple[str, str, FloatArray]]:
+    where = "at rest" if rows.is_rest.any() else "over windows"
+    out = []
+    for label, unit, own in (
+        (f"accel {where}", "m/s²", (rows.kind <= Kind.CONTRAST) & (rows.channel // 3 == 0)),
+        (f"gyro {where}", "rad/s", (rows.kind <= Kind.CONTRAST) & (rows.channel // 3 == 1)),
+        ("attitude after turns", "rad", rows.kind == Kind.ATTITUDE),
+        ("velocity after turns", "m/s", rows.kind == Kind.VELOCITY),
+    ):
+        if (own & (rows.channel >= -1)).any():
+            out.append((label, unit, own))
+    return out
+
+
+def verdict(
+    findings: tuple[Finding, ...], unexplained: tuple[Unexplained, ...], *, able: bool
+) -> Verdict:
+    """Return the verdict."""
+    if findings and unexplained:
+        return "partly_explained"
+    if findings:
+        return "explained"
+    if unexplained:
+        return "unexplained"
+    return "consistent" if able else "undetermined"

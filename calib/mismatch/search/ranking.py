@@ -1,0 +1,386 @@
+"""Every candidate scored under the noise that it implies.
+
+Noise is estimated under each hypothesis that matters, so that drift competes with effects on equal
+terms.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.special import logsumexp
+
+from calib.mismatch.hypotheses.answers import grouped, leading, nearby, physics, strongest_rivals
+from calib.mismatch.hypotheses.candidates import Candidate
+from calib.mismatch.hypotheses.families import add_catalogue
+from calib.mismatch.hypotheses.rivals import add_rivals
+from calib.mismatch.hypotheses.score import Stack, log_bayes_factor
+from calib.mismatch.noise.contrast import contrast_likelihood, contrast_variance
+from calib.mismatch.noise.noise import (
+    Levels,
+    Whitener,
+    estimate_levels,
+    find_levels,
+    level_likelihood,
+    make_whitener,
+    range_basis,
+)
+from calib.mismatch.rows.arrow import Factor
+from calib.mismatch.rows.rows import Rows
+from calib.recording import CHANNELS
+from calib.types import BoolArray, FloatArray
+
+CLAIM = 3.0
+"""E-value at which something is claimed to be left. Markov's inequality bounds the share of clean
+recordings that reach it by a third, but only evidence that is all or nothing attains that: of
+normal errors under as many looks as here, ``benchmarks/evidence.py`` counts 1 in 330."""
+
+DRIFTING = 0.3
+"""What evidence counts where a drift can mimic it and rests alone show that: it stands or falls
+with the slow end of the noise, of which a recording's rests show a few modes only. So it has to
+reach ten times what is as likely as not. Beside a truth every moment shows it."""
+
+SLOW_MODES = 8
+"""Half waves over the recording in the fastest drift that is meant by that."""
+
+RARE = 0.02
+"""Share of recordings of nothing but noise that reach an e-value of e, times e: at most, where
+``benchmarks/evidence.py`` counts them (Markov's inequality has 1 for any noise at all)."""
+
+PAIRS = 3
+"""How many effects of one channel are tried as the first of a pair."""
+
+PLAIN, AHEAD = 50.0, 20.0
+"""Log evidence from which, and by how much more than any other, the best is plain. Levels that are
+not raised by what was left out would put it further ahead, and are found for it alone."""
+
+
+@dataclass(frozen=True, eq=False)
+class Accepted:
+    """A hypothesis that was accepted.
+
+    ``values`` are its coefficients in the units of the effect's parameters, ``in_model`` whether
+    the rows' residual already has them taken out.
+    """
+
+    candidate: Candidate
+    columns: FloatArray
+    typical: FloatArray
+    values: FloatArray
+    in_model: bool
+    e_value: float
+    posterior: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False)
+class Ranking:
+    """Log evidence (prior weight times Bayes factor) of every candidate, and of each group."""
+
+    stack: Stack
+    evidence: FloatArray
+    best: dict[str, Candidate]
+    groups: dict[str, float]
+    levels: FloatArray
+    drifting: frozenset[str] = frozenset()
+    pair: tuple[float, Candidate] | None = None
+
+    @property
+    def total(self) -> float:
+        """Log e-value that anything is left."""
+        return float(logsumexp(list(self.groups.values()))) if self.groups else -np.inf
+
+    @property
+    def discounted(self) -> dict[str, float]:
+        """Log evidence of each group, where what a drift can mimic counts for less."""
+        return {g: v + np.log(DRIFTING) * (g in self.drifting) for g, v in self.groups.items()}
+
+    @property
+    def worth(self) -> float:
+        """Log e-value that anything is left, where what a drift can mimic counts for less."""
+        less = list(self.discounted.values())
+        return float(logsumexp(less)) if less else -np.inf
+
+    @property
+    def claims(self) -> bool:
+        """Whether that is enough to say that anything is left."""
+        return bool(self.worth >= np.log(CLAIM))
+
+
+def chance(e_value: float) -> float:
+    """Return the p-value of evidence, all looks counted: how rarely noise alone reaches it."""
+    return min(1.0, RARE / e_value)
+
+
+def make_stack(rows: Rows, *, skip: tuple[str, ...], reference: bool) -> Stack:
+    """Return every candidate: the catalogue and its rivals."""
+    stack = Stack(len(rows.residual))
+    add_rivals(stack, rows, skip=skip)
+    add_catalogue(stack, rows, skip=skip, reference=reference)
+    return stack
+
+
+def fitted(rows: Rows, accepted: list[Accepted] | tuple[Accepted, ...]) -> FloatArray:
+    """Return all columns that are always fitted: baseline, nuisances, and what was accepted."""
+    return np.hstack((rows.baseline, rows.nuisance, *(a.columns for a in accepted)))
+
+
+def contrast_noise(rows: Rows, accepted: Sequence[Accepted], *also: Candidate) -> FloatArray:
+    """Return the variance of the contrast rows, as it is outside of what is found in windows."""
+    apart = np.zeros(len(rows.residual) - rows.n_dense, bool)
+    for item in (*(a.candidate for a in accepted), *also):
+        if item.physical or item.interval is None:
+            continue
+        start, stop = item.interval
+        inside = (rows.interval[:, 0] < stop) & (rows.interval[:, 1] > start)
+        own = np.isin(rows.channel, [CHANNELS.index(c) for c in item.channels])
+        apart |= (inside[rows.segment] & own)[rows.n_dense :]
+    return contrast_variance(rows, apart=apart)
+
+
+def rank(rows: Rows, stack: Stack, accepted: list[Accepted], start: FloatArray) -> Ranking:
+    """Score every candidate under the noise that it implies.
+
+    What was left out raises the drift of its channels. So each candidate is also scored with the
+    drift of its own channels as it is with all physics in the mean (a rival: with the strongest
+    rivals), and the leaders with drift estimated anew for each of them. Lower drift costs the
+    likelihood of the null, and that cost is in the evidence: drift and effect compete on equal
+    terms. So does what the null needs to take an effect for noise: levels that are just so.
+    """
+    scores = _Scores.of(rows, stack, accepted, start)
+    base = scores.base
+    evidence = scores.at(base.values, scores.contrast, base.log_likelihood)
+    best, groups = grouped(stack, evidence)
+    every, leaders = base, [max(groups, key=lambda g: groups[g])]
+    hidden: list[_Hidden] = []
+    if not _plain(groups):
+        evidence, every, hidden = scores.with_drift_of_all(evidence)
+        best, groups = grouped(stack, evidence)
+        leaders = [g for g in leading(best, groups) if groups[g] > np.log(CLAIM) - 7]
+    for name in leaders:
+        evidence = np.maximum(evidence, scores.with_own_drift(best[name], every))
+    best, groups = grouped(stack, evidence)
+    whitener = scores.whitener(base.values, scores.contrast)
+    drifting = _drifting(rows, stack, whitener, [best[g] for g, v in groups.items() if v > 0])
+    ranking = Ranking(stack, evidence, best, groups, base.values, drifting)
+    if accepted or ranking.claims:
+        return ranking
+    return replace(ranking, pair=_pair(scores, hidden))
+
+
+def _plain(groups: Mapping[str, float]) -> bool:
+    """Whether one answer is far ahead of all others."""
+    first, second = sorted([*groups.values(), 0.0, 0.0], reverse=True)[:2]
+    return first > PLAIN and first - second > AHEAD
+
+
+@dataclass(frozen=True, eq=False)
+class _Hidden:
+    """Evidence for the candidates `which` under levels that the null likes less, by ``null``."""
+
+    evidence: FloatArray
+    null: float
+    which: BoolArray
+    levels: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class _Scores:
+    """What all scores of one ranking share: what is fitted, and the noise under that alone."""
+
+    rows: Rows
+    stack: Stack
+    accepted: list[Accepted]
+    mean: FloatArray
+    contrast: FloatArray
+    base: Levels
+    basis: FloatArray
+    weight: FloatArray
+    _factors: dict[bytes, tuple[Factor, dict[bytes, Whitener]]] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, rows: Rows, stack: Stack, accepted: list[Accepted], start: FloatArray) -> _Scores:
+        mean = fitted(rows, accepted)
+        dense = mean[: rows.n_dense]
+        return cls(
+            rows=rows,
+            stack=stack,
+            accepted=accepted,
+            mean=mean,
+            contrast=contrast_noise(rows, accepted),
+            base=find_levels(rows, dense, start),
+            basis=range_basis(dense),
+            weight=stack.weight,
+        )
+
+    def at(
+        self,
+        levels: FloatArray,
+        contrast: FloatArray,
+        null: float,
+        which: BoolArray | None = None,
+    ) -> FloatArray:
+        """Return the evidence at some levels, of which the null has the log-likelihood `null`."""
+        whitener = self.whitener(levels, contrast)
+        y = whitener.project(self.rows.residual)
+        factors = self.stack.log_bayes_factors(whitener, y, which=which)
+        return factors + (null - self.base.log_likelihood) + self.weight
+
+    def _factor(self, levels: FloatArray) -> tuple[Factor, dict[bytes, Whitener]]:
+        """Return the factor of the covariance at some levels, and whiteners that it made.
+
+        Those at the first levels are kept, and those at the last.
+        """
+        key = levels.tobytes()
+        if key not in self._factors:
+            if len(self._factors) > 1:
+                self._factors.popitem()
+            self._factors[key] = self.rows.arrow.factorise(levels), {}
+        return self._factors[key]
+
+    def whitener(self, levels: FloatArray, contrast: FloatArray) -> Whitener:
+        """Return the whitener at some levels, with what is fitted projected out."""
+        (factor, known), key = self._factor(levels), contrast.tobytes()
+        if key not in known:
+            known[key] = make_whitener(self.rows, levels, contrast, self.mean, factor=factor)
+        return known[key]
+
+    def _null(self, levels: FloatArray) -> float:
+        """Return the log-likelihood of some levels."""
+        return level_likelihood(self.rows, self.basis, levels, factor=self._factor(levels)[0])
+
+    def with_drift_of_all(self, evidence: FloatArray) -> tuple[FloatArray, Levels, list[_Hidden]]:
+        """Return the evidence where physics, or rivals, take up the drift of their channels.
+
+        Beside it the levels with all physics in the mean, and the evidence for physics there.
+        """
+        rows, stack, base = self.rows, self.stack, self.base
+        dense = self.mean[: rows.n_dense]
+        wide = np.hstack((dense, physics(stack)[: rows.n_dense]))
+        every = find_levels(rows, wide, base.values)
+        rivals = strongest_rivals(stack, evidence - self.weight)
+        alone = [stack.of(c) for c in rivals.values() if len(c.channels) == 1]
+        strongest = np.hstack(alone)[: rows.n_dense]
+        free = estimate_levels(rows, np.hstack((dense, strongest)), every.values)
+        hidden: list[_Hidden] = []
+        for channels in (*((c,) for c in CHANNELS), CHANNELS[:3], CHANNELS[3:]):
+            for physical, other in ((True, every), (False, free)):
+                which = stack.of_channels(channels, physical=physical)
+                if not which.any():
+                    continue
+                levels = _swap(rows, base.values, other.values, channels)
+                null = self._null(levels)
+                if physical:
+                    scored = self.at(levels, self.contrast, null, which)
+                    hidden.append(_Hidden(scored, null - base.log_likelihood, which, levels))
+                else:
+                    strong = rivals[channels]
+                    outside, cost = self._suited(levels, strong, stack.of(strong))
+                    scored = self.at(levels, outside, null + cost, which)
+                evidence = np.maximum(evidence, scored)
+        return evidence, every, hidden
+
+    def with_own_drift(self, leader: Candidate, every: Levels) -> FloatArray:
+        """Return the evidence for a candidate's group with levels of its own, near its place."""
+        rows, stack, base = self.rows, self.stack, self.base
+        here, moved = leader, nearby(rows, leader)
+        own = stack.of(leader)
+        if moved.candidates:
+            whitener = self.whitener(base.values, self.contrast)
+            factors = moved.log_bayes_factors(whitener, whitener.project(rows.residual))
+            here = moved.candidates[int(np.argmax(factors))]
+            own = moved.of(here)
+        with_own = np.hstack((self.mean, own))[: rows.n_dense]
+        found = estimate_levels(rows, with_own, every.values)
+        outside, cost = self._suited(found.values, here, own)
+        null = self._null(found.values) + cost
+        null += found.log_share - base.log_share
+        names, code = stack.groups()
+        evidence = self.at(found.values, outside, null, code == names.index(leader.group))
+        if moved.candidates:
+            whitener = self.whitener(found.values, outside)
+            average = moved.average(whitener, whitener.project(rows.residual))
+            average += null - base.log_likelihood
+            i = stack.candidates.index(leader)
+            evidence[i] = max(evidence[i], average + self.weight[i])
+        return evidence
+
+    def _suited(
+        self, levels: FloatArray, rival: Candidate, own: FloatArray
+    ) -> tuple[FloatArray, float]:
+        """Return the variance of contrasts that suits a rival better, and what it costs the null.
+
+        It is that outside of the rival's window, or that of all.
+        """
+        if rival.physical or rival.interval is None:
+            return self.contrast, 0.0
+        rows = self.rows
+        outside = contrast_noise(rows, self.accepted, rival)
+        # Where the null prefers it as well, that is no merit of the rival.
+        cost = contrast_likelihood(rows, outside) - contrast_likelihood(rows, self.contrast)
+        cost = min(cost, 0.0)
+        value = []
+        for variance in (self.contrast, outside):
+            whitener = self.whitener(levels, variance)
+            value.append(log_bayes_factor(whitener.project(own), whitener.project(rows.residual)))
+        return (outside, cost) if value[1] + cost > value[0] else (self.contrast, 0.0)
+
+
+def _drifting(
+    rows: Rows, stack: Stack, whitener: Whitener, candidates: list[Candidate]
+) -> frozenset[str]:
+    """Return the groups of those candidates of which a drift can mimic more than half.
+
+    None where windows that follow one another without a gap show how a bias goes on.
+    """
+    if not candidates or not rows.is_rest.any():
+        return frozenset()
+    time = rows.state.time - rows.state.time[0]
+    phase = np.pi * time[:, None] / max(float(time[-1]), 1e-9) * np.arange(1, SLOW_MODES + 1)
+    slow = np.hstack([rows.columns(c, np.cos(phase)) for c in range(len(CHANNELS))])
+    basis = range_basis(whitener.project(slow))
+    out = []
+    for c in candidates:
+        columns = whitener.project(stack.of(c))
+        if np.square(basis.T @ columns).sum() > 0.5 * np.square(columns).sum():
+            out.append(c.group)
+    return frozenset(out)
+
+
+def _pair(scores: _Scores, hidden: list[_Hidden]) -> tuple[float, Candidate] | None:
+    """Return two effects on the same channels that hide each other: evidence, and the first.
+
+    Either alone leaves the other, which then counts as drift, and neither reaches the claim.
+    """
+    rows, stack = scores.rows, scores.stack
+    best: tuple[float, Candidate | None] = (float(np.log(CLAIM / DRIFTING)), None)
+    for item in hidden:
+        tried: list[str] = []
+        own = np.flatnonzero(item.which)
+        for i in own[np.argsort(-item.evidence[own], kind="stable")].tolist():
+            first = stack.candidates[i]
+            if first.name in tried:
+                continue
+            tried.append(first.name)
+            # Only where the first gains something by itself is there a pair to find.
+            if len(tried) > PAIRS or item.evidence[i] - item.null + scores.weight[i] < 0:
+                break
+            mean = np.hstack((scores.mean, stack.of(first)))
+            whitener = make_whitener(rows, item.levels, scores.contrast, mean)
+            y = whitener.project(rows.residual)
+            rest = np.zeros(len(item.which), bool)
+            rest[[k for k in own if stack.candidates[k].name != first.name]] = True
+            if not rest.any():
+                continue
+            second = stack.log_bayes_factors(whitener, y, which=rest) + scores.weight
+            value = float(item.evidence[i] + second[rest].max())
+            if value > best[0]:
+                best = (value, first)
+    return None if best[1] is None else (best[0], best[1])
+
+
+def _swap(rows: Rows, base: FloatArray, every: FloatArray, channels: tuple[str, ...]) -> FloatArray:
+    """Return the levels of `every` for the drift of some channels, and of `base` for the rest."""
+    own = np.array([c.name.split(" ")[0] in channels for c in rows.components])
+    return np.where(own, np.minimum(base, every), base)

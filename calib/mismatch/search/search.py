@@ -1,0 +1,388 @@
+"""The search: the best explanation, refitted with all that was found, until nothing is left.
+
+Each round asks whether anything is left (the average of all Bayes factors, an e-value), and what:
+the physics of the catalogue against each other and against honest rivals.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.special import logsumexp
+
+from calib.effects import get_effect
+from calib.mismatch.hypotheses.answers import grouped, leading, nearby
+from calib.mismatch.hypotheses.candidates import Candidate
+from calib.mismatch.hypotheses.families import candidate_columns
+from calib.mismatch.hypotheses.score import Stack
+from calib.mismatch.noise.noise import (
+    estimate_levels,
+    expected_levels,
+    find_levels,
+    make_whitener,
+)
+from calib.mismatch.rows.rows import Rows
+from calib.mismatch.search.estimate import Estimate, estimate, settle
+from calib.mismatch.search.ranking import (
+    CLAIM,
+    DRIFTING,
+    Accepted,
+    Ranking,
+    contrast_noise,
+    fitted,
+    make_stack,
+    rank,
+)
+from calib.mismatch.search.refit import Problem, refined, refit
+from calib.types import FloatArray
+
+TIE = 0.05
+"""Posterior probability above which another name is reported as a rival."""
+
+KEEP = 0.0
+"""Log evidence below which an earlier finding is dropped, given the later ones."""
+
+TWIN = 0.01
+"""The same for another effect of the catalogue: what sizes are typical is a weak argument between
+two that a recording cannot tell apart."""
+
+FIRST = float(np.log(2.0))
+"""Log odds by which rivals must lead before what physics explains nearly as well is unexplained, if
+physics alone reaches the claim. Either way both are said. A technician who is told a name can
+check it."""
+
+SHOWN = 1e-3
+"""Posterior probability below which nothing is said of a group."""
+
+BETWEEN = 20.0
+"""Log evidence that a place between two of the grid may add, or as much again as it has there: they
+are near enough for the larger part of an effect to show at one of them."""
+
+MIMICKED = 9.0
+"""Power of a finding, in units of the noise, that a twin does not mimic, below which the two are a
+tie: the likelihood then favours the wrong one in 1 of 15."""
+
+SURE = 3.0
+"""Standard errors by which an effect must be larger than is physical to be none."""
+
+ROUNDS = 8
+"""At most so many findings are tried."""
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """What the search ends with: rows, what was accepted, and the noise under all of it.
+
+    What was accepted is in the rows: its values are zero, and its sizes are yet to be estimated.
+    """
+
+    rows: Rows
+    accepted: tuple[Accepted, ...]
+    levels: FloatArray
+    contrast: FloatArray
+    total: float
+    candidates: tuple[Candidate, ...]
+
+    def fit(self, *, reference: bool) -> Estimate:
+        """Fit everything jointly."""
+        return estimate(self.rows, self.accepted, self.levels, self.contrast, reference=reference)
+
+
+def search(problem: Problem, *, skip: tuple[str, ...] = ()) -> Outcome:
+    """Find what was left out, one hypothesis after another."""
+    accepted: list[Accepted] = []
+    rows = problem.rows()
+    ranking = _ranked(problem, rows, accepted, expected_levels(rows), skip)
+    if not ranking.claims and ranking.pair is not None:
+        value, first = ranking.pair
+        accepted.append(_accept(rows, ranking.stack, first, float(DRIFTING * np.exp(value))))
+        levels = ranking.levels
+        del ranking  # its columns are most of the memory that is used
+        rows, accepted = refit(problem, rows, accepted, levels)
+        ranking = _ranked(problem, rows, accepted, levels, skip)
+    for _ in range(ROUNDS):
+        if not ranking.claims:
+            break
+        chosen = choose(rows, ranking, accepted)
+        if chosen is None:
+            break
+        new = _accept(rows, ranking.stack, chosen, float(np.exp(min(ranking.worth, 700))))
+        accepted = _with(rows, accepted, new, reference=problem.reference)
+        levels = ranking.levels
+        del ranking
+        rows, accepted = refit(problem, rows, accepted, levels)
+        extra = _superfluous(rows, accepted, levels)
+        if extra is not None:
+            accepted = [a for a in accepted if a is not extra]
+            rows, accepted = refit(problem, rows, accepted, levels)
+        ranking = _ranked(problem, rows, accepted, levels, skip)
+    stack = ranking.stack
+    contrast = contrast_noise(rows, accepted)
+    # The ranking took the better of two maxima: its own is left to be approached more closely.
+    levels = estimate_levels(rows, fitted(rows, accepted)[: rows.n_dense], ranking.levels).values
+    accepted = [
+        replace(
+            a,
+            posterior=_posterior(rows, stack, accepted, i, levels, reference=problem.reference),
+        )
+        for i, a in enumerate(accepted)
+    ]
+    rows, accepted = settle(rows, accepted, levels, contrast, reference=problem.reference)
+    return Outcome(rows, tuple(accepted), levels, contrast, ranking.total, tuple(stack.candidates))
+
+
+def _ranked(
+    problem: Problem,
+    rows: Rows,
+    accepted: list[Accepted],
+    levels: FloatArray,
+    skip: tuple[str, ...],
+) -> Ranking:
+    return rank(rows, make_stack(rows, skip=skip, reference=problem.reference), accepted, levels)
+
+
+def choose(rows: Rows, ranking: Ranking, accepted: list[Accepted]) -> Candidate | None:
+    """Return what explains most: physics, unless the rivals together are more probable.
+
+    An event where something is unexplained already is part of that, and gets no name of its own.
+    What an effect leaves that was found already is no second finding of it.
+    """
+    best = ranking.best
+    groups = {
+        g: v
+        for g, v in ranking.groups.items()
+        if not _within(rows, best[g], accepted)
+        and not _again(best[g], accepted)
+        and not _impossible(rows, ranking, best[g], accepted)
+    }
+    ranking = replace(ranking, groups=groups)
+    if not ranking.claims:
+        return None
+    if ranking.total < np.log(CLAIM / DRIFTING):
+        # Not enough for what a drift can mimic by itself.
+        groups = ranking.discounted
+        others = [v for g, v in groups.items() if g not in ranking.drifting]
+        if max(groups, key=lambda g: groups[g]) not in ranking.drifting and (
+            logsumexp(others) < np.log(CLAIM)
+        ):
+            # Nor does it lend its weight to a name that is less probable.
+            return None
+    physical = [g for g in groups if best[g].physical]
+    rival = [g for g in groups if not best[g].physical]
+    top = max(physical, key=lambda g: groups[g], default=None)
+    other = max(rival, key=lambda g: groups[g], default=None)
+    if top is None:
+        return None if other is None else best[other]
+    if other is None:
+        return best[top]
+    for_physics = logsumexp([groups[g] for g in physical])
+    for_rivals = logsumexp([groups[g] for g in rival])
+    ahead = for_physics - for_rivals
+    if ahead >= 0 or (ahead >= -FIRST and for_physics >= np.log(CLAIM)):
+        return best[top]
+    # Two causes at once can look like one smooth rival: let physics try twice.
+    if groups[top] > np.log(CLAIM):
+        stack = ranking.stack
+        pair = _accept(rows, stack, best[top], 1.0)
+        second = rank(rows, stack, [*accepted, pair], ranking.levels)
+        left = [v for g, v in second.groups.items() if second.best[g].physical]
+        if left and groups[top] + max(left) > for_rivals and max(left) > np.log(CLAIM):
+            return best[top]
+    return best[other]
+
+
+def _within(rows: Rows, candidate: Candidate, accepted: list[Accepted]) -> bool:
+    """Whether a candidate is part of what was accepted, and no second cause.
+
+    So is an event in, or at the edge of, what is unexplained in one of its channels; and what is
+    left in the turn of an event that was linearised at its moment.
+    """
+    event = candidate.physical and get_effect(candidate.name).kind == "event"
+    moment = candidate.shape.get("moment")
+    for a in accepted:
+        if not set(a.candidate.channels) & set(candidate.channels):
+            continue
+        if a.candidate.physical:
+            if not a.in_model and "moment" in a.candidate.shape:
+                start, stop = _around(rows, a.candidate.shape["moment"])
+                first, last = candidate.interval or (moment, moment)
+                if first is not None and last is not None and start <= first and last <= stop:
+                    return True
+            continue
+        if not event:
+            continue
+        if a.candidate.interval is None or moment is None:
+            return True
+        start, stop = a.candidate.interval
+        edge = 0.5 * (stop - start)
+        if start - edge <= moment <= stop + edge:
+            return True
+    return False
+
+
+def _around(rows: Rows, moment: float) -> tuple[float, float]:
+    """Return the rest or turn that a moment lies in, with those beside it."""
+    k = int(np.searchsorted(rows.interval[:, 0], moment, side="right")) - 1
+    return float(rows.interval[max(k - 1, 0), 0]), float(rows.interval[: k + 2, 1].max())
+
+
+def _again(candidate: Candidate, accepted: list[Accepted]) -> bool:
+    """Whether an effect was found already on all that a candidate touches."""
+    return _lasting(candidate) and any(
+        set(candidate.parameters) <= set(a.candidate.parameters)
+        for a in accepted
+        if a.candidate.name == candidate.name
+    )
+
+
+def _impossible(
+    rows: Rows, ranking: Ranking, candidate: Candidate, accepted: list[Accepted]
+) -> bool:
+    """Whether an effect would have to be larger than is physical: it mimics something else."""
+    if not candidate.physical:
+        return False
+    about = {p.name: p for p in get_effect(candidate.name).parameters}
+    most = np.array([about[n].most for n in candidate.parameters])
+    if not np.isfinite(most).any():
+        return False
+    mean, contrast = fitted(rows, accepted), contrast_noise(rows, accepted)
+    whitener = make_whitener(rows, ranking.levels, contrast, mean)
+    columns = whitener.project(ranking.stack.of(candidate))
+    inverse = np.linalg.pinv(columns.T @ columns)
+    typical = np.array([about[n].typical for n in candidate.parameters])
+    value = typical * (inverse @ columns.T @ whitener.project(rows.residual))
+    sigma = typical * np.sqrt(np.diag(inverse))
+    return bool((np.abs(value) > most + SURE * sigma).any())
+
+
+def _lasting(candidate: Candidate) -> bool:
+    """Whether a candidate is physics that a recording has once, and not at each of many moments."""
+    return candidate.physical and get_effect(candidate.name).kind != "event"
+
+
+def _with(
+    rows: Rows, accepted: list[Accepted], new: Accepted, *, reference: bool
+) -> list[Accepted]:
+    """Return the findings with a new one; other parameters of one effect are one finding.
+
+    But for what is there or not: how strong it is is in a shape, and each channel has its own.
+    """
+    old = next((a for a in accepted if a.candidate.name == new.candidate.name), None)
+    if old is None or not _lasting(new.candidate) or new.candidate.present:
+        return [*accepted, new]
+    effect = get_effect(new.candidate.name)
+    shape = {**new.candidate.shape, **old.candidate.shape}
+    both = {*old.candidate.parameters, *new.candidate.parameters}
+    chosen = [p for p in effect.parameters if p.name in both]
+    names = tuple(p.name for p in chosen)
+    candidate = replace(
+        old.candidate,
+        index=np.arange(len(names)),
+        parameters=names,
+        channels=tuple(dict.fromkeys(c for p in chosen for c in p.channels)),
+        shape=shape,
+    )
+    columns = candidate_columns(rows, candidate, shape, reference=reference)
+    if columns is None:
+        return [*accepted, new]
+    values = dict(zip(old.candidate.parameters, old.values, strict=True))
+    merged = replace(
+        old,
+        candidate=candidate,
+        columns=columns,
+        typical=np.array([p.typical for p in chosen]),
+        values=np.array([values.get(n, 0.0) for n in names]),
+    )
+    return [*(a for a in accepted if a is not old), merged]
+
+
+def _accept(rows: Rows, stack: Stack, chosen: Candidate, e_value: float) -> Accepted:
+    columns = stack.of(chosen)
+    typical = np.ones(columns.shape[1])
+    if chosen.physical:
+        sizes = {p.name: p.typical for p in get_effect(chosen.name).parameters}
+        typical = np.array([sizes[n] for n in chosen.parameters])
+    return Accepted(chosen, columns, typical, np.zeros(columns.shape[1]), False, e_value)
+
+
+def _superfluous(rows: Rows, accepted: list[Accepted], levels: FloatArray) -> Accepted | None:
+    """Return the rival or transform that later findings have made worthless, if there is one."""
+    earlier = [a for a in accepted[:-1] if not a.in_model]
+    if not earlier:
+        return None
+    contrast = contrast_noise(rows, accepted)
+    # With all findings in the mean: drift must not take up again what they explained.
+    levels = find_levels(rows, fitted(rows, accepted)[: rows.n_dense], levels).values
+    worst: tuple[float, Accepted | None] = (KEEP, None)
+    for a in earlier:
+        others = [b for b in accepted if b is not a]
+        whitener = make_whitener(rows, levels, contrast, fitted(rows, others))
+        own = Stack(len(rows.residual))
+        index = own.columns.add(a.columns)
+        own.candidates.append(replace(a.candidate, index=index, summed=False, mixing=None))
+        value = own.log_bayes_factors(whitener, whitener.project(rows.residual))[0]
+        value += np.log(a.candidate.weight)
+        if value < worst[0]:
+            worst = (float(value), a)
+    return worst[1]
+
+
+def _posterior(
+    rows: Rows,
+    stack: Stack,
+    accepted: list[Accepted],
+    which: int,
+    levels: FloatArray,
+    *,
+    reference: bool,
+) -> dict[str, float]:
+    """Return the posterior of every group in the place of one finding, the others kept."""
+    others = [b for i, b in enumerate(accepted) if i != which]
+    own = accepted[which]
+    if own.candidate.physical:
+        rows = rows.judging(own.candidate.name)
+    mean = fitted(rows, others)
+    whitener = make_whitener(rows, levels, contrast_noise(rows, others), mean)
+    residual = rows.residual
+    if own.in_model:
+        residual = residual + own.columns @ (own.values / own.typical)
+    y = whitener.project(residual)
+    weight = stack.weight
+    evidence = stack.log_bayes_factors(whitener, y) + weight
+    best, groups = grouped(stack, evidence)
+    least = logsumexp(list(groups.values())) + np.log(SHOWN)
+    for g in leading(best, groups):
+        if groups[g] + max(groups[g], BETWEEN) < least:
+            continue
+        near = nearby(rows, best[g])
+        if near.candidates:
+            i = stack.candidates.index(best[g])
+            evidence[i] = max(evidence[i], near.average(whitener, y) + weight[i])
+    best, groups = grouped(stack, evidence)
+    total = logsumexp(list(groups.values()))
+    out = {g: float(np.exp(v - total)) for g, v in groups.items() if v - total > np.log(SHOWN)}
+    if own.candidate.physical:
+        explained = _fit(whitener.project(own.columns), y)
+        for g, candidate in best.items():
+            # A twin fits as well with no more parameters, whatever size it then has.
+            few = candidate.physical and len(candidate.index) <= own.columns.shape[1]
+            if g == own.candidate.group or not few or out.get(g, 0.0) >= 2 * TWIN:
+                continue
+            columns = stack.of(candidate)
+            if _left(whitener.project(columns), explained) > 4.0 * MIMICKED:
+                continue
+            _, columns = refined(rows, candidate, columns, whitener, y, reference=reference)
+            if _left(whitener.project(columns), explained) < MIMICKED:
+                out[g] = 2 * TWIN
+    return out
+
+
+def _fit(columns: FloatArray, y: FloatArray) -> FloatArray:
+    """Return what whitened columns explain of y."""
+    return np.asarray(columns @ np.linalg.lstsq(columns, y, rcond=1e-9)[0])
+
+
+def _left(columns: FloatArray, y: FloatArray) -> float:
+    """Return the power of y that whitened columns do not mimic."""
+    return float(np.square(y - _fit(columns, y)).sum())

@@ -1,0 +1,389 @@
+"""Recording minus twin as rows, linearised at the twin; with the covariance that judges them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from scipy import sparse
+
+from calib.effects.base import State
+from calib.mismatch.noise.sampling import sampling_components
+from calib.mismatch.noise.sensornoise import (
+    DRIFT,
+    DRIFT_TIME,
+    SPREAD,
+    drift_components,
+    flicker_covariance,
+)
+from calib.mismatch.rows.closure import (
+    Closures,
+    across,
+    close_turns,
+    covariance_of_turns,
+    integrate_half,
+    open_ends,
+)
+from calib.mismatch.rows.grid import Grid
+from calib.mismatch.rows.rows import UNKNOWN, Component, Kind, Rows
+from calib.mismatch.twin.twin import Twin, baseline_column, true_state
+from calib.recording import CHANNELS
+from calib.types import FloatArray, IntArray
+
+MEANS = 1 / 3
+"""Mean square of the share, from 0 to 1, of a sample interval over which samples are means."""
+
+BINS = (1 / 6, 1 / 2)
+"""Where a cell of a rest is cut, in its length: what a turn leaves behind fades at its start."""
+
+KNOWN = (slice(2, 5), slice(0, 5))
+"""Closures of a turn that accelerometers, and gyroscopes, have a part in: of the attitude,
+accelerometers know nothing."""
+
+
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """Which rows a grid has, whatever the twin.
+
+    Of each cell six means and twelve contrasts, and five closures of each turn.
+
+    Parameters
+    ----------
+    number : int
+        Of rows.
+    rest, turns : (cells,), (k,) arrays of int
+        Segments.
+    still, cell : (p,) arrays of int
+        Points at rest, and the cell of each.
+    rows : (3, cells, 6) array of int
+        Rows of each cell and channel: the mean, and two contrasts.
+    weights : three (p,) arrays
+        What points count in those.
+    ends : (k, 5) array of int
+        Rows of each turn.
+    """
+
+    number: int
+    rest: IntArray
+    turns: IntArray
+    still: IntArray
+    cell: IntArray
+    rows: IntArray
+    weights: tuple[FloatArray, FloatArray, FloatArray]
+    ends: IntArray
+    kind: IntArray
+    channel: IntArray
+    segment: IntArray
+    places: tuple[tuple[IntArray, IntArray, IntArray], ...]
+    """Of each channel's functional: the order of its values by rows, their points, and where each
+    row begins."""
+
+    @classmethod
+    @lru_cache(maxsize=1)
+    def of(cls, grid: Grid) -> Layout:
+        """Return the layout of a grid."""
+        rest, turns = np.flatnonzero(grid.is_rest), np.flatnonzero(~grid.is_rest)
+        n_cell, n_turn = len(rest), len(turns)
+        n_mean, n_close = 6 * n_cell, 5 * n_turn
+        m = n_mean + n_close + 12 * n_cell
+        at = np.arange(6 * n_cell).reshape(n_cell, 6)
+        later = n_mean + n_close + 12 * np.arange(n_cell)[:, None] + np.arange(6)
+        rows = np.stack((at, later, later + 6))
+        ends = n_mean + np.arange(n_close).reshape(n_turn, 5)
+        kind, segment = np.empty(m, np.int64), np.empty(m, np.int64)
+        channel = np.full(m, -1, np.int64)
+        kind[rows[0]], kind[rows[1:]] = Kind.MEAN, Kind.CONTRAST
+        kind[ends] = [Kind.ATTITUDE] * 2 + [Kind.VELOCITY] * 3
+        channel[rows] = np.arange(6)
+        segment[rows], segment[ends] = rest[:, None], turns[:, None]
+        still = np.flatnonzero(grid.pose >= 0)
+        cell = (np.cumsum(grid.is_rest) - 1)[grid.segment[still]]
+        points, spans = grid.turns
+        row_of = ends[spans.turn].T
+        places = []
+        for c in range(6):
+            known = row_of[KNOWN[c // 3]]
+            row = np.concatenate((*rows[:, :, c][:, cell], *known))
+            place = np.concatenate((*[still] * 3, *[points] * len(known)))
+            order = np.argsort(row, kind="stable")
+            begins = np.append(0, np.cumsum(np.bincount(row, minlength=m)))
+            places.append((order, place[order], begins))
+        weights = _cell_weights(grid.count[still], cell)
+        return cls(
+            m, rest, turns, still, cell, rows, weights, ends, kind, channel, segment, tuple(places)
+        )
+
+    def functional(self, c: int, turning: FloatArray, points: int) -> sparse.csr_matrix:
+        """Return the rows as functionals of a channel's points; `turning` are those of turns."""
+        order, place, begins = self.places[c]
+        values = np.concatenate((*self.weights, *turning[KNOWN[c // 3]]))
+        return sparse.csr_matrix((values[order], place, begins), shape=(self.number, points))
+
+
+class Linear(NamedTuple):
+    """Recording minus twin, and its derivatives, as `Rows` have them; without what noise does.
+
+    ``closed`` are the closures of the turns, and ``turning`` what measured signals at their points
+    of either triad count in them, (5, n, 3).
+    """
+
+    residual: FloatArray
+    baseline: FloatArray
+    nuisance: FloatArray
+    functional: tuple[sparse.csr_matrix, ...]
+    state: State
+    layout: Layout
+    closed: Closures
+    turning: tuple[FloatArray, FloatArray]
+
+
+def linearise(grid: Grid, twin: Twin, *, headed: bool = False) -> Linear:
+    """Return recording minus twin, linearised at the twin; its state with headings if so wanted.
+
+    But turns are linearised where the rests beside them have the gyro's bias. In a day it walks by
+    a tenth of a degree a second, and what an attitude that is off by ``d`` does to the velocity,
+    ``g d²/2`` a second, is no longer linear in it.
+    """
+    state = true_state(grid, twin, headed=headed)
+    measured = np.hstack((grid.accel, grid.gyro))
+    # Terms and transforms that the model already holds are taken out of the measured signals.
+    explained = _explained(grid, twin, state)
+    model = twin.model
+    predicted = np.hstack((model.accel.distort(state.force), model.gyro.distort(state.rate)))
+    inverse = (np.linalg.inv(model.accel.matrix), np.linalg.inv(model.gyro.matrix))
+    layout = Layout.of(grid)
+    rows, ends, cell = layout.rows, layout.ends, layout.cell
+    residual = np.zeros(layout.number)
+    nuisance = np.zeros((layout.number, 2 * grid.n_poses))
+    left = (measured - explained - predicted)[layout.still]
+    for row, weight in zip(rows, layout.weights, strict=True):
+        for c in range(6):
+            residual[row[:, c]] = np.bincount(cell, weight * left[:, c], len(row))
+    tilt = twin.gravity * np.einsum("ij,kjl->kil", model.accel.matrix, across(twin.up))
+    pose = grid.before[layout.rest]
+    for j in (0, 1):
+        nuisance[rows[0, :, :3], 2 * pose[:, None] + j] = tilt[pose, :, j]
+    points, spans = grid.turns
+    cell_of, turns = np.cumsum(grid.is_rest) - 1, layout.turns
+    bias = residual[rows[0, :, 3:]]
+    drift = (0.5 * (bias[cell_of[turns - 1]] + bias[cell_of[turns + 1]]))[spans.turn]
+    rate = state.rate.copy()
+    rate[points] -= drift @ inverse[1].T
+    state = replace(state, rate=rate)
+    before, after = grid.before[turns], grid.after[turns]
+    closed = close_turns(
+        spans,
+        state.force[points],
+        state.rate[points],
+        twin.up[before],
+        twin.up[after],
+        gravity=twin.gravity,
+    )
+    turning = (closed.accel_weights @ inverse[0], closed.gyro_weights @ inverse[1])
+    undone = np.add.reduceat(np.einsum("rni,ni->rn", turning[1], drift), spans.start, axis=1)
+    residual[ends] = closed.residual + undone.T
+    for j in (0, 1):
+        nuisance[ends, 2 * before[:, None] + j] += closed.before[:, :, j]
+        nuisance[ends, 2 * after[:, None] + j] += closed.after[:, :, j]
+    functional = tuple(
+        layout.functional(c, turning[c // 3][:, :, c % 3], len(grid.time))
+        for c in range(len(CHANNELS))
+    )
+    baseline = np.zeros((layout.number, len(twin.names)))
+    for j, name in enumerate(twin.names):
+        for key, values in baseline_column(name, state).items():
+            baseline[:, j] += functional[CHANNELS.index(key)] @ values
+    return Linear(residual, baseline, nuisance, functional, state, layout, closed, turning)
+
+
+def build_rows(grid: Grid, twin: Twin, noise: FloatArray, *, spread: float | None = None) -> Rows:
+    """Return recording minus twin as rows, linearised at the twin.
+
+    Parameters
+    ----------
+    grid, twin : Grid, Twin
+    noise : (n, 6) array
+        Variance of each point's mean on each channel, white part.
+    spread : float, optional
+        How uncertain the size of drift is beforehand, in place of `SPREAD`.
+    """
+    linear = linearise(grid, twin, headed=True)
+    state, closed, layout = linear.state, linear.closed, linear.layout
+    points, spans = grid.turns
+    dense = int((layout.kind != Kind.CONTRAST).sum())
+    signals = state.force[points], state.rate[points]
+    ups = twin.up[grid.before[layout.turns]], twin.up[grid.after[layout.turns]]
+    half = integrate_half(spans, *signals)
+    left = open_ends(half, *ups, spans.duration, gravity=twin.gravity) - closed.residual
+    each = np.zeros(layout.number)
+    for c, f in enumerate(linear.functional):
+        each += f.power(2) @ noise[:, c]
+    white, diagonal = np.diag(each[:dense]), each[dense:]
+    white[layout.ends[:, :, None], layout.ends[:, None]] = sum(
+        covariance_of_turns(weights, noise[points][:, own], spans)
+        for weights, own in zip(linear.turning, (slice(3), slice(3, 6)), strict=True)
+    )
+    pieces = tuple(_in_segments(f, layout.segment, len(grid.first)) for f in linear.functional)
+    components = _components(
+        grid,
+        pieces,
+        layout.kind[:dense],
+        layout.segment[:dense],
+        white,
+        noise,
+        closed,
+        SPREAD if spread is None else spread,
+    )
+    components += tuple(
+        sampling_components(
+            closed,
+            left,
+            *signals,
+            noise[points],
+            spans,
+            layout.ends,
+            np.diag(white)[layout.ends],
+        )
+    )
+    blur = mean_over_interval(grid, state)
+    spilt = sum(f[:dense] @ blur[:, c] for c, f in enumerate(linear.functional))
+    white += MEANS * np.outer(spilt, spilt)
+    between = between_samples(grid)
+    for own in (slice(0, 3), slice(3, 6)):
+        channels = list(enumerate(linear.functional))[own]
+        missed = sum(f[:dense] @ between[:, c] for c, f in channels)
+        white += np.outer(missed, missed)
+    return Rows(
+        residual=linear.residual,
+        baseline=linear.baseline,
+        names=twin.names,
+        nuisance=linear.nuisance,
+        functional=linear.functional,
+        state=state,
+        point_segment=grid.segment,
+        white=white,
+        white_diagonal=diagonal,
+        components=components,
+        kind=layout.kind,
+        channel=layout.channel,
+        segment=layout.segment,
+        block=grid.before[layout.segment],
+        interval=grid.interval,
+        is_rest=grid.is_rest,
+        pieces=pieces,
+    )
+
+
+def _in_segments(
+    functional: sparse.csr_matrix, segment: IntArray, segments: int
+) -> sparse.csr_matrix:
+    """Return what each row feels of a constant in its segment: it feels nothing of others."""
+    felt = np.diff(functional.indptr) > 0
+    total = functional @ np.ones(functional.shape[1])
+    begins = np.append(0, np.cumsum(felt))
+    shape = (len(segment), segments)
+    return sparse.csr_matrix((total[felt], segment[felt], begins), shape=shape)
+
+
+def mean_over_interval(grid: Grid, state: State) -> FloatArray:
+    """Return what a mean over the sample interval adds to the signals in turns, (n, 6).
+
+    Many parts put out such means: to second order ``x + dt²/24 d²x/dt²``, the same on all channels.
+    """
+    out = np.zeros((len(grid.time), 6))
+    turns = np.flatnonzero(grid.pose < 0)
+    if len(turns) > 1:
+        step = float(np.median(np.diff(grid.time[turns])))
+        curved = state.derivative(np.hstack((state.force_dot, state.rate_dot)))
+        out[turns] = step**2 / 24 * curved[turns]
+    return out
+
+
+def between_samples(grid: Grid) -> FloatArray:
+    """Return what a cubic through four samples misses of the mean between the inner two, (n, 6).
+
+    To the first order ``11/720`` of the fourth difference, the same on all channels of a triad: a
+    signal that is faster than its samples resolve looks like one that was filtered.
+    """
+    values = np.hstack((grid.accel, grid.gyro))
+    out = np.zeros_like(values)
+    place = np.flatnonzero(grid.pose < 0)
+    place = place[(place > 1) & (place < len(values) - 2)]
+    weights = (1.0, -4.0, 6.0, -4.0, 1.0)
+    out[place] = sum(w * values[place + k] for k, w in zip(range(-2, 3), weights, strict=True))
+    return out * (11 / 720)
+
+
+def _explained(grid: Grid, twin: Twin, state: State) -> FloatArray:
+    """Return what the model's further terms add to the signals, (n, 6)."""
+    model = twin.model
+    if not model.terms:
+        return np.zeros((len(grid.time), 6))
+    plain = replace(model, terms=())
+    full, bare = model.distort(state), plain.distort(state)
+    return np.hstack((full.accel - bare.accel, full.gyro - bare.gyro))
+
+
+def _cell_weights(count: IntArray, cell: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return the weights of a mean and of two contrasts over the `BINS`, all of one variance.
+
+    Each point has its `count` of samples, and its `cell`.
+    """
+    first = np.flatnonzero(np.diff(cell, prepend=-1))
+    points = np.diff(first, append=len(cell))[cell]
+    place = (np.arange(len(cell)) - first[cell] + 0.5) / points
+    bins = np.searchsorted(BINS, place)
+    size = np.bincount(3 * cell + bins, count).reshape(-1, 3)
+    share = (size / size.sum(axis=1, keepdims=True))[cell]
+    mean = count / size.sum(axis=1)[cell]
+    own = count / size[cell, bins]
+    # Each bin against those after it; the squares over the shares add up to one.
+    after = share[:, 1] + share[:, 2]
+    early = np.where(bins == 0, 1.0, -share[np.arange(len(cell)), bins] / after)
+    early *= np.sqrt(share[:, 0] * after)
+    late = np.array([0.0, 1.0, -1.0])[bins]
+    late *= np.sqrt(share[:, 1] * share[:, 2] / after)
+    return mean, own * early, own * late
+
+
+def _components(
+    grid: Grid,
+    pieces: tuple[sparse.csr_matrix, ...],
+    kind: IntArray,
+    segment: IntArray,
+    white: FloatArray,
+    noise: FloatArray,
+    closed: Closures,
+    spread: float,
+) -> tuple[Component, ...]:
+    """Return the unknown variances: per channel a jitter and a random walk; the closures' own."""
+    dense = len(kind)
+    rest = grid.pose >= 0
+    inside = np.diff(grid.segment) == 0
+    step = float(np.median(np.diff(grid.time)[inside] / grid.count[1:][inside]))
+    # One-sided density squared: variance of a mean, times its length, times two.
+    density = np.median(2 * noise[rest] * grid.count[rest, None] * step, axis=0)
+    middle = grid.interval.mean(axis=1)
+    walk = np.minimum.outer(middle - middle[0], middle - middle[0]) / DRIFT_TIME
+    flicker = flicker_covariance(middle, np.ptp(grid.interval, axis=1))
+    out = []
+    for c, name in enumerate(CHANNELS):
+        drift = DRIFT[name.split(".")[0]] ** 2 * density[c]
+        out += drift_components(name, pieces[c][:dense], flicker, walk, drift, spread)
+    for label, which, scale in (
+        ("attitude", Kind.ATTITUDE, None),
+        ("attitude by angle", Kind.ATTITUDE, closed.angle),
+        ("velocity", Kind.VELOCITY, None),
+        ("velocity by effort", Kind.VELOCITY, closed.effort),
+    ):
+        rows = np.flatnonzero(kind == which)
+        if not len(rows):
+            continue
+        turn_of = np.searchsorted(np.flatnonzero(~grid.is_rest), segment[rows])
+        size = np.ones(len(rows)) if scale is None else np.square(scale[turn_of])
+        typical = float(np.median(np.diag(white)[rows]))
+        expected = 0.02 * typical / max(float(np.median(size)), 1e-12)
+        out.append(Component.alone(label, rows, size, expected=expected, spread=UNKNOWN))
+    return tuple(out)

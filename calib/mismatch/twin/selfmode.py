@@ -1,0 +1,129 @@
+"""A recording against its own digital twin: no reference but gravity, and rest."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from calib.effects import get_effect
+from calib.effects.base import Term
+from calib.mismatch.noise.sensornoise import sample_noise
+from calib.mismatch.rows.grid import Grid
+from calib.mismatch.rows.rows import Kind, Rows
+from calib.mismatch.twin.residuals import build_rows
+from calib.mismatch.twin.twin import Twin
+from calib.mismatch.twin.twinfit import fit_twin, start_twin
+from calib.model import SensorModel
+from calib.types import BoolArray, FloatArray
+
+LONG = 4.0
+"""Times the median cell, above which no contrast within a cell is looked at. Its noise is taken as
+white, times a factor that the cells share. But what drift adds to it does not fall with time: in a
+cell of four times the length it is twice what that factor allows for, and in a night all there is.
+The mean of such a cell stays, and with it what temperature and time do from cell to cell."""
+
+
+class SelfProblem:
+    """Rows of a recording against its twin under a model whose baseline is fitted to it."""
+
+    reference = False
+    moves_signals = False
+
+    def __init__(
+        self,
+        grid: Grid,
+        model: SensorModel | None,
+        *,
+        gravity: float,
+        full_gyro: bool,
+        spread: float | None = None,
+    ) -> None:
+        self.grid = grid
+        self.full_gyro = full_gyro
+        self.noise = sample_noise(grid)
+        self.spread = spread
+        start = start_twin(grid, model, gravity=gravity, full_gyro=full_gyro)
+        self.twin: Twin = fit_twin(grid, start, self.noise)
+        self.given = () if model is None else model.terms
+        self.drop: BoolArray | None = None
+        self.coarse: Mapping[int, float] = {}
+        """Channels whose counts are coarse, and a count: at rest they stick to one, so that the
+        bias of a gyro that is seen there is not that of turns, and means are off in each pose."""
+
+    def leave_out(self, segments: list[int]) -> None:
+        """Leave segments out of the rows and of the twin's fit."""
+        if segments:
+            drop = np.zeros(len(self.grid.first), bool) if self.drop is None else self.drop
+            drop[segments] = True
+            self.drop = drop
+            self.twin = fit_twin(self.grid, self.twin, self.noise, drop=drop)
+
+    def rows(self) -> Rows:
+        """Return recording minus twin; the given model's own terms are fitted along with it."""
+        rows = build_rows(self.grid, self.twin, self.noise, spread=self.spread)
+        known = [
+            rows.column(signals)
+            for term in self.given
+            for signals in get_effect(term.effect).columns(rows.state, _shape(term)).values()
+        ]
+        known += [rows.functional[c] @ (self.grid.pose < 0) for c in self.coarse if c >= 3]
+        if known:
+            rows = replace(rows, nuisance=np.column_stack((rows.nuisance, *known)))
+        if self.coarse:
+            rows = replace(rows, white=rows.white + self._rounding(rows))
+        out = self._drifting(rows)
+        if self.drop is not None:
+            out |= self.drop[rows.segment]
+        return rows.without(out) if out.any() else rows
+
+    def _rounding(self, rows: Rows) -> FloatArray:
+        """Return the covariance of dense rows that rounding to coarse counts makes, (n, n)."""
+        dense = slice(0, rows.n_dense)
+        means = rows.kind[dense] == Kind.MEAN
+        out = np.zeros((rows.n_dense, rows.n_dense))
+        sample = self.noise * self.grid.count[:, None]
+        for c, lsb in self.coarse.items():
+            for p in np.unique(rows.block[dense][means]):
+                own = np.flatnonzero(means & (rows.channel[dense] == c) & (rows.block[dense] == p))
+                # What is seen of the noise has the rounding in it.
+                noise = max(float(np.median(sample[self.grid.pose == p, c])) - lsb**2 / 12, 0.0)
+                # A signal that moves over counts within a pose is anywhere between them.
+                still = np.ptp(rows.residual[own]) < lsb / 4
+                alike = np.ones((len(own), len(own))) if still else np.eye(len(own))
+                out[np.ix_(own, own)] += rounded_mean_variance(lsb, np.sqrt(noise)) * alike
+        return out
+
+    def _drifting(self, rows: Rows) -> BoolArray:
+        """Return the contrasts within cells that are much longer than most, (m,) bool."""
+        length = np.ptp(rows.interval, axis=1)
+        long = rows.is_rest & (length > LONG * np.median(length[rows.is_rest]))
+        return np.asarray(long[rows.segment] & (rows.kind == Kind.CONTRAST))
+
+    def move(
+        self, baseline: Mapping[str, float], nuisance: FloatArray, terms: tuple[Term, ...]
+    ) -> None:
+        """Move the twin."""
+        twin = self.twin.moved(baseline, nuisance[: 2 * self.grid.n_poses].reshape(-1, 2))
+        self.twin = replace(twin, model=replace(twin.model, terms=(*self.given, *terms)))
+
+
+def rounded_mean_variance(lsb: float, sigma: float) -> float:
+    """Return by how much means of many rounded samples err, as a variance; at most, by a half.
+
+    The mean of noise of sigma that is rounded to counts of LSB is off by
+    ``LSB/pi exp(-2 pi² (sigma/LSB)²)`` times the sine of where it is between two counts [1]_;
+    without noise the error is uniform over a count.
+
+    References
+    ----------
+    .. [1] Widrow, Kollar, "Quantization Noise", Cambridge 2008, ch. 4 (the first harmonic of the
+       characteristic function of rounded noise).
+    """
+    return float(lsb**2 / 12 * np.exp(-np.square(2 * np.pi * sigma / lsb)))
+
+
+def _shape(term: Term) -> dict[str, float]:
+    names = [item.name for item in get_effect(term.effect).shape]
+    return {n: term.parameters[n] for n in names if n in term.parameters}

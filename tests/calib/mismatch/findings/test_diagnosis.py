@@ -1,0 +1,232 @@
+"""Whole recordings through the diagnosis: silence, names, proof, verdicts, the document."""
+
+import json
+
+import numpy as np
+import pytest
+
+from calib.calibration import Gravity
+from calib.document import from_document, to_document
+from calib.effects import get_effect
+from calib.effects.accel_settling import NONE, WHOLE
+from calib.effects.base import State, Term
+from calib.errors import InsufficientMotionError
+from calib.mismatch import diagnose_recording
+from calib.model import SensorModel
+from calib.recording import Recording
+from calib.simulate import simulate
+from calib.simulation.bench import bench_protocol
+from calib.simulation.noise import CONSUMER
+
+from ..bench import GRAVITY, recording
+
+
+@pytest.mark.parametrize(("seed", "drift"), [(11, 1.0), (12, 3.0), (13, 6.0)])
+def test_nothing_is_found_in_clean_recordings(seed, drift):
+    found = diagnose_recording(recording(seed=seed, drift=drift), gravity=GRAVITY)
+    assert found.verdict == "consistent"
+    assert not found.findings
+    assert not found.unexplained
+
+
+def test_two_effects_are_found_and_proven_and_become_a_calibration():
+    truth = {
+        "gyro_misalignment": {"mxy": 0.02, "myz": -0.015},
+        "gyro_g_sensitivity": {"gxz": 2e-4},
+    }
+    real = recording(*(Term(k, v) for k, v in truth.items()))
+    found = diagnose_recording(real, gravity=GRAVITY)
+    assert found.verdict == "explained"
+    assert {f.effect for f in found.findings} == set(truth)
+    for item in found.findings:
+        for name, q in item.parameters.items():
+            assert q.sigma is not None
+            assert abs(q.value - truth[item.effect].get(name, 0.0)) < 4 * q.sigma, name
+        assert item.held_out is not None
+        assert item.held_out.after < item.held_out.before
+        assert item.p_value < 0.01
+    document = found.to_json()
+    assert json.loads(json.dumps(document, allow_nan=False)) == document
+    assert document["format"] == "imu-cal/diagnosis"
+    wanted = {"effect", "channels", "intervals", "regime", "parameters", "p_value"}
+    wanted |= {"absorbed_by", "held_out", "rivals", "to_separate"}
+    assert wanted <= set(document["findings"][0])
+    made = found.calibration(real, gravity=Gravity(GRAVITY, "given"))
+    again = from_document(to_document(made))
+    assert {t.effect for t in again.model.terms} == set(truth)
+
+
+def test_an_event_is_kept_apart_from_the_sensor():
+    real = recording(Term("gyro_bias_step", {"by": 0.004, "moment": 45.0}))
+    found = diagnose_recording(real, gravity=GRAVITY)
+    step = next(f for f in found.findings if f.effect == "gyro_bias_step")
+    assert step.channels == ("gyro.y",)
+    assert abs(step.intervals[0][0] - 45.0) < 4.0
+    made = found.calibration(real, gravity=Gravity(GRAVITY, "given"))
+    assert not made.model.terms
+    assert [e.effect for e in made.events] == ["gyro_bias_step"]
+
+
+def test_what_shakes_the_bench_is_the_cause_of_noise_and_of_a_mean_that_moves():
+    rng = np.random.default_rng(31)
+    motion = bench_protocol(rng, poses=24, vibration=2.5)
+    term = Term("gyro_vibration_rectification", {"kx": 4e-5, "kz": -3e-5})
+    for terms in ((), (term,)):
+        real = simulate(motion, SensorModel(terms=terms), CONSUMER, rng=rng, rate=100.0)
+        found = diagnose_recording(real, gravity=GRAVITY)
+        assert [f.effect for f in found.findings] == [t.effect for t in terms]
+        louder = [u.follows for u in found.unexplained]
+        assert louder == ([] if terms else ["the time: noise is louder there"])
+    for name, q in found.findings[0].parameters.items():
+        assert abs(q.value - term.parameters.get(name, 0.0)) < 3.5 * q.sigma
+
+
+def test_a_window_of_interference_gets_no_physical_name():
+    real = recording()
+    inside = (real.time > 30) & (real.time < 50)
+    gyro = real.gyro.copy()
+    gyro[:, 2] += 0.004 * inside * np.sign(np.sin(2 * np.pi * real.time / 9.0))
+    odd = Recording(real.time, real.accel, gyro, "device", temperature=real.temperature)
+    found = diagnose_recording(odd, gravity=GRAVITY)
+    assert found.verdict == "unexplained"
+    left = found.unexplained[0]
+    assert "gyro.z" in left.channels
+    start, stop = left.intervals[0]
+    assert min(stop, 50) - max(start, 30) > 0.5 * (max(stop, 50) - min(start, 30))
+
+
+def test_a_channel_that_is_stuck_for_some_rests_gets_no_physical_name():
+    real = recording(seed=4)
+    start, stop = np.searchsorted(real.time, [0.4 * real.time[-1], 0.55 * real.time[-1]])
+    accel = real.accel.copy()
+    accel[start:stop, 0] = accel[start, 0]
+    odd = Recording(real.time, accel, real.gyro, "device", temperature=real.temperature)
+    found = diagnose_recording(odd, gravity=GRAVITY)
+    assert not found.findings
+    (left,) = found.unexplained
+    assert left.channels == ("accel.x",)
+    np.testing.assert_allclose(left.intervals[0], real.time[[start, stop - 1]], atol=0.2)
+
+
+def test_clipping_is_seen_in_the_samples():
+    real = recording()
+    limit = float(np.quantile(np.abs(real.gyro[:, 0]), 0.995))
+    gyro = np.clip(real.gyro, -limit, limit)
+    found = diagnose_recording(Recording(real.time, real.accel, gyro, "device"), gravity=GRAVITY)
+    item = next(f for f in found.findings if f.effect == "saturation")
+    assert "gyro.x" in item.channels
+    np.testing.assert_allclose(item.parameters["gyro_full_scale"].value, limit, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("accel", "gyro", "name"),
+    [
+        (1.0, np.degrees(1.0) * np.eye(3), "unit_error"),
+        (1.0 / GRAVITY, np.eye(3), "unit_error"),
+        (1.0, np.eye(3)[[1, 0, 2]], "axis_error"),
+    ],
+)
+def test_wrong_units_and_axes_are_named_alone(accel, gyro, name):
+    real = recording()
+    wrong = Recording(real.time, accel * real.accel, real.gyro @ gyro.T, "device")
+    found = diagnose_recording(wrong, gravity=GRAVITY)
+    assert [f.effect for f in found.findings] == [name]
+
+
+def test_one_pose_cannot_tell():
+    real = recording(poses=1)
+    found = diagnose_recording(real, gravity=GRAVITY)
+    assert found.verdict == "undetermined"
+    assert any("pose" in text for text in found.missing)
+
+
+def test_of_a_recording_that_only_moves_nothing_is_known():
+    time = np.arange(0, 20, 0.02)
+    rng = np.random.default_rng(0)
+    gyro = 3 * np.sin(2 * np.pi * time[:, None] * [0.9, 1.1, 1.3]) + rng.normal(0, 0.01, (1000, 3))
+    accel = 9.8 * np.cos(2 * np.pi * time[:, None] * [0.7, 1.2, 0.8]) + rng.normal(
+        0, 0.1, (1000, 3)
+    )
+    recording = Recording(time, accel, gyro, "device")
+    found = diagnose_recording(recording, gravity=GRAVITY)
+    assert found.verdict == "undetermined"
+    assert not found.findings
+    assert any("a moment of rest" in text for text in found.missing)
+    with pytest.raises(InsufficientMotionError, match="no model is written"):
+        found.calibration(recording, gravity=Gravity(GRAVITY, "given"))
+
+
+def test_a_low_pass_that_both_triads_share_is_named() -> None:
+    # Their common delay shows nowhere; what it takes from fast turns looks like a size effect.
+    real = recording(Term("bandwidth", {"both_cutoff": 7.0}), rate=100.0)
+    (found,) = diagnose_recording(real, gravity=GRAVITY).findings
+    assert found.effect == "bandwidth"
+    # The square of the time constant is what is seen.
+    assert found.parameters["both"].value == 1.0
+    assert abs((7.0 / found.parameters["both_cutoff"].value) ** 2 - 1.0) < 0.2
+
+
+def test_a_strong_low_pass_of_one_triad_is_one_finding() -> None:
+    # It delays a turn by more than any linear change of it holds for.
+    real = recording(Term("bandwidth", {"accel_cutoff": 6.0, "order": 2.0}), seed=8)
+    found = diagnose_recording(real, gravity=GRAVITY)
+    (finding,) = found.findings
+    assert finding.effect == "bandwidth"
+    assert not found.unexplained
+    assert finding.parameters["order"].value == 2
+    cutoff = finding.parameters["accel_cutoff"]
+    assert abs(cutoff.value - 6.0) < 4.0 * cutoff.sigma < 0.5
+
+
+@pytest.mark.parametrize(("cutoff", "known"), [(10.0, True), (20.0, False)])
+def test_a_low_pass_is_there_or_not_and_its_cutoff_is_right(cutoff: float, known: bool) -> None:
+    real = recording(Term("bandwidth", {"gyro_cutoff": cutoff, "order": 1}), rate=100.0, seed=5)
+    (finding,) = diagnose_recording(real, gravity=GRAVITY).findings
+    assert finding.effect == "bandwidth"
+    assert finding.parameters["gyro"].value == 1.0
+    found = finding.parameters["gyro_cutoff"]
+    assert found.sigma is not None
+    assert abs(found.value - cutoff) < 3.0 * found.sigma
+    # By its delay alone it may be of second order, with a cut-off 1.4 times as high.
+    assert (found.sigma < 0.03 * cutoff) == known
+    assert (found.sigma > 0.3 / 3 * cutoff) == (not known)
+
+
+def test_a_warm_up_is_counted_from_where_the_recording_begins() -> None:
+    real = recording(Term("gyro_warm_up", {"kx": 0.02, "tau": 30.0}), seed=4)
+    early = real.time < real.time[0] + 12.0
+    # Whoever switched it on had it in the hand for a while.
+    rng = np.random.default_rng(4)
+    hand = 0.3 * early[:, None] * np.sin(9.0 * real.time[:, None] + rng.uniform(0, 6, 3))
+    held = Recording(
+        real.time, real.accel + hand, real.gyro + hand, real.clock, temperature=real.temperature
+    )
+    found = diagnose_recording(held, gravity=GRAVITY)
+    warm = next(f for f in found.findings if f.effect == "gyro_warm_up")
+    size, tau = warm.parameters["kx"], warm.parameters["tau"]
+    assert size.sigma is not None
+    assert abs(size.value - 0.02) < 3 * size.sigma
+    assert size.sigma < 0.003
+    assert abs(tau.value - 30.0) < 10.0
+
+
+@pytest.mark.parametrize("form", [WHOLE, NONE])
+def test_what_settles_after_turns_is_known_whatever_it_does_in_them(form: int) -> None:
+    sizes = {"kx": 0.012, "ky": -0.009, "kz": 0.006}
+    truth = Term("accel_settling", {**sizes, "tau": 4.0, "in_turns": form})
+    real, without = recording(truth, seed=7), recording(seed=7)
+    found = diagnose_recording(real, gravity=GRAVITY)
+    (finding,) = found.findings
+    assert finding.effect == "accel_settling"
+    assert finding.parameters["in_turns"].value == form
+    for name, value in {**sizes, "tau": 4.0}.items():
+        q = finding.parameters[name]
+        assert q.sigma is not None
+        assert abs(q.value - value) < 3.0 * q.sigma
+    # In words only where the recording tells.
+    words = get_effect("accel_settling").in_words({"tau": 4.0, "in_turns": form})
+    assert words in finding.sentence
+    (term,) = found.model.terms
+    clean = SensorModel(terms=(term,)).correct(State(real.time, real.accel, real.gyro)).accel
+    left, size = (np.sqrt(np.mean(np.square(a - without.accel))) for a in (clean, real.accel))
+    assert left < 0.6 * size

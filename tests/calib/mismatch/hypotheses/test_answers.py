@@ -1,0 +1,57 @@
+"""Candidates as answers: no evidence is lost, and what is near is between places of the grid."""
+
+import numpy as np
+import pytest
+from scipy.special import logsumexp
+
+from calib.mismatch.hypotheses.answers import LEADERS, grouped, leading, nearby
+from calib.mismatch.search.ranking import make_stack
+
+from ..bench import problem
+
+
+@pytest.fixture(scope="module")
+def stacked():
+    _, self_mode = problem()
+    rows = self_mode.rows()
+    return rows, make_stack(rows, skip=(), reference=False)
+
+
+def test_groups_hold_all_of_the_evidence(stacked):
+    _, stack = stacked
+    evidence = np.random.default_rng(3).normal(size=len(stack.candidates), scale=5.0)
+    best, groups = grouped(stack, evidence)
+    assert logsumexp(list(groups.values())) == pytest.approx(logsumexp(evidence))
+    for name, candidate in best.items():
+        own = [e for e, c in zip(evidence, stack.candidates, strict=True) if c.group == name]
+        assert evidence[stack.candidates.index(candidate)] == max(own)
+
+
+def test_leaders_are_the_best_of_physics_and_of_rivals(stacked):
+    _, stack = stacked
+    evidence = np.random.default_rng(4).normal(size=len(stack.candidates))
+    best, groups = grouped(stack, evidence)
+    found = leading(best, groups)
+    for physical, count in zip((True, False), LEADERS, strict=True):
+        own = [groups[g] for g in groups if best[g].physical is physical]
+        led = [groups[g] for g in found if best[g].physical is physical]
+        assert led == sorted(own, reverse=True)[:count]
+
+
+@pytest.mark.parametrize("name", ["gyro_warm_up", "gyro_bias_step", "wave in a window"])
+def test_a_place_between_those_of_the_grid_is_near_one(stacked, name):
+    rows, stack = stacked
+    own = [c for c in stack.candidates if c.name == name]
+    leader = own[len(own) // 2]
+    near = nearby(rows, leader)
+    assert len(near.candidates) >= 3
+    assert {c.group for c in near.candidates} == {leader.group}
+    here = stack.of(leader)
+    apart = [np.linalg.norm(near.of(c) - here) / np.linalg.norm(here) for c in near.candidates]
+    assert 0.0 < np.median(apart) < 2.0
+
+
+def test_what_has_no_place_has_nothing_near(stacked):
+    rows, stack = stacked
+    leader = next(c for c in stack.candidates if c.name == "gyro_g_sensitivity")
+    assert not nearby(rows, leader).candidates

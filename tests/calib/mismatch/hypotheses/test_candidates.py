@@ -1,0 +1,82 @@
+"""Candidates that are scored at once have the evidence of each alone."""
+
+import numpy as np
+import pytest
+
+from calib.mismatch.hypotheses.candidates import Bank, Candidate, narrowed
+from calib.mismatch.hypotheses.score import Stack, log_bayes_factor
+from calib.mismatch.noise.contrast import contrast_variance
+from calib.mismatch.noise.noise import expected_levels, make_whitener
+from calib.mismatch.search.ranking import fitted, make_stack
+
+from ..bench import problem
+
+
+def test_every_make_of_candidate_has_the_evidence_of_its_columns():
+    _, self_mode = problem()
+    rows = self_mode.rows()
+    stack = make_stack(rows, skip=("accel_quadratic", "time"), reference=False)
+    whitener = make_whitener(rows, expected_levels(rows), contrast_variance(rows), fitted(rows, []))
+    y = whitener.project(rows.residual)
+    found = stack.log_bayes_factors(whitener, y)
+    assert len(found) == len(stack.candidates)
+    seen: dict[tuple[str, int, int], int] = {}
+    for i, c in enumerate(stack.candidates):
+        make = (c.name, len(c.channels), stack.of(c).shape[1])
+        if seen.setdefault(make, 0) < 4 and i % 5 == 0 and not c.present:
+            seen[make] += 1
+            alone = log_bayes_factor(whitener.project(stack.of(c)), y)
+            assert found[i] == pytest.approx(alone, rel=1e-6, abs=1e-6), make
+    assert len(seen) > 60
+    assert not {"accel_quadratic", "time"} & {name for name, *_ in seen}
+
+
+def test_some_candidates_are_scored_as_among_all():
+    _, self_mode = problem()
+    rows = self_mode.rows()
+    stack = make_stack(rows, skip=(), reference=False)
+    whitener = make_whitener(rows, expected_levels(rows), contrast_variance(rows), fitted(rows, []))
+    y = whitener.project(rows.residual)
+    every = stack.log_bayes_factors(whitener, y)
+    some = np.random.default_rng(1).random(len(every)) < 0.1
+    triad = ("accel.x", "accel.y", "accel.z")
+    for which in (some, stack.of_channels(triad, physical=False)):
+        found = stack.log_bayes_factors(whitener, y, which=which)
+        np.testing.assert_allclose(found[which], every[which], rtol=1e-9, atol=1e-9)
+        assert (found[~which] == -np.inf).all()
+    names, code = stack.groups()
+    assert [names[k] for k in code] == [c.group for c in stack.candidates]
+    np.testing.assert_allclose(np.exp(stack.weight), [c.weight for c in stack.candidates])
+    own = [c.channels == triad and not c.physical for c in stack.candidates]
+    np.testing.assert_array_equal(stack.of_channels(triad, physical=False), own)
+
+
+def test_sorted_candidates_come_first():
+    one = Candidate("one", np.array([0]), 0.5, True, ("accel.x",))
+    stack = Stack(3)
+    stack.extend(Bank([one]))
+    stack.candidates.append(one)
+    assert [len(bank.candidates) for bank in stack.banks] == [1, 1]
+    with pytest.raises(ValueError, match="before single"):
+        stack.extend(Bank([one]))
+
+
+def test_rivals_of_the_next_round_are_those_of_the_last():
+    _, self_mode = problem()
+    rows = self_mode.rows()
+    first, second = (make_stack(rows, skip=(), reference=False) for _ in range(2))
+    assert first.banks[0] is second.banks[0]
+    other = make_stack(rows, skip=("time",), reference=False)
+    assert other.banks[0] is not first.banks[0]
+
+
+def test_more_combinations_than_columns_are_as_probable_as_few():
+    rng = np.random.default_rng(5)
+    columns, y = rng.normal(size=(20, 3)), rng.normal(size=20)
+    wide, slim = rng.normal(size=(2, 3, 7)), rng.normal(size=(2, 3, 2))
+    assert narrowed(slim) is slim
+    few = narrowed(wide)
+    assert few.shape == (2, 3, 3)
+    for many, one in zip(wide, few, strict=True):
+        expected = log_bayes_factor(columns @ many, y)
+        assert log_bayes_factor(columns @ one, y) == pytest.approx(expected, rel=1e-10)

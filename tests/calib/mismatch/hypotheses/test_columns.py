@@ -1,0 +1,59 @@
+"""Columns on the rows that they touch are those on all rows."""
+
+import numpy as np
+import pytest
+
+from calib.mismatch.hypotheses.columns import Columns
+from calib.mismatch.noise.contrast import contrast_variance
+from calib.mismatch.noise.noise import expected_levels, make_whitener
+from calib.mismatch.search.ranking import fitted
+
+from ..bench import problem
+
+
+def test_columns_on_few_rows_are_seen_as_those_on_all():
+    rows = problem()[1].rows()
+    whitener = make_whitener(rows, expected_levels(rows), contrast_variance(rows), fitted(rows, []))
+    y = whitener.project(rows.residual)
+    rng = np.random.default_rng(2)
+    columns, every = Columns(len(y)), []
+    for channels in ((0,), (4,), (0,), (1, 2), range(6), (4,)):
+        touched = np.flatnonzero(np.isin(rows.channel, (-1, *channels)))
+        part = np.zeros((len(y), 3))
+        part[touched] = rng.normal(size=(len(touched), 3))
+        index = columns.add(part, None if len(channels) == 6 else touched)
+        assert index.tolist() == [len(columns) - 3, len(columns) - 2, len(columns) - 1]
+        every.append(part)
+    every.append(rows.baseline[:, :1])
+    columns.add(rows.baseline[:, :1])
+    whole = np.hstack(every)
+    chosen = rng.permutation(len(columns))
+    np.testing.assert_array_equal(columns.take(chosen), whole[:, chosen])
+    seen = columns.project(whitener, y, chosen)
+    plain = whitener.project(whole[:, chosen])
+    # What is fitted already is nothing.
+    plain[:, chosen == len(columns) - 1] = 0.0
+    np.testing.assert_allclose(seen.match, plain.T @ y, rtol=1e-9, atol=1e-9)
+    for own in (np.arange(len(chosen)), np.array([3]), np.array([5, 2, 2])):
+        expected = plain[:, own].T @ plain[:, own]
+        size = expected.diagonal().max()
+        np.testing.assert_allclose(seen.gram(own), expected, rtol=1e-9, atol=1e-12 * size)
+        np.testing.assert_allclose(seen.power[own], expected.diagonal(), atol=1e-12 * size)
+    np.testing.assert_allclose(
+        seen.total, np.square(whitener.whiten(whole[:, chosen])).sum(axis=0), rtol=1e-9
+    )
+
+
+def test_a_part_of_a_channel_cannot_be_whitened_by_itself():
+    rows = problem()[1].rows()
+    factor = rows.arrow.factorise(expected_levels(rows))
+    touched = np.flatnonzero(rows.channel[: rows.n_dense] <= 0)
+    values = np.random.default_rng(3).normal(size=(len(touched), 2))
+    whole = np.zeros((rows.n_dense, 2))
+    whole[touched] = values
+    np.testing.assert_allclose(
+        factor.restricted(touched).solve(values), factor.solve(whole)[touched], atol=1e-9
+    )
+    for some in (touched[1:], touched[:-1]):
+        with pytest.raises(ValueError, match="whole blocks"):
+            factor.restricted(some)

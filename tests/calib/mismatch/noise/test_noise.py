@@ -1,0 +1,194 @@
+"""The noise model: levels are recovered, and the closed forms agree with brute force."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import multivariate_normal
+
+from calib.mismatch.hypotheses.candidates import Candidate
+from calib.mismatch.hypotheses.score import SCALES, SHARES, Stack
+from calib.mismatch.noise.contrast import contrast_likelihood, contrast_variance
+from calib.mismatch.noise.noise import (
+    covariance,
+    estimate_levels,
+    expected_levels,
+    find_levels,
+    level_likelihood,
+    make_whitener,
+    range_basis,
+    spread_of_variance,
+)
+from calib.mismatch.noise.sensornoise import shrunk
+from calib.mismatch.rows.rows import Component
+
+from ..bench import problem
+
+
+def test_levels_are_recovered():
+    _, self_mode = problem()
+    rows = self_mode.rows()
+    levels = expected_levels(rows)
+    names = [c.name for c in rows.components]
+    true = 30.0
+    for axis in "xyz":
+        levels[names.index(f"gyro.{axis} flicker")] *= true
+    factor = np.linalg.cholesky(covariance(rows, levels))
+    mean = np.hstack((rows.baseline, rows.nuisance))[: rows.n_dense]
+    rng = np.random.default_rng(1)
+    found = []
+    for _ in range(6):
+        residual = np.concatenate(
+            (factor @ rng.normal(size=rows.n_dense), np.zeros(len(rows.residual) - rows.n_dense))
+        )
+        fit = estimate_levels(replace(rows, residual=residual), mean, expected_levels(rows))
+        found += [
+            fit.values[names.index(f"gyro.{a} flicker")]
+            / rows.components[names.index(f"gyro.{a} flicker")].expected
+            for a in "xyz"
+        ]
+    # The prior pulls towards 1 by a known amount; half of the logarithm must come back.
+    assert np.median(found) > np.sqrt(true)
+    assert np.median(found) < 2 * true
+
+
+def test_levels_are_found_where_turns_close_badly():
+    _, self_mode = problem()
+    rows = self_mode.rows()
+    names = [c.name for c in rows.components]
+    mean = np.hstack((rows.baseline, rows.nuisance))[: rows.n_dense]
+    rng = np.random.default_rng(4)
+    for size in (1e3, 1e3, 1e5, 1e5):
+        levels = expected_levels(rows)
+        for name in ("attitude", "velocity by effort"):
+            levels[names.index(name)] *= size
+        residual = np.zeros(len(rows.residual))
+        factor = np.linalg.cholesky(covariance(rows, levels))
+        residual[: rows.n_dense] = factor @ rng.normal(size=rows.n_dense)
+        bad = replace(rows, residual=residual)
+        known = estimate_levels(bad, mean, levels)
+        found = find_levels(bad, mean, expected_levels(rows))
+        assert found.log_likelihood > known.log_likelihood - 0.5
+
+
+def test_bayes_factors_agree_with_the_densities():
+    _, self_mode = problem()
+    rows = self_mode.rows()
+    levels = expected_levels(rows)
+    empty = np.zeros((len(rows.residual), 0))
+    whitener = make_whitener(rows, levels, contrast_variance(rows), empty)
+    y = whitener.project(rows.residual)[:30]
+    whole = np.zeros(len(rows.residual))
+    whole[:30] = y
+    z = np.random.default_rng(2).normal(size=(len(rows.residual), 2))
+    z[30:] = 0.0
+    stack = Stack(len(z))
+    unit = type("Unit", (), {"whiten": staticmethod(lambda v: v), "basis": empty})()
+    index = stack.columns.add(z)
+    stack.candidates.append(Candidate("both", index, 1.0, True, ("accel.x",)))
+    stack.candidates.append(Candidate("first", index[:1], 1.0, True, ("accel.x",)))
+    found = stack.log_bayes_factors(unit, whole)
+    assert SHARES.sum() == pytest.approx(1.0)
+    null = multivariate_normal(np.zeros(30), np.eye(30)).logpdf(y)
+    for value, columns in zip(found, (z[:30], z[:30, :1]), strict=True):
+        each = [
+            multivariate_normal(np.zeros(30), np.eye(30) + s**2 * columns @ columns.T).logpdf(y)
+            for s in SCALES
+        ]
+        expected = np.log(np.sum(SHARES * np.exp(np.array(each) - null)))
+        np.testing.assert_allclose(value, expected, rtol=1e-8)
+
+
+def test_the_noise_of_contrasts_is_that_outside_of_what_is_set_apart():
+    _, self_mode = problem()
+    rows = self_mode.rows()
+    rng = np.random.default_rng(5)
+    residual = np.sqrt(3.0 * rows.white_diagonal) * rng.normal(size=len(rows.white_diagonal))
+    loud = (rows.channel[rows.n_dense :] == 4) & (rows.segment[rows.n_dense :] % 3 == 0)
+    residual[loud] *= 6.0
+    rows = replace(rows, residual=np.append(np.zeros(rows.n_dense), residual))
+    assert loud.any()
+    factor = {
+        kind: np.median((variance / rows.white_diagonal)[loud])
+        for kind, variance in (
+            ("all", contrast_variance(rows)),
+            ("outside", contrast_variance(rows, apart=loud)),
+        )
+    }
+    assert 2.0 < factor["outside"] < 4.5
+    assert factor["all"] > 1.3 * factor["outside"]
+    other = rows.channel[rows.n_dense :] != 4
+    both = contrast_variance(rows), contrast_variance(rows, apart=loud)
+    assert np.array_equal(both[0][other], both[1][other])
+    # The likelihood prefers what made them.
+    quiet, even = (contrast_likelihood(rows, v) for v in (both[1], rows.white_diagonal))
+    assert quiet > even
+
+
+@pytest.mark.parametrize(("size", "error"), [(0.0, 0.1), (30.0, 0.9), (1000.0, 0.2)])
+def test_likelihood_is_averaged_over_the_prior_of_a_level(size, error):
+    _, self_mode = problem()
+    rows = self_mode.rows()
+    component = next(c for c in rows.components if c.name == "attitude by angle")
+    rows = replace(rows, components=(component,))
+    mean = np.hstack((rows.baseline, rows.nuisance))[: rows.n_dense]
+    basis = range_basis(mean)
+    levels = np.array([max(size, 1e-3) * component.expected])
+    factor = np.linalg.cholesky(covariance(rows, levels))
+    residual = np.zeros(len(rows.residual))
+    residual[: rows.n_dense] = factor @ np.random.default_rng(7).normal(size=rows.n_dense)
+    rows = replace(rows, residual=residual)
+    fit = estimate_levels(rows, mean, expected_levels(rows))
+    logs = np.linspace(-8, 8, 321) * component.spread
+    each = [level_likelihood(rows, basis, component.expected * np.exp(np.array([u]))) for u in logs]
+    density = np.exp(np.array(each) - fit.log_likelihood) / (component.spread * np.sqrt(2 * np.pi))
+    averaged = np.log(density.sum() * (logs[1] - logs[0]))
+    # Where a level is but half determined, its likelihood has a long tail, which Laplace misses.
+    assert fit.log_share == pytest.approx(averaged, abs=error)
+    # A level that is determined takes a smaller share of its prior than one that is not.
+    assert fit.log_share < (-0.8 if size else 0.05)
+
+
+def test_a_variance_from_n_rows_is_as_uncertain_as_that_of_so_many_squares():
+    _, self_mode = problem()
+    rows = self_mode.rows()
+    n = rows.n_dense
+    part = Component.alone("all", np.arange(n), np.ones(n), expected=1.0, spread=1.4)
+    rng = np.random.default_rng(3)
+    mean, y = rng.normal(size=(n, 4)), rng.normal(size=n)
+    basis = range_basis(mean)
+    left = y - basis @ (basis.T @ y)
+    level = float(left @ left) / (n - 4)
+    residual = np.append(y, np.zeros(len(rows.residual) - n))
+    rows = replace(rows, residual=residual, white=1e-12 * np.eye(n), components=(part,))
+    influence = mean @ np.linalg.inv(mean.T @ mean)
+    variance = level * np.square(influence).sum(axis=0)
+    found = spread_of_variance(rows, mean, np.array([level]), influence, variance)
+    # The prior knows the logarithm to 1.4.
+    assert found == pytest.approx((0.5 * (n - 4) + 1.4**-2) ** -0.5, rel=1e-6)
+    # Where other noise, that is known, is most of a variance, it is known better.
+    more = spread_of_variance(rows, mean, np.array([level]), influence, 3 * variance)
+    assert more == pytest.approx(found / 3)
+    # Beside a prior the variance is smaller than its parts: its spread is bounded by theirs.
+    held = spread_of_variance(rows, mean, np.array([level]), influence, 1e-6 * variance)
+    assert held == pytest.approx(found)
+
+
+def test_levels_of_loud_rests_are_drawn_to_what_they_share_and_no_further():
+    rng = np.random.default_rng(9)
+    count = 14
+    error = np.full(40, 3.0 / count)
+
+    def seen(true):
+        values = rng.normal(size=(len(true), count + 1)) * np.sqrt(true)[:, None]
+        return np.square(np.diff(values, axis=1)).mean(axis=1) / 2
+
+    alike = np.full(40, 100.0)
+    found = np.array([shrunk(seen(alike), error) for _ in range(50)])
+    assert found.mean() == pytest.approx(100.0, rel=0.05)
+    assert np.log(found).std() < 0.6 * np.log(seen(np.full(2000, 100.0))).std()
+    # What counts is how much a rest weighs: as much as it should, on average.
+    assert np.mean(100.0 / found) == pytest.approx(1.0, abs=0.1)
+    unlike = np.geomspace(10.0, 1e4, 40)
+    ratio = np.array([shrunk(seen(unlike), error) / unlike for _ in range(50)])
+    assert np.exp(np.log(ratio).mean(axis=0)) == pytest.approx(1.0, abs=0.5)

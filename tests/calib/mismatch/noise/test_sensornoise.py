@@ -1,0 +1,97 @@
+"""The white noise of rests, shaken and quiet."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calib.effects.vibration import quiet_level
+from calib.mismatch import diagnose_recording
+from calib.mismatch.noise.sensornoise import sample_noise
+from calib.mismatch.rows.grid import make_grid
+from calib.recording import Recording
+from calib.statics import find_poses
+
+from ..bench import GRAVITY, recording
+
+
+def shaken(every: int, *, white: bool, rectified: float = 0.0, seed: int = 3) -> Recording:
+    """Return a recording in which all rests but each `every`-th are shaken, by tones or by noise.
+
+    The mean of x moves by `rectified` times the variance.
+    """
+    rng = np.random.default_rng(seed)
+    real = recording(seed=seed, poses=24, rate=100.0)
+    accel = real.accel.copy()
+    poses = find_poses(real)
+    for k, (a, b) in enumerate(zip(poses.start, poses.stop, strict=True)):
+        if k % every == 0:
+            continue
+        size = 0.4 * rng.uniform(0.5, 1.0)
+        time = real.time[a:b, None]
+        if white:
+            shake = rng.normal(size=(b - a, 3))
+        else:
+            shake = np.sqrt(2.0) * np.sin(2 * np.pi * 27.0 * time + rng.uniform(0, 6, 3))
+        accel[a:b] += size * shake
+        accel[a:b, 0] += rectified * size**2
+    return replace(real, accel=accel)
+
+
+def levels(real: Recording) -> np.ndarray:
+    """Return the standard deviation of a sample's noise in each rest, (k, 3)."""
+    grid = make_grid(real, find_poses(recording(seed=3, poses=24, rate=100.0)))
+    noise = sample_noise(grid) * grid.count[:, None]
+    return np.sqrt([noise[grid.pose == k, :3].mean(axis=0) for k in range(grid.n_poses)])
+
+
+def test_the_quiet_level_is_that_of_rests_that_are_not_shaken() -> None:
+    rng = np.random.default_rng(0)
+    level = rng.chisquare(10, 24) / 10
+    # Of rests that differ by chance alone, it is the median.
+    assert quiet_level(level, 2.5) == np.median(level)
+    for number in (12, 15):
+        some = level.copy()
+        some[:number] *= 30.0
+        assert quiet_level(some, 2.5) == np.median(level[number:])
+    assert quiet_level(np.array([3.0]), 2.0) == 3.0
+
+
+@pytest.mark.parametrize("every", [2, 3])
+def test_rests_that_are_not_shaken_keep_their_noise(every: int) -> None:
+    quiet = levels(recording(seed=3, poses=24, rate=100.0))
+    beside = levels(shaken(every, white=True))
+    alike = np.median(beside[::every], axis=0) / np.median(quiet, axis=0)
+    np.testing.assert_allclose(alike, 1.0, atol=0.25)
+    assert (beside[1::every] > 3.0 * quiet[1::every]).all()
+
+
+@pytest.mark.parametrize("on", [False, True])
+def test_a_turn_is_as_noisy_as_it_is_shaken(on: bool) -> None:
+    real = shaken(2, white=True)
+    poses = find_poses(recording(seed=3, poses=24, rate=100.0))
+    accel = real.accel.copy()
+    if on:
+        # The bench shakes what a hand turns on it as well.
+        for a, b in zip(poses.stop[:-1], poses.start[1:], strict=True):
+            accel[a:b] += 0.2 * np.random.default_rng(a).normal(size=(b - a, 3))
+    grid = make_grid(replace(real, accel=accel), poses)
+    noise = np.sqrt((sample_noise(grid) * grid.count[:, None])[grid.near < 0, :3])
+    quiet = levels(recording(seed=3, poses=24, rate=100.0)).mean()
+    assert (np.median(noise) < 1.5 * quiet) is not on
+    assert np.median(noise) < 0.3
+
+
+def test_tones_average_out_faster_than_white_noise() -> None:
+    quiet = levels(recording(seed=3, poses=24, rate=100.0))[1::2].mean()
+    tones, white = (levels(shaken(2, white=w))[1::2].mean() - quiet for w in (False, True))
+    # Noise of 0.2 to 0.4 is noise; a tone of that size is nearly gone in the mean of a rest.
+    assert 0.2 < white < 0.35
+    assert tones < 0.15 * white
+
+
+@pytest.mark.parametrize("seed", [3, 4])
+def test_what_tones_rectify_is_named_where_most_rests_are_shaken(seed: int) -> None:
+    real = shaken(3, white=False, rectified=0.1, seed=seed)
+    named = [f.effect for f in diagnose_recording(real, gravity=GRAVITY).findings]
+    assert named == ["accel_vibration_rectification"]

@@ -1,0 +1,228 @@
+"""A recording against the user's own simulation: unequal rates, unequal start times."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from calib.effects.base import Term
+from calib.errors import NoCommonMotionError
+from calib.mismatch import diagnose_against
+from calib.mismatch.noise.noise import expected_levels
+from calib.mismatch.reference.against import compare_simulation
+from calib.mismatch.reference.alignment import Alignment, align
+from calib.mismatch.reference.band import between, follows_noise
+from calib.mismatch.reference.comparison import ComparisonProblem
+from calib.mismatch.reference.truths import RecordingTruth
+from calib.mismatch.samples.samples import look_at_samples
+from calib.mismatch.search.ranking import make_stack, rank
+from calib.model import SensorModel, Triad
+from calib.recording import Recording
+from calib.simulate import IDEAL, Sampling, digital_twin, simulate
+from calib.simulation.bench import bench_protocol
+from calib.simulation.kinematics import Motion
+from calib.simulation.noise import CONSUMER, NoiseModel
+from calib.simulation.recorded import motion_of
+from calib.statics import find_poses
+
+GRAVITY = 9.80665
+SHOWN = 30.0
+"""What the simulation's clock shows at the true time 0, s."""
+
+
+@cache
+def motion(seed: int = 1) -> Motion:
+    rng = np.random.default_rng(seed)
+    return bench_protocol(rng, poses=8, first_pose=1.0, pose_duration=(2.0, 3.0))
+
+
+@cache
+def simulation() -> Recording:
+    rng = np.random.default_rng(5)
+    sampling = Sampling(clock_offset=SHOWN)
+    whole = simulate(motion(), SensorModel(), NoiseModel(), rng=rng, rate=80.0, sampling=sampling)
+    return whole.slice(100, len(whole))
+
+
+def recorded(*terms: Term, seed: int = 2, sampling: Sampling = IDEAL) -> Recording:
+    rng = np.random.default_rng(seed)
+    model = SensorModel(
+        Triad(
+            rng.normal(0, 0.1, 3), rng.normal(0, 0.01, 3), np.tril(rng.normal(0, 0.01, (3, 3)), -1)
+        ),
+        Triad(rng.normal(0, 0.02, 3), rng.normal(0, 0.01, 3)),
+        terms,
+    )
+    return simulate(motion(), model, CONSUMER, rng=rng, rate=50.0, sampling=sampling)
+
+
+def test_nothing_but_baseline_noise_and_another_start_is_consistent():
+    found = diagnose_against(recorded(), simulation(), gravity=GRAVITY)
+    assert found.verdict == "consistent"
+    assert found.summary["alignment"]["offset"] == pytest.approx(SHOWN, abs=1e-4)
+
+
+def test_baseline_is_found_with_honest_errors():
+    found = diagnose_against(recorded(), simulation(), gravity=GRAVITY)
+    rng = np.random.default_rng(2)
+    bias = rng.normal(0, 0.1, 3)
+    sigma = np.sqrt(np.diag(found.covariance))
+    off = [
+        (found.model.accel.bias[i] - bias[i]) / sigma[found.names.index(f"accel.bias.{a}")]
+        for i, a in enumerate("xyz")
+    ]
+    assert np.abs(off).max() < 4
+
+
+@pytest.mark.parametrize(
+    ("slug", "values"),
+    [
+        ("accel_lever_arm", {"rx": 0.01, "ry": -0.02, "rz": 0.005}),
+        ("gyro_misalignment", {"mxy": 0.005, "mzx": -0.004}),
+        ("gyro_bias_step", {"bx": 0.003, "moment": 20.0}),
+        ("time_offset", {"gyro_delay": 0.003}),
+    ],
+)
+def test_one_effect_is_found_and_nothing_else(slug, values):
+    found = diagnose_against(recorded(Term(slug, values)), simulation(), gravity=GRAVITY)
+    assert [item.effect for item in found.findings] == [slug]
+    assert not found.unexplained
+    held = found.findings[0].held_out
+    assert held is None or held.after < held.before
+    for name, value in values.items():
+        q = found.findings[0].parameters[name]
+        assert q.value == pytest.approx(value, abs=5 * q.sigma + 0.02 * abs(value))
+
+
+def test_evidence_that_drift_can_mimic_counts_in_full_where_every_moment_shows_the_drift():
+    real = recorded(Term("gyro_bias_step", {"bx": 0.0006, "moment": 14.0}))
+    seen = look_at_samples(real, find_poses(real))
+    problem, skip = compare_simulation(real, simulation(), seen, gravity=GRAVITY)
+    rows = problem.rows()
+    stack = make_stack(rows, skip=skip, reference=True)
+    ranking = rank(rows, stack, [], expected_levels(rows))
+    assert ranking.groups["gyro_bias_step"] > 0
+    assert ranking.discounted == ranking.groups
+
+
+def test_a_clock_that_runs_fast_is_found_beside_another_start():
+    fast = recorded(sampling=Sampling(clock_offset=100.0, clock_scale=2e-3))
+    found = diagnose_against(fast, simulation(), gravity=GRAVITY)
+    assert [item.effect for item in found.findings] == ["clock_scale"]
+    scale = found.findings[0].parameters["scale"]
+    assert scale.value == pytest.approx(2e-3, abs=max(5 * scale.sigma, 2e-6))
+
+
+def test_alignment_finds_offset_and_stretch():
+    real, sim = recorded(sampling=Sampling(clock_offset=-7.0, clock_scale=-1e-3)), simulation()
+    found = align(real.time, real.gyro, sim.time, sim.gyro)
+    expected = SHOWN + (real.time + 7.0) / (1 - 1e-3)
+    assert np.abs(found.times(real.time) - expected).max() < 0.03
+
+
+def test_a_part_that_moves_is_not_aligned_with_a_rest():
+    time = np.arange(0.0, 160.0, 0.01)
+    rate = np.zeros((len(time), 3))
+    moving = (time > 30.0) & (time < 60.0)
+    rate[moving, 0] = np.sin(0.3 * np.square(time[moving] - 30.0))
+    rate += np.random.default_rng(3).normal(0.0, 0.02, rate.shape)
+    found = align(time[:4500], rate[:4500], time + 5.0, rate)
+    assert found.offset == pytest.approx(5.0, abs=0.02)
+
+
+def test_motion_that_repeats_itself_is_aligned_over_all_of_it():
+    time = np.arange(0.0, 120.0, 0.01)
+    rate = np.zeros((len(time), 3))
+    rate[:, 0] = np.sin(np.pi * time / 20.0) ** 2 * np.sin(np.pi * time / 2.0)
+    found = align(time, rate, time - 7.0, rate)
+    assert found.offset == pytest.approx(-7.0, abs=0.02)
+
+
+def test_another_motion_is_an_error_that_says_so():
+    rng = np.random.default_rng(8)
+    other = simulate(motion(9), SensorModel(), NoiseModel(), rng=rng, rate=80.0)
+    with pytest.raises(NoCommonMotionError, match="same motion"):
+        diagnose_against(recorded(), other, gravity=GRAVITY)
+
+
+def test_a_simulation_at_rest_leaves_it_undetermined():
+    sim = simulation()
+    still = replace(sim, accel=np.tile([0.0, 0.0, GRAVITY], (len(sim), 1)), gyro=0 * sim.gyro)
+    found = diagnose_against(recorded(), still, gravity=GRAVITY)
+    assert found.verdict == "undetermined"
+    assert "motion" in found.missing[0]
+
+
+@pytest.mark.parametrize("noise", [0.0, 1.0])
+def test_a_twin_of_the_recording_itself_is_no_truth(noise):
+    """Its motion holds the recording's noise; one that was simulated does not, shaken or not."""
+    real = recorded()
+    twin = digital_twin(
+        real,
+        motion_of(real, SensorModel(), find_poses(real), gravity=GRAVITY),
+        SensorModel(),
+        CONSUMER.scaled(noise),
+        rng=np.random.default_rng(3),
+    )
+    found = diagnose_against(real, replace(twin, time=twin.time + 60.0), gravity=GRAVITY)
+    assert found.verdict == "undetermined"
+    assert "--calibration" in found.missing[0]
+    truth = simulate(motion(), SensorModel(), CONSUMER, rng=np.random.default_rng(4), rate=50.0)
+    shaken = np.zeros_like(real.accel)
+    for begin, end in motion().statics[3:6]:
+        here = (real.time > begin) & (real.time < end)
+        shaken[here] = np.random.default_rng(6).normal(0.0, 0.3, (here.sum(), 3))
+    for log in (real, replace(real, accel=real.accel + shaken)):
+        for other in (truth, simulation()):
+            alignment = align(log.time, log.gyro, other.time, other.gyro)
+            assert not follows_noise(log, RecordingTruth(other, GRAVITY), alignment)
+
+
+def test_a_repeated_sample_is_one_finding():
+    term = Term("dropped_samples", {"count": -1.0, "moment": float(motion().turns[3].mean())})
+    found = diagnose_against(recorded(term), simulation(), gravity=GRAVITY)
+    assert [f.effect for f in found.findings] == ["dropped_samples"]
+    assert found.findings[0].parameters["count"].value == -1.0
+
+
+def test_what_is_at_rest_where_the_other_turns_is_another_motion():
+    """Scale factors of nothing would leave less than the other's rotation."""
+    real = recorded()
+    slow = replace(real, gyro=0.2 * real.gyro[::-1])
+    alignment = Alignment(SHOWN, 0.0, 0.0)
+    with pytest.raises(NoCommonMotionError, match="100 % of the rotation"):
+        ComparisonProblem(slow, RecordingTruth(simulation(), GRAVITY), alignment, gravity=GRAVITY)
+
+
+@pytest.mark.parametrize("cut", [0.3, 0.5, 0.7])
+def test_a_simulation_that_ends_within_a_turn_is_cut_where_it_is_not_known(cut):
+    """A spline is loose where its samples end; in a turn that shows."""
+    begin, end = motion().turns[-1]
+    stop = begin + cut * (end - begin)
+    time = np.arange(0.0, stop, 1 / 50)
+    sim = simulate(motion(), SensorModel(), NoiseModel(), rng=np.random.default_rng(5), time=time)
+    truth = RecordingTruth(sim, GRAVITY)
+    at = np.arange(0.0, time[-1], 1 / 400)
+    known = truth.covers(at)
+    error = np.abs(truth.state(at).rate - motion().state(at).rate).max(axis=1)
+    noise = CONSUMER.gyro_noise_density * np.sqrt(50.0)
+    assert at[known][-1] > stop - 0.2
+    assert error[known & (at > stop - 0.3)].max() < 0.3 * noise < error[~known].max()
+
+
+def test_a_simulation_of_few_samples_is_compared_up_to_what_it_resolves():
+    """Its spline would err like a low-pass; a motion that is sampled well enough is left whole."""
+    few = simulate(motion(), SensorModel(), NoiseModel(), rng=np.random.default_rng(5), rate=20.0)
+    found = diagnose_against(
+        recorded(Term("gyro_g_sensitivity", {"gxx": 1e-3})), few, gravity=GRAVITY
+    )
+    assert [f.effect for f in found.findings] == ["gyro_g_sensitivity"]
+    assert not found.unexplained
+    assert "20 Hz" in found.missing[0]
+    time = np.arange(0.0, motion().duration, 1 / 20)
+    at = time[10:-10] + 1 / 40
+    error = RecordingTruth(few, GRAVITY).state(at).rate - motion().state(at).rate
+    worst = np.sqrt(np.mean(np.square(error), axis=0).max())
+    assert 0.5 * worst < between(few)[1]
+    assert (between(simulation()) < between(few)).all()

@@ -1,0 +1,74 @@
+"""What the noise of captured orientations makes of means."""
+
+import numpy as np
+from scipy import sparse
+
+from calib.effects.base import State
+from calib.mismatch.reference.captured import Known, mean_covariance, sensor_densities
+from calib.model import SensorModel
+from calib.rotation import mat_from_rotvec
+from calib.simulate import simulate
+from calib.simulation.bench import bench_protocol
+from calib.simulation.noise import CONSUMER
+from calib.statics import find_poses
+
+STEP = 0.02
+WINDOW = 50
+
+
+def turning(n: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return orientations (n, 3, 3) that turn ever faster, and their rates (n, 3)."""
+    rate = np.linspace(0.0, 4.0, n)[:, None] * np.array([0.6, -0.5, 0.62])
+    mat = np.empty((n, 3, 3))
+    mat[0] = np.eye(3)
+    for k in range(1, n):
+        mat[k] = mat[k - 1] @ mat_from_rotvec(STEP * 0.5 * (rate[k] + rate[k - 1]))
+    return mat, rate
+
+
+def test_means_err_as_angles_say():
+    """Against the differences themselves, their angles and the sensor's own noise drawn anew."""
+    n, rng = 8 * WINDOW, np.random.default_rng(1)
+    mat, rate = turning(n)
+    force = np.einsum("nji,j->ni", mat, [0.0, 0.0, 9.8])
+    state = State(STEP * np.arange(n), force, rate)
+    # Not up to their ends, where a derivative would be one-sided.
+    mean = np.zeros((8, n))
+    for k in range(8):
+        mean[k, k * WINDOW + 2 : (k + 1) * WINDOW - 2] = 1.0 / (WINDOW - 4)
+    functional = []
+    for c in range(6):
+        rows = np.zeros((48, n))
+        rows[c::6] = mean
+        functional.append(sparse.csr_matrix(rows))
+    known = Known(2e-3, 1e-4, 3e-4, STEP)
+    channel = np.tile(np.arange(6), 8)
+    expected = mean_covariance(functional, channel, state, known)
+    sigma = np.array(known[:3]) / np.sqrt(2.0 * STEP)
+    trials = np.empty((1000, 48))
+    for row in trials:
+        angle = rng.normal(0.0, sigma[2], (n, 3))
+        off = np.einsum("nij,njk->nik", mat, mat_from_rotvec(angle))
+        felt = np.einsum("nji,j->ni", off, [0.0, 0.0, 9.8])
+        slope = np.gradient(angle, STEP, axis=0)
+        turned = np.einsum("nji,nj->ni", mat_from_rotvec(angle), rate) + slope
+        left = np.hstack((force - felt, rate - turned))
+        left += rng.normal(size=(n, 6)) * np.repeat(sigma[:2], 3)
+        row[:] = (mean @ left).ravel()
+    found = trials.T @ trials / len(trials)
+    found[channel[:, None] != channel] = 0.0
+    scale = np.sqrt(np.diag(expected))
+    assert np.allclose(np.diag(found) / np.diag(expected), 1.0, atol=0.2)
+    assert np.abs((found - expected) / np.outer(scale, scale)).max() < 0.15
+
+
+def test_a_sensors_own_noise_is_that_of_its_rests():
+    rng = np.random.default_rng(3)
+    motion = bench_protocol(rng, poses=12, pose_duration=(3.0, 4.0), tremor=0.3)
+    recording = simulate(motion, SensorModel(), CONSUMER, rng=rng, rate=100.0)
+    poses = find_poses(recording)
+    found = sensor_densities(recording, np.stack((poses.start, poses.stop), axis=1))
+    assert found is not None
+    assert 0.8 < found[0] / CONSUMER.accel_noise_density < 1.25
+    assert 0.8 < found[1] / CONSUMER.gyro_noise_density < 1.25
+    assert sensor_densities(recording, np.zeros((0, 2), np.int64)) is None

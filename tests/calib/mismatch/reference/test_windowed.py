@@ -1,0 +1,177 @@
+"""Windows of differences: the blur, and rows where the truth errs with the motion."""
+
+import numpy as np
+import pytest
+
+from calib.effects.base import State
+from calib.mismatch.hypotheses.candidates import Candidate
+from calib.mismatch.noise.contrast import contrast_variance
+from calib.mismatch.reference.band import limited, low_passed, widened, zero_phase
+from calib.mismatch.reference.colour import Blur, find_colour, gaussian, whitening
+from calib.mismatch.reference.truths import ENDS, RecordingTruth
+from calib.mismatch.reference.windowed import find_shapes, make_rows
+from calib.mismatch.rows.rows import Kind, Rows
+from calib.mismatch.search.ranking import Accepted
+from calib.mismatch.search.refit import cut
+from calib.recording import CHANNELS, Recording
+
+STEP = 0.02
+
+
+def test_a_blur_passes_slow_signals_and_skips_what_is_near_a_gap():
+    time = np.delete(STEP * np.arange(500), np.arange(200, 210))
+    blur = gaussian(time, 2.0 * STEP, STEP)
+    seen = time[blur.seen]
+    slow = np.sin(2 * np.pi * 1.0 * time)
+    damped = np.exp(-0.5 * np.square(2 * np.pi * 2.0 * STEP))
+    assert np.allclose(blur.matrices[0] @ slow, damped * np.sin(2 * np.pi * seen), atol=1e-3)
+    assert not ((seen > 193.5 * STEP) & (seen < 215.5 * STEP)).any()
+    noise = np.random.default_rng(1).normal(size=(len(time), 400))
+    assert np.isclose((blur.matrices[1] @ noise).var(), blur.power, rtol=0.02)
+
+
+def test_no_blur_leaves_every_point():
+    blur = gaussian(STEP * np.arange(50), 0.0, STEP)
+    assert len(blur.seen) == 50
+    assert blur.power == 1.0
+
+
+def rows_of(
+    left: np.ndarray,
+    *,
+    width: float = 0.0,
+    aligned: tuple[str, ...] = (),
+    step: float = STEP,
+    blur: Blur | None = None,
+) -> Rows:
+    time = step * np.arange(len(left))
+    blur = gaussian(time, width, STEP) if blur is None else blur
+    rate = np.stack([np.sin(2 * np.pi * f * time) for f in (0.5, 0.7, 1.1)], axis=1)
+    state = State(time, np.tile([0.0, 0.0, 9.8], (len(time), 1)), rate)
+    columns = [(c, rate[:, i % 3]) for i, c in enumerate(CHANNELS)]
+    return make_rows(
+        find_shapes(time, left, columns, blur=blur),
+        state,
+        left,
+        blur=blur,
+        names=("gyro.bias.x",),
+        nuisance=[{"gyro.x": np.ones(len(time))}],
+        aligned=aligned,
+        prior=np.array([[0.0, 2.0], [0.0, 0.1]]),
+    )
+
+
+def test_white_noise_has_the_variance_that_rows_say_blurred_or_not():
+    rng = np.random.default_rng(2)
+    for width in (0.0, 1.5 * STEP):
+        rows = rows_of(rng.normal(size=(16000, 6)), width=width)
+        variance = np.append(np.diag(rows.white), rows.white_diagonal)
+        for kind in (Kind.MEAN, Kind.CONTRAST):
+            own = rows.kind == kind
+            assert np.isclose(np.mean(rows.residual[own] ** 2 / variance[own]), 1.0, atol=0.2)
+
+
+def test_where_the_truth_errs_rows_are_restless_and_a_knock_weighs_little():
+    rng = np.random.default_rng(3)
+    left = rng.normal(size=(16000, 6))
+    left[12800:] *= 30.0
+    plain = contrast_variance(rows_of(left))
+    # One knock that has the shape of the motion: no noise of samples tells of it.
+    time = STEP * np.arange(len(left))
+    window = (time >= 264.0) & (time < 268.0)
+    left[window, 3] += 400.0 * np.sin(2 * np.pi * 0.5 * time[window])
+    rows = rows_of(left)
+    assert 0 < rows.restless.sum() < 0.5 * len(rows.restless)
+    assert rows.interval[rows.segment[rows.restless], 1].min() > 250.0
+    contrast = rows.segment[rows.n_dense :], rows.channel[rows.n_dense :]
+    hit = (contrast[0] == int(266.0 // (320.0 / 80))) & (contrast[1] == 3)
+    assert hit.any()
+    assert (contrast_variance(rows)[hit] > 4 * plain[hit]).all()
+
+
+def accepted(name: str, *, physical: bool = False, interval=None) -> Accepted:
+    candidate = Candidate(name, np.arange(2), 0.1, physical, ("gyro.x",), interval=interval)
+    return Accepted(candidate, np.ones((1, 2)), np.ones(2), np.zeros(2), False, 1.0)
+
+
+def test_smooth_rivals_move_no_physics_beside_a_reference_and_windows_do():
+    found = (
+        accepted("direction of gravity"),
+        accepted("bias in a window", interval=(0.0, 1.0)),
+        accepted("accel_lever_arm", physical=True),
+    )
+    left = np.random.default_rng(4).normal(size=(1000, 6))
+    beside = cut(rows_of(left, aligned=("time_offset.delay",)), found)
+    assert beside.tolist() == [False, False, True, True, False, False, False, False]
+    assert not cut(rows_of(left), found).any()
+
+
+def test_a_truth_is_not_believed_beside_a_spoilt_sample():
+    time = STEP * np.arange(100)
+    signals = np.stack([np.sin(time + k) for k in range(6)], axis=1)
+    spoilt = np.arange(100) == 50
+    truth = RecordingTruth(Recording(time, signals[:, :3], signals[:, 3:], "device"), 9.8, spoilt)
+    known = truth.covers(time)
+    assert not known[48:53].any()
+    assert known[ENDS:48].all()
+    assert known[54:-ENDS].all()
+    assert not known[: ENDS - 1].any()
+
+
+@pytest.mark.parametrize("derivative", [0, 1, 2])
+def test_what_a_low_pass_leaves_of_noise_has_the_variance_that_rows_say(derivative):
+    """Noise of rates is that of angles times frequency, of accelerations of its square."""
+    rng = np.random.default_rng(5)
+    n, band = 40000, 5.0
+    spectrum = np.fft.rfft(rng.normal(size=(n, 6)), axis=0)
+    frequency = np.fft.rfftfreq(n, STEP)
+    spectrum *= np.sqrt(1.0 + (frequency[:, None] / 1.5) ** (2 * derivative))
+    noise = np.fft.irfft(spectrum, n, axis=0)
+    raw = Recording(STEP * np.arange(n), noise[:, :3], noise[:, 3:], "device")
+    common = limited(raw, RecordingTruth(raw, 9.8), band, np.zeros(n, bool))
+    left, time = np.hstack((common.real.accel, common.real.gyro)), common.real.time
+    colours = [find_colour(time, left[:, a : a + 3], common.real.interval, band) for a in (0, 3)]
+    blur = whitening(time, colours, common.real.interval, common.band)
+    rows = rows_of(left, step=common.real.interval, blur=blur)
+    variance = np.append(np.diag(rows.white), rows.white_diagonal)
+    for kind in (Kind.MEAN, Kind.CONTRAST):
+        own = rows.kind == kind
+        assert np.isclose(np.mean(rows.residual[own] ** 2 / variance[own]), 1.0, atol=0.25)
+    assert (colours[0].at(np.array([band])) > 5.0) == (derivative > 0)
+
+
+def test_noise_rises_no_more_steeply_than_turns_allow():
+    rng = np.random.default_rng(6)
+    time = STEP * np.arange(20000)
+    angle = zero_phase(rng.normal(size=(20000, 3)), 5.0 * STEP)
+    rate = np.gradient(angle, STEP, axis=0)
+    free = find_colour(time, rate, STEP, 5.0)
+    bound = find_colour(time, rate, STEP, 5.0, steepest=0.5)
+    assert free.square > 1.0
+    assert bound.square == pytest.approx(0.5)
+    assert bound.fourth < 0.1
+
+
+def test_a_low_pass_is_the_same_at_any_rate():
+    for rate in (50.0, 64.0, 286.0):
+        time = np.arange(0.0, 20.0, 1 / rate)
+        wave = np.sin(2 * np.pi * 9.0 * time)[:, None]
+        middle = (time > 5.0) & (time < 15.0)
+        expected = wave / (1 + (9.0 / 6.0) ** 8)
+        assert np.allclose(zero_phase(wave, 6.0 / rate)[middle], expected[middle], atol=2e-4)
+        slow = np.stack((time, np.sin(0.5 * time)), axis=1)
+        assert np.allclose(zero_phase(slow, 6.0 / rate)[middle], slow[middle], atol=1e-3)
+
+
+def test_a_low_pass_bridges_a_gap_and_says_where_it_is_not_to_be_believed():
+    time = np.delete(STEP * np.arange(1000), np.arange(400, 420))
+    slow = np.sin(2 * np.pi * 0.3 * time[:, None] + np.arange(6))
+    recording = Recording(time, slow[:, :3], slow[:, 3:], "device")
+    passed = low_passed(recording, 5.0)
+    bad = widened(recording, 5.0, np.arange(980) == 200)
+    reach = 2.0 / 5.0
+    for moment in (time[0], time[-1], time[200], time[399], time[400]):
+        assert bad[np.abs(time - moment) < reach - STEP].all()
+    assert bad.mean() < 0.15
+    assert np.allclose(passed.accel[~bad], recording.accel[~bad], atol=1e-3)
+    assert np.abs(passed.gyro - recording.gyro).max() < 1.0

@@ -1,0 +1,141 @@
+"""The grid knows at each point which rest the sensor is in, and how much it is shaken there."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calib.apply import correct_recording
+from calib.calibration import Calibration, Gravity
+from calib.effects.base import Term
+from calib.mismatch import diagnose_recording
+from calib.mismatch.rows.grid import make_grid, untouched
+from calib.model import SensorModel
+from calib.recording import Recording
+from calib.simulate import simulate
+from calib.simulation.bench import bench_protocol
+from calib.simulation.noise import CONSUMER
+from calib.statics import find_poses
+
+from ..bench import GRAVITY
+from ..bench import recording as plain
+
+SHAKEN = 0.4
+
+
+def shaken(*terms: Term):
+    """Return the motion of a bench that is shaken in some rests, and its recording."""
+    rng = np.random.default_rng(11)
+    motion = bench_protocol(rng, poses=24, vibration=SHAKEN)
+    model = SensorModel(terms=terms, reference_temperature=30.0)
+    return motion, simulate(motion, model, CONSUMER, rng=rng, rate=100.0)
+
+
+def calibration_of(term: Term) -> Calibration:
+    model = SensorModel(terms=(term,), reference_temperature=30.0)
+    return Calibration(model, (), np.zeros((0, 0)), (), Gravity(GRAVITY))
+
+
+def test_near_is_the_rest_that_is_not_left_yet():
+    motion, recording = shaken()
+    grid = make_grid(recording, find_poses(recording))
+    rate = np.linalg.norm(motion.state(grid.time).rate, axis=1)
+    assert (rate[grid.near >= 0] < 0.1).all()
+    assert (grid.near[rate > 0.3] == -1).all()
+    pose = grid.pose
+    np.testing.assert_array_equal(grid.near[pose >= 0], pose[pose >= 0])
+
+
+def test_turns_are_where_the_sensor_moves_from_rest_to_rest():
+    motion, real = shaken()
+    grid = make_grid(real, find_poses(real))
+    rate = np.linalg.norm(motion.state(grid.time).rate, axis=1)
+    assert (rate[~grid.turning] < 0.1).all()
+    assert grid.turning[rate > 0.3].all()
+    assert not grid.turning[grid.pose >= 0].any()
+    known = np.isfinite(grid.since_turn)
+    np.testing.assert_array_equal(known, np.maximum.accumulate(known))
+    assert known[grid.near > 0].all()
+    assert grid.since_turn[known].min() >= 0
+
+
+def test_vibration_is_that_of_the_rest_to_its_very_end():
+    motion, recording = shaken()
+    grid = make_grid(recording, find_poses(recording))
+    # Points that lie whole in a rest: near one, and with no turn within a tenth of a second.
+    true = [motion.state(grid.time + d).vibration[:, 0] for d in (-0.1, 0.0, 0.1)]
+    inside = (grid.near >= 0) & (true[0] == true[1]) & (true[1] == true[2])
+    assert (inside & (grid.pose < 0)).sum() > 20
+    found, there = grid.vibration[inside], true[1][inside] > 0
+    # Of a second, or half of one at a rest's end, a variance is known to 14 to 20 %.
+    np.testing.assert_allclose(found[there] / SHAKEN**2, 1.0, atol=0.7)
+    np.testing.assert_allclose(found[there].mean() / SHAKEN**2, 1.0, atol=0.05)
+    quiet = found[~there]
+    np.testing.assert_allclose(quiet, np.tile(quiet[0], (len(quiet), 1)), rtol=1e-9)
+    noise = CONSUMER.accel_noise_density * np.sqrt(50.0)
+    np.testing.assert_allclose(quiet[0], noise**2, rtol=0.1)
+
+
+def test_rectified_vibration_is_named():
+    _, recording = shaken(Term("accel_vibration_rectification", {"kx": 0.5, "ky": 0.0, "kz": 0.0}))
+    diagnosis = diagnose_recording(recording, gravity=GRAVITY)
+    (finding,) = diagnosis.findings
+    assert finding.effect == "accel_vibration_rectification"
+    found = finding.parameters["kx"]
+    assert abs(found.value - 0.5) < 4 * found.sigma
+
+
+def touched(axes: tuple[int, ...], *, seed: int = 3) -> Recording:
+    """Return a recording whose last second is shaken about some axes: a hand stops it."""
+    real = plain(seed=seed)
+    last = real.time > real.time[-1] - 1.0
+    gyro = real.gyro.copy()
+    for axis in axes:
+        gyro[last, axis] += 0.05 * np.sin(2 * np.pi * 3.0 * real.time[last] + axis) + 0.02
+    return replace(real, gyro=gyro)
+
+
+def test_a_hand_at_the_end_of_a_rest_is_no_rest():
+    real = touched((0, 2))
+    poses = find_poses(plain())
+    cut = untouched(real, poses)
+    np.testing.assert_array_equal(cut.start, poses.start)
+    np.testing.assert_array_equal(cut.stop[:-1], poses.stop[:-1])
+    assert real.time[-1] - 1.4 < cut.interval[-1, 1] < real.time[-1] - 0.9
+    # What one axis alone has is no rotation by hand.
+    assert untouched(touched((1,)), poses) is poses
+    assert untouched(plain(), poses) is poses
+
+
+@pytest.mark.parametrize("seed", [3, 8, 9])
+def test_a_hand_at_the_end_of_a_recording_gets_no_name(seed):
+    found = diagnose_recording(touched((0, 2), seed=seed), gravity=GRAVITY)
+    assert not found.findings
+
+
+@pytest.mark.parametrize(("rate", "tone"), [(100.0, 12.0), (100.0, 40.0), (200.0, 25.3)])
+def test_what_a_tone_rectifies_is_found_in_its_size(rate: float, tone: float) -> None:
+    """Second differences of samples would have 0.1 to 2.4 times the variance of these tones."""
+    motion = bench_protocol(np.random.default_rng(41), poses=16, vibration=1.0)
+    quiet = replace(motion, vibration=None)
+    rng = np.random.default_rng(42)
+    real = simulate(quiet, SensorModel(reference_temperature=30.0), CONSUMER, rng=rng, rate=rate)
+    variance = motion.state(real.time).vibration
+    wave = np.sqrt(2.0) * np.sin(2 * np.pi * tone * real.time[:, None] + np.arange(3))
+    size = np.array([2e-4, 1e-4, -2e-4])
+    real = replace(
+        real,
+        accel=real.accel + np.sqrt(variance) * wave,
+        gyro=real.gyro + size * variance.sum(axis=1)[:, None],
+    )
+    (finding,) = diagnose_recording(real, gravity=GRAVITY).findings
+    assert finding.effect == "gyro_vibration_rectification"
+    for name, true in zip(("kx", "ky", "kz"), size, strict=True):
+        found = finding.parameters[name]
+        assert found.sigma < 0.15 * abs(true) + 1e-5
+        assert abs(found.value - true) < 3.5 * found.sigma
+    # And it is gone when it is corrected.
+    left = diagnose_recording(
+        correct_recording(calibration_of(finding.term()), real), gravity=GRAVITY
+    )
+    assert not left.findings

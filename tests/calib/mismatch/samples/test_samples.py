@@ -1,0 +1,260 @@
+"""Faults of samples: what must be mended before anything else can be compared."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import norm
+
+from calib.mismatch import diagnose_recording
+from calib.mismatch.samples.samples import DISAGREES, look_at_samples
+from calib.mismatch.samples.thin import tamed
+from calib.mismatch.twin.selfmode import rounded_mean_variance
+from calib.model import SensorModel
+from calib.recording import Recording
+from calib.simulate import simulate
+from calib.simulation.bench import bench_protocol
+from calib.simulation.noise import NoiseModel
+from calib.statics import find_poses
+
+from ..bench import GRAVITY
+from ..bench import recording as simulated
+
+
+def test_a_channel_that_is_stuck_is_said_and_nothing_else() -> None:
+    recording = simulated()
+    for share in (1.0, 0.5):
+        accel = recording.accel.copy()
+        accel[: int(share * len(accel)), 2] = accel[0, 2]
+        stuck = replace(recording, accel=accel)
+        found = diagnose_recording(stuck, gravity=GRAVITY)
+        assert found.verdict == "unexplained"
+        assert not [f for f in found.findings if f.effect != "quantization"]
+        assert [u.channels for u in found.unexplained] == [("accel.z",)]
+
+
+COUNT = np.radians(1.0)
+"""A count of a 12-bit gyroscope with a range of 2000 dps, 20 times its noise."""
+
+
+def test_a_coarse_channel_that_is_constant_at_rest_is_not_stuck() -> None:
+    recording = simulated()
+    coarse = replace(recording, gyro=COUNT * np.round(recording.gyro / COUNT))
+    seen = look_at_samples(coarse, find_poses(recording))
+    assert not seen.unexplained
+    assert [f.effect for f in seen.findings] == ["quantization"]
+    assert seen.findings[0].parameters["gyro_lsb"].value == pytest.approx(COUNT, rel=1e-6)
+
+
+def test_a_coarse_channel_that_stands_still_through_turns_is_stuck() -> None:
+    recording = simulated()
+    poses = find_poses(recording)
+    gyro = COUNT * np.round(recording.gyro / COUNT)
+    first, last = int(poses.start[5]) + 10, int(poses.stop[12]) - 10
+    gyro[first:last, 1] = gyro[first, 1]
+    (found,) = look_at_samples(replace(recording, gyro=gyro), poses).unexplained
+    assert found.channels == ("gyro.y",)
+    (start, stop) = found.intervals[0]
+    assert start <= recording.time[first]
+    assert stop >= recording.time[last - 1]
+
+
+@pytest.mark.parametrize("seed", [3, 5])
+def test_a_recording_without_noise_has_no_faults(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    motion = bench_protocol(rng, poses=16)
+    made = simulate(motion, SensorModel(), NoiseModel(), rng=rng, rate=100.0)
+    seen = look_at_samples(made, find_poses(made))
+    assert not seen.findings
+    assert not seen.unexplained
+
+
+def test_a_hole_in_the_time_stamps_is_not_integrated_across() -> None:
+    recording = simulated()
+    poses = find_poses(recording)
+    middle = int(poses.stop[4] + poses.start[5]) // 2
+    keep = np.ones(len(recording), bool)
+    keep[middle : middle + 60] = False
+    holed = Recording(
+        recording.time[keep],
+        recording.accel[keep],
+        recording.gyro[keep],
+        "device",
+        temperature=None if recording.temperature is None else recording.temperature[keep],
+    )
+    found = diagnose_recording(holed, gravity=GRAVITY)
+    assert {f.effect for f in found.findings} <= {"gyro_misalignment"}
+
+
+def test_what_one_axis_shows_of_the_range_is_the_range_of_all() -> None:
+    recording = simulated()
+    gyro = np.round(recording.gyro / 1e-4) * 1e-4
+    peak = np.abs(gyro).max(axis=0)
+    long = int(np.argmax(peak))
+    limit = 0.8 * peak[long]
+    gyro = np.clip(gyro, -limit, limit)
+    short = (long + 1) % 3
+    poses = find_poses(recording)
+    at = int(poses.stop[2] + poses.start[3]) // 2
+    gyro[at, short] = -limit
+    seen = look_at_samples(replace(recording, gyro=gyro), poses)
+    (finding,) = seen.findings
+    assert finding.effect == "saturation"
+    assert f"gyro.{'xyz'[short]}" in finding.channels
+    assert seen.spoilt[at]
+
+
+@pytest.mark.parametrize(("seed", "share"), [(36, 0.6), (4, 0.45), (12, 0.6)])
+def test_a_rest_that_a_clipped_turn_alone_joins_to_the_others_gets_no_name(
+    seed: int, share: float
+) -> None:
+    real = simulated(seed=seed)
+    limit = share * np.abs(real.gyro).max()  # the first or the last turn's
+    found = diagnose_recording(
+        replace(real, gyro=np.clip(real.gyro, -limit, limit)), gravity=GRAVITY
+    )
+    assert [f.effect for f in found.findings] == ["saturation"]
+    assert not found.unexplained
+
+
+def test_a_bias_that_sticks_to_a_coarse_count_at_rest_is_no_second_finding() -> None:
+    for seed in (3, 5):
+        recording = simulated(seed=seed)
+        lsb = 1.6e-3
+        gyro = np.round(recording.gyro / lsb) * lsb
+        found = diagnose_recording(replace(recording, gyro=gyro), gravity=GRAVITY)
+        assert [f.effect for f in found.findings] == ["quantization"]
+        assert not found.unexplained
+
+
+def test_counts_are_coarse_though_decimals_cut_their_size() -> None:
+    recording = simulated(seed=3)
+    lsb = 2 * np.radians(2000.0) / 65536
+    gyro = np.round(np.round(recording.gyro / 1.5 / lsb) * lsb, 6)
+    (finding,) = look_at_samples(replace(recording, gyro=gyro), find_poses(recording)).findings
+    assert finding.parameters["gyro_lsb"].value == pytest.approx(lsb, rel=1e-4)
+
+
+def test_counts_are_coarse_though_a_rest_has_a_few_jerks() -> None:
+    recording = simulated(seed=3)
+    poses = find_poses(recording)
+    gyro = np.round(recording.gyro / 1.6e-3)
+    gyro[(poses.start + poses.stop) // 2, 2] += 40
+    (finding,) = look_at_samples(replace(recording, gyro=1.6e-3 * gyro), poses).findings
+    assert finding.effect == "quantization"
+    assert finding.channels == ("gyro.x", "gyro.y", "gyro.z")
+
+
+@pytest.mark.parametrize("sigma", [0.0, 0.1, 0.2, 0.3, 0.4, 0.5])
+def test_rounded_means_err_as_much_as_is_said(sigma: float) -> None:
+    """Against an average over where between two counts the signal is."""
+    true = np.linspace(-0.5, 0.5, 400, endpoint=False)
+    counts = np.arange(-6, 7)
+    mean = np.rint(true)
+    if sigma:
+        edges = counts[:, None] + np.array([-0.5, 0.5]) - true[:, None, None]
+        mean = np.diff(norm.cdf(edges / sigma), axis=2)[:, :, 0] @ counts
+    found = np.mean(np.square(mean - true))
+    assert 0.6 * rounded_mean_variance(1.0, sigma) <= found
+    assert found <= 1.01 * rounded_mean_variance(1.0, sigma)
+
+
+def test_means_off_by_coarse_counts_are_no_second_finding() -> None:
+    for seed in (3, 5, 8):
+        recording = simulated(seed=seed)
+        lsb = 0.1
+        accel = np.round(recording.accel / lsb) * lsb
+        found = diagnose_recording(replace(recording, accel=accel), gravity=GRAVITY)
+        assert [f.effect for f in found.findings] == ["quantization"]
+        assert not found.unexplained
+
+
+def test_one_channel_in_another_unit_is_named() -> None:
+    recording = simulated()
+    for triad, axis, factor in (("gyro", 1, 180 / np.pi), ("accel", 2, 1 / 9.80665)):
+        values = getattr(recording, triad).copy()
+        values[:, axis] *= factor
+        wrong = replace(recording, **{triad: values})
+        found = diagnose_recording(wrong, gravity=GRAVITY)
+        (finding,) = found.findings
+        assert finding.effect == "unit_error"
+        assert finding.channels == (f"{triad}.{'xyz'[axis]}",)
+        assert finding.parameters[triad].value == pytest.approx(factor - 1, rel=0.1)
+
+
+@pytest.mark.parametrize(("factor", "what"), [(1e3, "ms"), (1e6, "µs"), (1e9, "ns"), (100.0, "")])
+def test_time_in_another_unit_is_named(factor: float, what: str) -> None:
+    recording = simulated()
+    (finding,) = diagnose_recording(
+        replace(recording, time=factor * recording.time), gravity=GRAVITY
+    ).findings
+    assert finding.effect == "unit_error"
+    assert finding.parameters["gyro"].value == pytest.approx(factor, rel=0.1)
+    assert f"in {what}" in finding.sentence or not what
+
+
+def test_turns_that_nothing_makes_agree_are_said_and_nothing_else() -> None:
+    recording = simulated()
+    copied, half, backwards = (recording.gyro.copy() for _ in range(3))
+    copied[:, 1] = copied[:, 0]
+    half[len(half) // 2 :] *= 57.3
+    backwards = backwards[::-1]
+    for gyro in (copied, half, backwards):
+        found = diagnose_recording(replace(recording, gyro=gyro), gravity=GRAVITY)
+        assert found.verdict == "unexplained"
+        assert not found.findings
+        assert [u.follows for u in found.unexplained] == [DISAGREES]
+
+
+def test_a_value_that_no_sensor_measures_is_left_out_and_said() -> None:
+    recording = simulated()
+    clean = diagnose_recording(recording, gravity=GRAVITY)
+    for value in (1e5, 1e12, 1e300):
+        accel = recording.accel.copy()
+        accel[len(accel) // 2, 0] = -value
+        found = diagnose_recording(replace(recording, accel=accel), gravity=GRAVITY)
+        assert [f.effect for f in found.findings] == [f.effect for f in clean.findings]
+        (left,) = found.unexplained
+        assert left.channels == ("accel.x",)
+        assert left.intervals[0][0] == recording.time[len(accel) // 2]
+
+
+def test_samples_left_out_count_as_lost() -> None:
+    recording = simulated()
+    lost = np.zeros(len(recording), np.int64)
+    lost[[50, 51]] = 2, 3
+    gyro = recording.gyro.copy()
+    gyro[[0, 50, 1000, -1], 2] = 1e9
+    part, what = tamed(replace(recording, gyro=gyro, lost=lost))
+    assert len(part) == len(recording) - 4
+    assert part.lost is not None
+    assert part.lost[0] == 1
+    assert part.lost[49] == 6
+    assert part.lost.sum() == 8
+    assert [u.channels for u in what] == [("gyro.z",)]
+
+
+def test_a_bias_that_no_gyroscope_has_is_said() -> None:
+    recording = simulated()
+    found = diagnose_recording(
+        replace(recording, gyro=recording.gyro + np.array([0.0, 1e6, 0.0])), gravity=GRAVITY
+    )
+    assert (found.verdict, found.findings) == ("unexplained", ())
+    assert found.unexplained[0].channels == ("gyro.y",)
+
+
+@pytest.mark.parametrize("triads", [("accel",), ("gyro",), ("accel", "gyro")])
+def test_zeros_end_with_a_verdict(triads: tuple[str, ...]) -> None:
+    recording = simulated()
+    zeros = {name: np.zeros_like(recording.accel) for name in triads}
+    found = diagnose_recording(replace(recording, **zeros), gravity=GRAVITY)
+    assert found.verdict in {"explained", "unexplained"}
+    assert {f.effect for f in found.findings} <= {"unit_error"}
+
+
+def test_a_bias_in_counts_is_none_that_no_gyroscope_has() -> None:
+    recording = simulated()
+    counts = 131.0 * 180 / np.pi * (recording.gyro + 0.05)
+    (finding,) = diagnose_recording(replace(recording, gyro=counts), gravity=GRAVITY).findings
+    assert finding.effect == "unit_error"
+    assert finding.parameters["gyro"].value == pytest.approx(131.0 * 180 / np.pi, rel=0.1)

@@ -1,0 +1,203 @@
+"""Lines and bursts in the samples at rest."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calib.mismatch.samples import spectrum
+from calib.mismatch.samples.spectrum import look_at_spectrum
+from calib.model import SensorModel
+from calib.poses import Poses
+from calib.recording import Recording
+from calib.simulate import simulate
+from calib.simulation.bench import bench_protocol
+from calib.simulation.noise import CONSUMER
+from calib.statics import find_poses
+from calib.types import FloatArray
+
+RATE = 100.0
+SECONDS = 8.0
+POSES = 20
+
+
+def rests(seed: int, loud: FloatArray) -> tuple[Recording, Poses]:
+    """Return rests with turns of 90 degrees between them; `loud` multiplies the noise of each."""
+    rng = np.random.default_rng(seed)
+    still, turn = int(SECONDS * RATE), int(RATE)
+    n = POSES * still + (POSES - 1) * turn
+    accel, gyro = np.zeros((n, 3)), np.zeros((n, 3))
+    scale = np.ones(n)
+    for k in range(POSES):
+        a = k * (still + turn)
+        accel[a : a + still, k % 3] = 9.8
+        scale[a : a + still] = loud[k]
+        if k + 1 < POSES:
+            wave = np.sin(np.pi * np.arange(turn) / turn)[:, None]
+            gyro[a + still : a + still + turn, (k + 2) % 3] = (np.pi**2 / 4 * wave)[:, 0]
+            part = slice(a + still, a + still + turn)
+            blend = np.linspace(0, np.pi / 2, turn)
+            accel[part, k % 3] = 9.8 * np.cos(blend)
+            accel[part, (k + 1) % 3] = 9.8 * np.sin(blend)
+    accel += 0.015 * scale[:, None] * rng.normal(size=(n, 3))
+    gyro += 1e-3 * rng.normal(size=(n, 3))
+    recording = Recording(np.arange(n) / RATE, accel, gyro, "device")
+    poses = find_poses(recording)
+    assert len(poses) == POSES
+    return recording, poses
+
+
+def test_rests_that_are_shaken_at_several_levels_have_no_line() -> None:
+    for seed in range(6):
+        loud = np.random.default_rng(seed).permutation(
+            np.repeat([1.0, 5.0, 10.0, 17.0], [9, 4, 2, 5])
+        )
+        for item in look_at_spectrum(*rests(seed, loud)):
+            assert "one frequency" not in item.follows
+            assert "line" not in item.follows
+
+
+def test_a_rest_that_rounding_leaves_constant_hides_no_burst_in_another() -> None:
+    loud = np.ones(POSES)
+    loud[7] = 4.0
+    recording, poses = rests(3, loud)
+    accel = recording.accel.copy()
+    accel[poses.start[2] : poses.stop[2], 0] = 0.0
+    (burst,) = look_at_spectrum(replace(recording, accel=accel), poses)
+    assert burst.follows == "the time: noise is louder there"
+    assert burst.channels == ("accel.x", "accel.y", "accel.z")
+    assert burst.intervals == (tuple(poses.interval[7]),)
+
+
+def test_rests_far_apart_that_are_shaken_are_two_places() -> None:
+    loud = np.ones(POSES)
+    loud[[2, 15, 16]] = 4.0
+    recording, poses = rests(3, loud)
+    found = look_at_spectrum(recording, poses)
+    assert [item.channels for item in found] == [("accel.x", "accel.y", "accel.z")] * 2
+    assert [item.intervals for item in found] == [
+        (tuple(poses.interval[2]),),
+        ((poses.interval[15, 0], poses.interval[16, 1]),),
+    ]
+
+
+def test_a_line_in_some_rests_is_said_to_be_there() -> None:
+    recording, poses = rests(7, np.ones(POSES))
+    start, stop = poses.interval[8, 0], poses.interval[13, 1]
+    inside = (recording.time >= start) & (recording.time <= stop)
+    accel = np.array(recording.accel)
+    accel[:, 1] += 0.02 * inside * np.sin(2 * np.pi * 21.0 * recording.time)
+    found = look_at_spectrum(Recording(recording.time, accel, recording.gyro, "device"), poses)
+    (line,) = found
+    assert line.channels == ("accel.y",)
+    assert abs(line.intervals[0][0] - start) < 1.0
+    assert abs(line.intervals[0][1] - stop) < 1.0
+    assert line.follows in ("a line at 21.1 Hz", "the time: power at one frequency there")
+
+
+def test_a_hand_that_trembles_less_the_faster_is_no_line() -> None:
+    recording, poses = rests(3, np.ones(POSES))
+    rng = np.random.default_rng(4)
+    n = len(recording)
+    f = np.fft.rfftfreq(n, 1 / RATE)
+    gain = np.where((f > 0.5) & (f < 8.0), 1 / np.maximum(f, 0.5), 0.0)
+    shake = np.fft.irfft(np.fft.rfft(rng.normal(size=n)) * gain, n)
+    accel = np.array(recording.accel)
+    accel[:, 0] += 0.02 * shake / shake.std()
+    held = Recording(recording.time, accel, recording.gyro, "device")
+    assert not any("line" in item.follows for item in look_at_spectrum(held, poses))
+
+
+def test_a_tremor_that_both_triads_follow_is_motion_and_what_one_has_alone_is_not() -> None:
+    recording, poses = rests(5, np.ones(POSES))
+    angle = 1e-3 * np.sin(2 * np.pi * 7.8 * recording.time)
+    gyro, accel = np.array(recording.gyro), np.array(recording.accel)
+    gyro[:, 0] += np.gradient(angle, recording.time)
+    alone = Recording(recording.time, accel, gyro, "device")
+    assert any("line" in item.follows for item in look_at_spectrum(alone, poses))
+    # Turned by that angle about x, gravity swings in y and z.
+    accel[:, 1] += accel[:, 2] * angle
+    accel[:, 2] -= recording.accel[:, 1] * angle
+    held = Recording(recording.time, accel, gyro, "device")
+    assert not look_at_spectrum(held, poses)
+
+
+def test_a_hand_that_sways_and_shakes_is_no_line_and_a_tone_beside_its_sway_is() -> None:
+    recording, poses = rests(9, np.ones(POSES))
+    rng = np.random.default_rng(6)
+    n = len(recording)
+    f = np.fft.rfftfreq(n, 1 / RATE)
+    band = (f > 0.5) & (f < 8.0)
+    rate = np.fft.irfft(np.fft.rfft(rng.normal(size=(n, 3)), axis=0) * band[:, None], n, axis=0)
+    force = np.fft.irfft(
+        np.fft.rfft(rng.normal(size=(n, 3)), axis=0) * (f**2 * band)[:, None], n, axis=0
+    )
+    gyro = recording.gyro + 0.01 * rate / rate.std()
+    tone = 0.05 * np.sin(2 * np.pi * 5.5 * recording.time)
+    for shake, lines in ((0.1 * force / force.std(), False), (tone[:, None], True)):
+        held = Recording(recording.time, recording.accel + shake, gyro, "device")
+        found = look_at_spectrum(held, poses)
+        assert any("line" in item.follows for item in found) is lines
+
+
+@pytest.mark.parametrize("seed", [12, 13])
+def test_a_hand_trembles_at_other_frequencies_about_each_axis(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    motion = bench_protocol(rng, poses=30, hold_tremor=0.1)
+    held = simulate(motion, SensorModel(), CONSUMER, rng=rng, rate=RATE)
+    found = look_at_spectrum(held, find_poses(held))
+    assert not any("line" in item.follows for item in found)
+
+
+def test_rests_of_one_periodogram_have_no_line_by_chance() -> None:
+    """Their floor is seen by that alone, and its median is below its mean."""
+    rng = np.random.default_rng(11)
+    count = np.array([1] * 8 + [5] * 12)
+    rest = np.repeat(np.arange(20), count)
+    window = np.hanning(spectrum.LENGTH)[:, None]
+    least = []
+    for _ in range(200):
+        noise = window * rng.normal(size=(spectrum.LENGTH, len(rest)))
+        power = np.square(np.abs(np.fft.rfft(noise, axis=0)))[2:-1]
+        mean = np.stack([power[:, rest == k].mean(axis=1) for k in range(20)], axis=1)
+        floor, p = spectrum._peaks(mean, count)
+        least.append(p.min() / 6)  # of six channels
+    # The floor is that of the noise: squares of the window, in every bin.
+    np.testing.assert_allclose(floor.mean(), np.square(window).sum(), rtol=0.1)
+    assert np.mean(np.array(least) < 0.1) < 0.1
+
+
+def test_a_knock_at_the_bench_is_no_burst_and_no_line() -> None:
+    recording, poses = rests(5, np.ones(POSES))
+    rng = np.random.default_rng(6)
+    accel, gyro = recording.accel.copy(), recording.gyro.copy()
+    for k in (4, 11):
+        at = int(rng.integers(poses.start[k] + 100, poses.stop[k] - 100))
+        since = np.arange(80) / RATE
+        ring = np.exp(-since / 0.1) * np.sin(2 * np.pi * 22.0 * since)
+        accel[at : at + 80] += 2.0 * ring[:, None] * rng.normal(size=3)
+        gyro[at : at + 80] += 0.1 * ring[:, None] * rng.normal(size=3)
+    shaken = replace(recording, accel=accel, gyro=gyro)
+    assert look_at_spectrum(shaken, poses) == ()
+    # On one channel it may be a disturbance, and a rest that is loud throughout is one.
+    alone = np.column_stack((accel[:, 0], recording.accel[:, 1:]))
+    assert look_at_spectrum(replace(recording, accel=alone), poses)
+    loud = np.ones(POSES)
+    loud[4] = 4.0
+    assert look_at_spectrum(*rests(5, loud))
+
+
+def test_coarse_counts_are_not_louder_where_a_signal_is_between_two() -> None:
+    real, poses = rests(5, np.ones(POSES))
+    noise = np.random.default_rng(5).standard_normal((len(real), 3))
+    gyro = np.zeros((len(real), 3))
+    for k, (a, b) in enumerate(zip(poses.start, poses.stop, strict=True)):
+        gyro[a:b] = 0.49 if k == 4 else 0.1 * (k % 3)
+    counted = replace(real, gyro=2e-3 * np.round(gyro + 0.2 * noise))
+    assert not [u for u in look_at_spectrum(counted, poses) if "gyro.x" in u.channels]
+    a, b = int(poses.start[7]), int(poses.stop[7])
+    gyro[a:b] += 3 * noise[a:b]
+    shaken = replace(real, gyro=2e-3 * np.round(gyro + 0.2 * noise))
+    (found,) = [u for u in look_at_spectrum(shaken, poses) if "gyro.x" in u.channels]
+    assert found.intervals[0][0] < real.time[b]
+    assert found.intervals[0][1] > real.time[a]

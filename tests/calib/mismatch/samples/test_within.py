@@ -1,0 +1,221 @@
+"""Disturbances within rests: found on the channel that has them, where they are, and not elsewhere.
+
+A hand, a bench that shakes, coarse counts and single samples off course are none.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calib.effects.base import Term
+from calib.mismatch import diagnose_recording
+from calib.mismatch.findings.diagnosis import Unexplained
+from calib.mismatch.hypotheses.places import joined
+from calib.mismatch.samples.within import look_within
+from calib.model import SensorModel
+from calib.recording import CHANNELS, Recording
+from calib.simulate import simulate
+from calib.simulation.bench import bench_protocol
+from calib.simulation.noise import CONSUMER
+from calib.statics import find_poses
+from calib.types import FloatArray
+
+from ..bench import GRAVITY
+from ..bench import recording as simulated
+
+SIGMA = np.array([CONSUMER.accel_noise_density, CONSUMER.gyro_noise_density]) * np.sqrt(25.0)
+"""White noise of one sample at 50 Hz."""
+
+
+def hum(time: FloatArray, rng: np.random.Generator) -> FloatArray:
+    return (1 + np.sin(2 * np.pi * time / 3)) * np.sin(2 * np.pi * 13 * time)
+
+
+def telegraph(time: FloatArray, rng: np.random.Generator) -> FloatArray:
+    return 3.0 * (np.cumsum(rng.random(len(time)) < 0.05) % 2)
+
+
+def louder(time: FloatArray, rng: np.random.Generator) -> FloatArray:
+    return 1.5 * rng.normal(size=len(time))
+
+
+def pulses(time: FloatArray, rng: np.random.Generator) -> FloatArray:
+    near = np.abs(time[:, None] - rng.uniform(time[0], time[-1], 40)).min(axis=1)
+    return 12.0 * (near < 0.06)
+
+
+def disturbed(
+    real: Recording, channels: list[int], make: Callable[..., FloatArray], seed: int
+) -> tuple[Recording, tuple[float, float]]:
+    """Return a recording with a disturbance in 30 % of it, in units of white noise."""
+    rng = np.random.default_rng(seed)
+    both = np.hstack((real.accel, real.gyro))
+    start = rng.uniform(0.2, 0.5) * real.time[-1]
+    inside = (real.time >= start) & (real.time < start + 0.3 * real.time[-1])
+    extra = make(real.time[inside], rng)
+    for c in channels:
+        both[inside, c] += SIGMA[c // 3] * extra
+    out = Recording(real.time, both[:, :3], both[:, 3:], "device", temperature=real.temperature)
+    return out, (start, start + 0.3 * real.time[-1])
+
+
+def overlap(one: tuple[float, float], other: tuple[float, float]) -> float:
+    common = min(one[1], other[1]) - max(one[0], other[0])
+    return max(common, 0.0) / (max(one[1], other[1]) - min(one[0], other[0]))
+
+
+@pytest.mark.parametrize("make", [hum, telegraph, louder, pulses])
+def test_what_one_channel_has_in_some_rests_is_placed(make: Callable[..., FloatArray]) -> None:
+    real = simulated(seed=61, poses=24)
+    for c in (1, 5):
+        recording, where = disturbed(real, [c], make, 61 + c)
+        (item,) = look_within(recording, find_poses(recording))
+        assert item.channels == (CHANNELS[c],)
+        assert overlap(item.intervals[0], where) > 0.5
+        assert item.p_value <= 1e-4
+
+
+def test_few_pulses_are_told_from_noise_and_a_knock_is_none() -> None:
+    real = simulated(seed=67, poses=24)
+    poses = find_poses(real)
+    start, stop = poses.interval[8, 0], poses.interval[17, 1]
+    both = np.hstack((real.accel, real.gyro))
+    for k in range(8, 18):
+        at = int(poses.start[k] + poses.stop[k]) // 2
+        both[at : at + 6, 3] += 8.0 * SIGMA[1]
+    recording = Recording(real.time, both[:, :3], both[:, 3:], "device")
+    (item,) = look_within(recording, poses)
+    assert item.follows == "the time: pulses there"
+    assert item.channels == ("gyro.x",)
+    assert overlap(item.intervals[0], (start, stop)) > 0.5
+    for k in range(8, 18):
+        at = int(poses.start[k] + poses.stop[k]) // 2
+        both[at : at + 6, 1] += 8.0 * SIGMA[0]
+    assert not look_within(Recording(real.time, both[:, :3], both[:, 3:], "device"), poses)
+
+
+def test_a_disturbance_in_the_samples_alone_is_unexplained_and_has_no_name() -> None:
+    recording, where = disturbed(simulated(seed=64), [4], louder, 64)
+    found = diagnose_recording(recording, gravity=GRAVITY)
+    assert not found.findings
+    (item,) = found.unexplained
+    assert item.channels == ("gyro.y",)
+    assert overlap(item.intervals[0], where) > 0.5
+
+
+def test_what_several_channels_do_at_once_may_be_motion() -> None:
+    real = simulated(seed=62, poses=24)
+    for make in (louder, pulses):
+        recording, _ = disturbed(real, [0, 1, 2], make, 62)
+        assert not look_within(recording, find_poses(recording))
+
+
+MOTIONS = {
+    "a hand that trembles": {"tremor": 4.0},
+    "a hand that holds": {"hold_tremor": 0.3},
+    "a hand that sways": {"sway": 0.5, "swayed": 0.4},
+    "a bench that shakes": {"vibration": 0.3, "vibrated": 0.4},
+}
+
+
+@pytest.mark.parametrize("what", MOTIONS)
+def test_motion_is_no_disturbance(what: str) -> None:
+    for seed in range(3):
+        rng = np.random.default_rng([63, seed])
+        motion = bench_protocol(rng, poses=20, pose_duration=(3.0, 4.0), **MOTIONS[what])
+        recording = simulate(motion, SensorModel(), CONSUMER, rng=rng, rate=50.0)
+        assert not look_within(recording, find_poses(recording))
+
+
+@pytest.mark.parametrize("rate", [25.0, 100.0, 400.0])
+def test_noise_that_drifts_and_settles_is_no_disturbance(rate: float) -> None:
+    noise = replace(
+        CONSUMER,
+        accel_bias_instability=5 * CONSUMER.accel_bias_instability,
+        gyro_bias_instability=5 * CONSUMER.gyro_bias_instability,
+        accel_random_walk=5 * CONSUMER.accel_random_walk,
+        gyro_random_walk=5 * CONSUMER.gyro_random_walk,
+    )
+    settling = Term("accel_settling", {"kx": 0.02, "ky": -0.03, "kz": 0.03, "tau": 1.0})
+    rng = np.random.default_rng(int(rate))
+    motion = bench_protocol(rng, poses=20, pose_duration=(3.0, 4.0))
+    recording = simulate(motion, SensorModel(terms=(settling,)), noise, rng=rng, rate=rate)
+    assert not look_within(recording, find_poses(recording))
+
+
+def test_neither_coarse_counts_nor_single_samples_off_course_are_disturbances() -> None:
+    for seed in range(3):
+        real = simulated(seed=65 + seed)
+        rng = np.random.default_rng(seed)
+        for lsb in (0.3, 1.0, 1.7, 3.0):
+            both = np.hstack((real.accel, real.gyro))
+            step = lsb * np.repeat(SIGMA, 3)
+            both = np.round(both / step) * step
+            coarse = replace(real, accel=both[:, :3], gyro=both[:, 3:])
+            assert not look_within(coarse, find_poses(coarse))
+        accel = real.accel.copy()
+        at = rng.choice(len(accel), 30, replace=False)
+        accel[at, 1] += rng.normal(0, 2.0, 30)
+        spiky = replace(real, accel=accel)
+        assert not look_within(spiky, find_poses(real))
+
+
+@pytest.mark.parametrize("elsewhere", [0, 6])
+def test_single_samples_off_course_in_one_part_are_a_disturbance_there(elsewhere: int) -> None:
+    real = simulated(seed=64)
+    rng = np.random.default_rng(elsewhere)
+    begin, end = 0.3 * real.time[-1], 0.55 * real.time[-1]
+    inside = np.flatnonzero((real.time > begin) & (real.time < end))
+    at = np.append(rng.choice(inside, 30, replace=False), rng.choice(len(real), elsewhere))
+    gyro = real.gyro.copy()
+    gyro[at, 2] += rng.choice([-1.0, 1.0], len(at)) * rng.uniform(15, 30, len(at)) * SIGMA[1]
+    spiky = replace(real, gyro=gyro)
+    (found,) = look_within(spiky, find_poses(real))
+    assert found.channels == ("gyro.z",)
+    assert found.follows == "the time: single samples are off course there"
+    assert overlap(found.intervals[0], (begin, end)) > 0.7
+
+
+def test_a_rest_of_which_parts_were_left_out_has_no_jumps_there() -> None:
+    real = simulated(seed=66)
+    poses = find_poses(real)
+    # Half a second is missing from each rest, over which a bias has moved.
+    keep, bias = np.ones(len(real), bool), np.zeros(len(real))
+    for k, (a, b) in enumerate(zip(poses.start, poses.stop, strict=True)):
+        middle = (a + b) // 2
+        keep[middle : middle + 25] = False
+        bias[middle:] += (-1) ** k * 10 * SIGMA[1]
+    gyro = real.gyro.copy()
+    gyro[:, 0] += bias
+    cut = Recording(real.time[keep], real.accel[keep], gyro[keep], "device")
+    kept = np.concatenate(([0], np.cumsum(keep)))
+    rests = replace(poses, start=kept[poses.start], stop=kept[poses.stop])
+    assert not look_within(cut, rests)
+
+
+def test_what_rows_and_samples_show_of_one_disturbance_is_one_item() -> None:
+    slow = Unexplained(("gyro.x",), ((30.0, 60.0),), "fluctuation in a window", 1e-2)
+    fast = Unexplained(("gyro.x",), ((40.0, 65.0),), "the time: it is restless there", 1e-9)
+    trend = Unexplained(
+        ("gyro.x",), ((0.0, 90.0),), "the time: the level of noise follows it", 1e-6
+    )
+    one, other = joined([slow, trend, fast])
+    assert one == replace(fast, intervals=((30.0, 65.0),))
+    assert other == trend
+
+
+def test_counts_that_flip_in_one_part_are_not_off_course_there() -> None:
+    real = simulated(seed=4, poses=24)
+    count = 20 * SIGMA[0]
+    noise = 0.15 * np.random.default_rng(4).standard_normal(len(real))
+    half = real.time > 0.6 * real.time[-1]
+    accel = real.accel.copy()
+    accel[:, 0] = count * np.round(0.15 * half + noise + np.round(accel[:, 0] / count))
+    assert look_within(replace(real, accel=accel), find_poses(real)) == ()
+    accel[half & (np.arange(len(real)) % 61 == 0), 0] += 3 * count
+    (found,) = look_within(replace(real, accel=accel), find_poses(real))
+    assert found.channels == ("accel.x",)

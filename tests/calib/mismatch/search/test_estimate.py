@@ -1,0 +1,180 @@
+"""Sizes and shapes come back with honest standard errors, however far the grid was off."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.stats import norm
+
+import calib.mismatch.search.estimate as module
+from calib.effects import get_effect
+from calib.mismatch.hypotheses.candidates import Candidate
+from calib.mismatch.hypotheses.families import effect_columns, shape_grid
+from calib.mismatch.noise.noise import (
+    covariance,
+    expected_levels,
+    find_levels,
+    make_whitener,
+)
+from calib.mismatch.search.estimate import estimate, settle, wider
+from calib.mismatch.search.ranking import Accepted
+from calib.mismatch.search.refit import likelihood_gain
+
+from ..bench import problem
+
+NAMES = ("kx", "kz")
+
+
+def named(rows, slug: str, names: tuple[str, ...], **shape: float) -> Accepted:
+    effect = get_effect(slug)
+    found = effect_columns(effect, rows, shape, reference=False)
+    channels = tuple(f"gyro.{n[-1]}" for n in names)
+    index = np.arange(len(names))
+    candidate = Candidate(slug, index, 1.0, True, channels, parameters=names, shape=shape)
+    columns = np.stack([found[n] for n in names], axis=1)
+    typical = np.full(len(names), effect.parameters[0].typical)
+    return Accepted(candidate, columns, typical, np.zeros(len(names)), False, 1.0)
+
+
+def step(rows, moment: float) -> Accepted:
+    return named(rows, "gyro_bias_step", ("bx",), moment=moment)
+
+
+def warm_up(rows, tau: float) -> Accepted:
+    return named(rows, "gyro_warm_up", NAMES, tau=tau)
+
+
+def test_a_profile_with_two_tops_is_followed_over_both(monkeypatch):
+    _, self_mode = problem()
+    rows = self_mode.rows()
+    own = warm_up(rows, 30.0)
+    (item,) = get_effect("gyro_warm_up").shape
+    tops = np.log(shape_grid(item, rows, module.POINTS)[[3, 20]])
+    at = []
+    moved = module._moved
+
+    def record(rows, a, shape, *, reference):
+        at.append(np.log(shape["tau"]))
+        return moved(rows, a, shape, reference=reference)
+
+    def gain(columns, y, *, present=False):
+        return float(-0.5 * np.square((at[-1] - tops) / 0.02).min())
+
+    monkeypatch.setattr(module, "_moved", record)
+    monkeypatch.setattr(module, "likelihood_gain", gain)
+    values, gains = module._profile(
+        rows,
+        [own],
+        0,
+        own.candidate.shape,
+        item,
+        expected_levels(rows),
+        rows.white_diagonal,
+        reference=False,
+    )
+    near = np.log(values[gains > gains.max() - module.REACH])
+    for top in tops:
+        assert np.abs(near - top).min() < 0.05
+    assert len(near) >= module.FINE
+
+
+@pytest.mark.parametrize(("tau", "start"), [(30.0, 60.0), (250.0, 90.0)])
+def test_a_time_constant_is_settled_and_its_errors_are_honest(tau, start):
+    _, self_mode = problem()
+    rows = self_mode.rows()
+    levels, contrast = expected_levels(rows), rows.white_diagonal
+    dense = np.linalg.cholesky(covariance(rows, levels))
+    truth = warm_up(rows, tau)
+    sizes = np.array([4e-3, -2e-3])
+    rng = np.random.default_rng(5)
+    errors = []
+    for _ in range(20):
+        noise = np.append(
+            dense @ rng.normal(size=rows.n_dense),
+            np.sqrt(contrast) * rng.normal(size=len(contrast)),
+        )
+        real = replace(rows, residual=noise + truth.columns @ (sizes / truth.typical))
+        # What the model already holds is put back into the rows.
+        first = replace(warm_up(rows, start), in_model=True, values=0.5 * sizes)
+        real = replace(
+            real, residual=real.residual - first.columns @ (first.values / first.typical)
+        )
+        real, found = settle(real, [first], levels, contrast, reference=False)
+        fit = estimate(real, tuple(found), levels, contrast, reference=False)
+        part = slice(fit.at[0], fit.at[1])
+        values = fit.step[part] * truth.typical
+        sigma = np.sqrt(np.diag(fit.covariance)[part]) * truth.typical
+        here = found[0].candidate.shape["tau"]
+        errors.append([*((values - sizes) / sigma), (here - tau) / fit.shapes[0, "tau"]])
+    z = np.array(errors)
+    assert np.abs(z).max() < 3.5
+    # 20 draws: 0.16 is one standard deviation. A shape whose end is open has errors to spare.
+    assert (np.sqrt(np.mean(z**2, axis=0)) < 1.5).all()
+    assert (np.sqrt(np.mean(z**2, axis=0)) > 0.3).all()
+
+
+def test_a_moment_is_as_uncertain_as_the_rests_and_turns_beside_it_allow():
+    _, self_mode = problem()
+    rows = self_mode.rows()
+    levels, contrast = expected_levels(rows), rows.white_diagonal
+    dense = np.linalg.cholesky(covariance(rows, levels))
+    fit_all = np.hstack((rows.baseline, rows.nuisance))
+    whitener = make_whitener(rows, levels, contrast, fit_all)
+    segments = rows.interval[3:-3].mean(axis=1)
+    steps = [step(rows, float(m)) for m in segments]
+    shown = [whitener.project(s.columns) for s in steps]
+    middle = len(segments) // 2
+    true = steps[middle].columns * np.sqrt(40.0 / np.square(shown[middle]).sum())
+    rng = np.random.default_rng(6)
+    errors = []
+    for _ in range(20):
+        noise = np.append(
+            dense @ rng.normal(size=rows.n_dense),
+            np.sqrt(contrast) * rng.normal(size=len(contrast)),
+        )
+        real = replace(rows, residual=noise + true[:, 0])
+        y = whitener.project(real.residual)
+        likeliest = int(np.argmax([likelihood_gain(columns, y) for columns in shown]))
+        fit = estimate(real, (steps[likeliest],), levels, contrast, reference=False)
+        errors.append((segments[likeliest] - segments[middle]) / fit.shapes[0, "moment"])
+    assert np.abs(errors).max() < 3.5
+    # In some draws it is another rest or turn that fits best.
+    assert 0.2 < np.sqrt(np.mean(np.square(errors))) < 1.5
+
+
+@pytest.mark.parametrize("spread", [0.0, 0.3, 1.0])
+def test_three_wider_errors_hold_as_much_as_three_of_known_noise(spread):
+    factor = wider(np.array([spread]))[0]
+    z = np.linspace(-9, 9, 4001)
+    share = norm.pdf(z) / norm.pdf(z).sum()
+    outside = 2 * share @ norm.sf(3 * factor * np.exp(-0.5 * spread * z))
+    assert outside == pytest.approx(2 * norm.sf(3.0), rel=1e-3)
+    assert factor == pytest.approx(1.0) if spread == 0 else factor > 1.0
+
+
+def test_drift_of_unknown_size_is_in_the_errors_of_what_it_can_mimic():
+    _, self_mode = problem()
+    rows = self_mode.rows()
+    mean, contrast = np.hstack((rows.baseline, rows.nuisance)), rows.white_diagonal
+    slow = named(rows, "gyro_bias_temperature", NAMES)
+    beside = np.hstack((mean, slow.columns))[: rows.n_dense]
+    groups = [c.group for c in rows.components]
+    rng = np.random.default_rng(8)
+    z = []
+    for _ in range(60):
+        # Parts of one make differ in how much they drift, by a factor of 2.
+        shared = {group: rng.normal(0, 1.4) if group else 0.0 for group in sorted(set(groups))}
+        true = expected_levels(rows) * np.exp([shared[group] for group in groups])
+        dense = np.linalg.cholesky(covariance(rows, true))
+        residual = np.append(
+            dense @ rng.normal(size=rows.n_dense),
+            np.sqrt(contrast) * rng.normal(size=len(contrast)),
+        )
+        real = replace(rows, residual=residual)
+        levels = find_levels(real, beside, expected_levels(rows)).values
+        fit = estimate(real, (slow,), levels, contrast, reference=False)
+        part = slice(fit.at[0], fit.at[1])
+        z += (fit.step[part] / np.sqrt(np.diag(fit.covariance)[part])).tolist()
+    # 120 draws: 0.065 is one standard deviation.
+    assert 0.7 < np.sqrt(np.mean(np.square(z))) < 1.15
+    assert np.abs(z).max() < 3.5

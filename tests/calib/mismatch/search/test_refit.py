@@ -1,0 +1,41 @@
+"""The joint fit: what no physics explains does not move the model far."""
+
+import numpy as np
+
+from calib.effects.base import Term
+from calib.mismatch import diagnose_recording
+from calib.mismatch.noise.noise import expected_levels
+from calib.mismatch.search.ranking import make_stack
+from calib.mismatch.search.refit import solve
+from calib.mismatch.search.search import _accept
+
+from ..bench import GRAVITY, problem, recording
+
+
+def test_a_smooth_rival_does_not_take_the_place_of_the_bias():
+    _, self_mode = problem()
+    rows = self_mode.rows()
+    stack = make_stack(rows, skip=(), reference=False)
+    rival = max(
+        (c for c in stack.candidates if c.group == "direction of gravity gyro.z"),
+        key=lambda c: 0 if c.mixing is not None else len(c.index),
+    )
+    found = [_accept(rows, stack, rival, 100.0)]
+    assert found[0].columns.shape[1] > 9
+    step = solve(rows, found, expected_levels(rows), rows.white_diagonal)
+    bias = rows.names.index("gyro.bias.z")
+    # Harmonics of a unit vector hold a constant, which is a bias; the bias is known to 1e-4 rad/s.
+    assert abs(step[bias]) < 2e-3
+    assert np.abs(step[-found[0].columns.shape[1] :]).max() < 30.0
+
+
+def test_what_turns_by_a_tenth_is_fitted_as_well_as_what_turns_by_a_thousandth():
+    """One step of the linearised fit would leave fifty standard errors."""
+    pairs = ("xy", "xz", "yx", "yz", "zx", "zy")
+    size = {f"m{p}": s for p, s in zip(pairs, (0.08, -0.1, 0.1, -0.08, 0.12, -0.1), strict=True)}
+    real = recording(Term("gyro_misalignment", size), rate=100.0)
+    (finding,) = diagnose_recording(real, gravity=GRAVITY).findings
+    assert finding.effect == "gyro_misalignment"
+    for name, true in size.items():
+        found = finding.parameters[name]
+        assert abs(found.value - true) < 3.5 * found.sigma
