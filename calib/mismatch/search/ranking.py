@@ -37,10 +37,10 @@ CLAIM = 3.0
 recordings that reach it by a third, but only evidence that is all or nothing attains that: of
 normal errors under as many looks as here, ``benchmarks/evidence.py`` counts 1 in 330."""
 
-DRIFTING = 0.3
+DRIFTING = 0.2
 """What evidence counts where a drift can mimic it and rests alone show that: it stands or falls
 with the slow end of the noise, of which a recording's rests show a few modes only. So it has to
-reach ten times what is as likely as not. Beside a truth every moment shows it."""
+reach fifteen times what is as likely as not. Beside a truth every moment shows it."""
 
 SLOW_MODES = 8
 """Half waves over the recording in the fastest drift that is meant by that."""
