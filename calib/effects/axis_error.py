@@ -40,8 +40,8 @@ class AxisError(TransformEffect):
         Parameter("gyro", PRESENCE, 1.0, ("gyro.x", "gyro.y", "gyro.z")),
     )
     shape = (
-        ShapeParameter("accel_axes", "1", 0, 47, "integer", optional=True),
-        ShapeParameter("gyro_axes", "1", 0, 47, "integer", optional=True),
+        ShapeParameter("accel_axes", "", 0, 47, "integer", optional=True),
+        ShapeParameter("gyro_axes", "", 0, 47, "integer", optional=True),
     )
     follows = "the signals of other axes"
     needs = (

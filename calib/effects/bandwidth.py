@@ -60,7 +60,7 @@ class Bandwidth(TransformEffect):
         ShapeParameter("accel_cutoff", "Hz", 3.0, 300.0, optional=True),
         ShapeParameter("gyro_cutoff", "Hz", 3.0, 300.0, optional=True),
         ShapeParameter("both_cutoff", "Hz", 3.0, 300.0, optional=True),
-        ShapeParameter("order", "1", 1, 2, "integer", optional=True),
+        ShapeParameter("order", "", 1, 2, "integer", optional=True),
     )
     follows = "frequency of the signal"
     needs = "motion over a range of frequencies; its delay alone is the same as time_offset"

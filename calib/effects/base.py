@@ -86,8 +86,9 @@ class ShapeParameter:
     """A parameter that enters nonlinearly, searched between ``low`` and ``high``.
 
     ``spacing`` is how candidates are spread: ``log`` for time constants, ``linear`` for moments,
-    ``integer`` for codes. Bounds of None mean the recording's own span (of time, or of the signal
-    for a full scale). An ``optional`` one may be left out of a `Term`: that part is not there then.
+    ``integer`` for codes, whose unit is empty. Bounds of None mean the recording's own span (of
+    time, or of the signal for a full scale). An ``optional`` one may be left out of a `Term`: that
+    part is not there then.
     """
 
     name: str

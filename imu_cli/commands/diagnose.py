@@ -216,6 +216,7 @@ _VERDICTS = {
 
 
 def _show_finding(number: int, item: Finding) -> None:
+    from calib.effects.base import PRESENCE
     from imu_cli.output import console
 
     out = console()
@@ -227,7 +228,8 @@ def _show_finding(number: int, item: Finding) -> None:
     )
     out.print(f"   How sure: {_chance(item.p_value)}, all looks counted.", soft_wrap=True)
     for name, q in item.parameters.items():
-        out.print(f"   {name} = {_quantity(q)}")
+        if q.unit != PRESENCE:  # the channels say it
+            out.print(f"   {name} = {_quantity(q)}")
     for a in item.absorbed_by[:4]:
         out.print(
             f"   {a.parameter} had absorbed {_in_unit(a.unit, a.shift)} of it "

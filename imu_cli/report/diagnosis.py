@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from calib.effects.base import PRESENCE
 from imu_cli.report.model import Block, Paragraph, Plot, Report, Series, Table
 from imu_cli.report.units import people_unit, said, with_error
 
@@ -122,7 +123,8 @@ def _finding(number: int, finding: Mapping[str, Any]) -> list[Block]:
         sentences.append(f"Not checked on held-out data: {finding['held_out_reason']}.")
     rows = []
     for name, item in finding["parameters"].items():
-        rows.append((name, *with_error(item["value"], item["sigma"], item["unit"])))
+        if item["unit"] != PRESENCE:  # the channels say it
+            rows.append((name, *with_error(item["value"], item["sigma"], item["unit"])))
     blocks: list[Block] = [Paragraph(title, tuple(s for s in sentences if s))]
     blocks.append(
         Table(

@@ -48,7 +48,7 @@ def with_error(value: float, error: float | None, unit: str) -> tuple[str, str, 
 def said(value: float, sigma: float | None, unit: str) -> str:
     """Return `with_error` as words of a sentence."""
     number, spread, name = with_error(value, sigma, unit)
-    return f"{number} {name}" if spread == "-" else f"{number} ± {spread} {name}"
+    return (number if spread == "-" else f"{number} ± {spread}") + (f" {name}" if name else "")
 
 
 def parameter_text(name: str, value: float, error: float | None) -> tuple[str, str, str]:
