@@ -257,7 +257,7 @@ def make_truth(
     turning, path = motion.kinematics(at)
     if mode == "profile":
         # A sensor off the centre has an arm, of which one axis leaves the height open.
-        return ReferenceMotion(at + start, turning.quat), {
+        return ReferenceMotion(at + start, turning.quat, fixed=True), {
             **offset,
             "accel_lever_arm": dict(zip(("rx", "ry", "rz"), ARM, strict=True)),
         }

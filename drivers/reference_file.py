@@ -4,7 +4,8 @@
 HDF5     ``opt_quat`` (n, 4) and, if positions were captured, ``opt_pos`` (n, 3) in m, with the
          attribute ``sampling_rate`` in Hz (as BROAD has them)
 CSV      columns ``time`` (s), ``qw qx qy qz`` and, if known, ``x y z`` (m); empty cells and
-         ``nan`` are gaps
+         ``nan`` are gaps. Without positions the body counts as carried, and the accelerometer is
+         judged at rest only, but where it turns about one axis alone or is said to be fixed
 CSV      columns ``time`` (s) and one of ``angle`` (rad), ``angle_deg``, ``rate`` (rad/s),
          ``rate_dps``: a table that turns about a vertical axis
 others   any recording: another IMU on the same body
@@ -14,6 +15,7 @@ others   any recording: another IMU on the same body
 from __future__ import annotations
 
 import csv
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -21,11 +23,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from calib.errors import RecordingFormatError, RecordingNotFoundError
+from calib.recording import Recording
 from drivers.formats import read_recording
 
 if TYPE_CHECKING:
     from calib.mismatch.reference.referencemode import ReferenceMotion
-    from calib.recording import Recording
     from calib.types import FloatArray
 
 QUATERNION = ("qw", "qx", "qy", "qz")
@@ -34,7 +36,7 @@ TABLE = ("angle", "angle_deg", "rate", "rate_dps")
 
 
 def read_reference(
-    path: Path, *, imu: int | None = None, profile: str | None = None
+    path: Path, *, imu: int | None = None, profile: str | None = None, fixed: bool = False
 ) -> Recording | ReferenceMotion:
     """Read a reference.
 
@@ -45,12 +47,27 @@ def read_reference(
         Which sensor of a board, where the reference is another IMU.
     profile : str, optional
         Import profile of the other IMU's log; the reference then is one.
+    fixed : bool
+        Whether its orientations are said to be those of a body that turns about a fixed point.
 
     Raises
     ------
     RecordingError
         If it is none of the above; the message names what was seen and expected.
     """
+    found = _read(path, imu=imu, profile=profile)
+    if not fixed:
+        return found
+    if isinstance(found, Recording) or found.position is not None:
+        seen = "another IMU" if isinstance(found, Recording) else "positions"
+        raise RecordingFormatError(
+            f"{path}: it has {seen}, expected orientations alone where the point is said to be "
+            "fixed"
+        )
+    return replace(found, fixed=True)
+
+
+def _read(path: Path, *, imu: int | None, profile: str | None) -> Recording | ReferenceMotion:
     if not path.is_file() or profile is not None:
         if not path.exists():
             raise RecordingNotFoundError(f"{path}: there is no such reference")
@@ -130,7 +147,7 @@ def _table(path: Path, columns: dict[str, FloatArray]) -> ReferenceMotion:
         values = _angles(path, time, values)
     quat = np.zeros((len(time), 4))
     quat[:, 0], quat[:, 3] = np.cos(0.5 * values), np.sin(0.5 * values)
-    return ReferenceMotion(time, quat)
+    return ReferenceMotion(time, quat, fixed=True)
 
 
 def _angles(path: Path, time: FloatArray, rate: FloatArray) -> FloatArray:

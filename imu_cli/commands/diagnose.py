@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from imu_cli.options import HeightOption, ImuOption, LatitudeOption, ProfileOption, choose_gravity
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from calib.calibration import Calibration, Quantity
     from calib.mismatch import Diagnosis, Finding
     from calib.model import SensorModel
@@ -38,6 +40,14 @@ def diagnose(
     reference_imu: Annotated[
         int | None, typer.Option(help="Which sensor of the reference's board, from 1.")
     ] = None,
+    fixed_point: Annotated[
+        bool,
+        typer.Option(
+            "--fixed-point",
+            help="REF has orientations only, and the body turned about a fixed point: a table of "
+            "several axes. (One axis, angles and rates are known to.)",
+        ),
+    ] = False,
     other_profile: Annotated[
         str | None,
         typer.Option(help="Import profile of SIM or REF, where that is a foreign log."),
@@ -83,6 +93,8 @@ def diagnose(
         )
     if reference_imu is not None and reference is None:
         raise typer.BadParameter("it needs --reference", param_hint="--reference-imu")
+    if fixed_point and reference is None:
+        raise typer.BadParameter("it needs --reference", param_hint="--fixed-point")
     if other_profile is not None and against is None and reference is None:
         raise typer.BadParameter("it needs --against or --reference", param_hint="--other-profile")
     known = None if calibration is None else load_calibration(calibration)
@@ -95,7 +107,9 @@ def diagnose(
         found = diagnose_against(real, simulated, gravity=local.value, model=model)
     elif reference is not None:
         real = read_recording(recording, profile=profile, imu=imu)
-        other = read_reference(reference, imu=reference_imu, profile=other_profile)
+        other = read_reference(
+            reference, imu=reference_imu, profile=other_profile, fixed=fixed_point
+        )
         found = diagnose_reference(real, other, gravity=local.value, model=model)
     else:
         found, real = _by_itself(recording, profile, imu, gravity=local.value, model=model)
@@ -202,8 +216,28 @@ def _show(found: Diagnosis) -> None:
             "even times were used.",
             soft_wrap=True,
         )
+    _show_notes(found.summary)
     for text in found.missing:
         warn(f"the recording lacks {text}")
+
+
+def _show_notes(summary: Mapping[str, Any]) -> None:
+    from imu_cli.output import console
+
+    out = console()
+    if "swapped_markers" in summary:
+        left = summary["swapped_markers"]
+        when = ", ".join(f"{a:.2f} to {b:.2f} s" for a, b in left["intervals"])
+        out.print(
+            f"\n{left['samples']} samples of the reference were left out: one marker was taken for "
+            f"another at {when}.",
+            soft_wrap=True,
+        )
+    if "silent" in summary:
+        out.print(
+            f"\nWithout noise: {summary['silent']}; they count as noisy as the quietest sensor is.",
+            soft_wrap=True,
+        )
 
 
 _VERDICTS = {

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from calib.rotation import quat_from_rotvec, quat_multiply
 from calib.simulation.library import make_motion
 from imu_cli.app import app
 
@@ -85,3 +86,60 @@ def test_a_table_whose_every_pose_is_known_is_consistent(tmp_path: Path) -> None
     assert abs(delay["value"] - 7.0) < 3.5 * delay["sigma"]
     assert not document["unexplained"]
     assert not document["missing"]
+
+
+def test_orientations_alone_of_a_body_that_may_be_carried_about_say_what_they_lack(
+    tmp_path: Path,
+) -> None:
+    """A table of several axes has to be said; swapped markers and silent channels are told."""
+    time = np.arange(0.0, 70.0, 1 / 80)
+    turning, path = motion_of("rate-table", 70.0).kinematics(time)
+    swapped = turning.quat.copy()
+    turn = quat_from_rotvec(np.tile([0.0, 0.3, 0.0], (30, 1)))
+    swapped[2400:2430] = quat_multiply(swapped[2400:2430], turn)
+    reference = tmp_path / "poses.csv"
+    columns = np.column_stack((time, swapped))
+    np.savetxt(
+        reference, columns, fmt="%.9f", delimiter=",", header="time,qw,qx,qy,qz", comments=""
+    )
+    log = simulated(tmp_path / "log.arrow", "rate-table", "70s")
+    command = ["diagnose", str(log), "--reference", str(reference)]
+    result = CliRunner().invoke(app, command)
+    assert result.exit_code == 0, result.output
+    assert "judged only at rest" in result.stderr
+    assert "--fixed-point" in result.stderr
+    assert "samples of the reference were left out" in result.stdout
+    said = CliRunner().invoke(app, [*command, "--fixed-point", "--json"])
+    assert said.exit_code == 0, said.output
+    document = json.loads(said.stdout)
+    assert not any("positions" in text for text in document["missing"])
+    left = document["recording"]["swapped_markers"]
+    assert 30 <= left["samples"] <= 40
+    ((first, last),) = left["intervals"]
+    assert first < 2400 / 80 < 2429 / 80 < last
+    with_positions = tmp_path / "more.csv"
+    columns = np.column_stack((columns, path.position))
+    np.savetxt(
+        with_positions,
+        columns,
+        fmt="%.9f",
+        delimiter=",",
+        header="time,qw,qx,qy,qz,x,y,z",
+        comments="",
+    )
+    refused = CliRunner().invoke(
+        app, ["diagnose", str(log), "--reference", str(with_positions), "--fixed-point"]
+    )
+    assert refused.exit_code != 0
+    assert "expected orientations alone" in refused.stderr
+    assert CliRunner().invoke(app, ["diagnose", str(log), "--fixed-point"]).exit_code == 2
+
+
+def test_channels_without_noise_are_told(commanded: Path, tmp_path: Path) -> None:
+    log = tmp_path / "exact.arrow"
+    command = ["simulate", "-o", str(log), "--motion", "record-player", "--duration", "60s"]
+    made = CliRunner().invoke(app, [*command, "--rate", "50", "--noise", "0"])
+    assert made.exit_code == 0, made.output
+    result = CliRunner().invoke(app, ["diagnose", str(log)])
+    assert result.exit_code == 0, result.output
+    assert "Without noise: accel.x" in result.stdout

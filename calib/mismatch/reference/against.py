@@ -31,9 +31,16 @@ from calib.types import FloatArray
 _OPEN = {"bias": 0.1, "scale_factor_error": 0.02, "misalignment": 0.02}
 """Standard errors (SI) of the baseline beyond which a recording cannot tell much."""
 
+NOWHERE = "positions in the reference"
+"""What shows those."""
+
 _LINEAR = {"time_offset": 0.02, "clock_scale": 1e-4, "reference_misalignment": 0.1}
 """Sizes (SI) up to which an alignment acts in proportion, so that it can be left out again to see
 what it is worth on held-out windows."""
+
+UNPLACED = ("accel_lever_arm", "accel_size_effect", "time_offset")
+"""What shows only where it is known what an accelerometer feels while it moves: its place, that of
+its axes, and its delay against the gyroscope."""
 
 _SELDOM_ALONE = ("earth_rate", "gravity_magnitude")
 """What is in a simulation's own signals already, or is a scale that the baseline has."""
@@ -149,6 +156,8 @@ def conclude(
     missing: tuple[str, ...] = (),
 ) -> Diagnosis:
     """Search, explain, and report alignments among ``setups`` as findings."""
+    if problem.judged is not None:
+        skip += UNPLACED
     skip += ("clock_scale", *(("reference_misalignment",) if problem.turned else ()))
     outcome = search(problem, skip=skip)
     outcome, model = _in_samples(outcome, problem.setup.model, problem.thin)
@@ -162,6 +171,11 @@ def conclude(
     keep = [i for i, n in enumerate(known) if n in problem.names or n.split(".")[0] in slugs]
     known, covariance = tuple(known[i] for i in keep), covariance[np.ix_(keep, keep)]
     open_ = _open(problem.names, fit)
+    if problem.judged is not None:
+        # What it lacks for one sensor is no lack for the other.
+        poses = [n for n in open_ if n.startswith("accel.")]
+        open_ = [n for n in open_ if n not in poses]
+        missing += _unplaced(problem, poses)
     if open_:
         missing += (f"motion that determines {', '.join(open_)}",)
     change, likelihood = changes(outcome)
@@ -176,7 +190,8 @@ def conclude(
             slug: effect.needs
             for slug, effect in effects().items()
             if slug not in shown and effect.kind == "sensor" and slug not in skip
-        },
+        }
+        | (dict.fromkeys(UNPLACED, NOWHERE) if problem.judged is not None else {}),
         changes=change,
         log_likelihood=likelihood,
         model=model,
@@ -228,6 +243,21 @@ def _the_same(finding: Finding, seen: Finding) -> bool:
         return False
     own = finding.parameters["moment"]
     return abs(own.value - seen.parameters["moment"].value) <= 3.0 * (own.sigma or 0.0)
+
+
+def _unplaced(problem: ComparisonProblem, poses: list[str]) -> tuple[str, ...]:
+    """Return what is lacked where positions are, and rests for the parameters of `poses`."""
+    assert problem.judged is not None
+    rest, whole = (float(n) * problem.interval for n in (problem.judged.sum(), len(problem.time)))
+    how = f"only at rest ({rest:.3g} s of {whole:.3g} s)" if rest else "not at all: nothing rests"
+    positions = (
+        f"{NOWHERE}: without them the accelerometer is judged {how}, and {', '.join(UNPLACED[:2])} "
+        "and its delay cannot be told; if the body turned about a fixed point, as on a table, say "
+        "so with --fixed-point"
+    )
+    if not (rest and poses):
+        return (positions,)
+    return positions, f"rests in poses that determine {', '.join(poses)}"
 
 
 def _open(names: tuple[str, ...], fit: Estimate) -> list[str]:

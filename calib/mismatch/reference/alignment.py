@@ -52,6 +52,11 @@ class Alignment:
         """Return the reference's times at the recording's times."""
         return np.asarray(time + self.offset + self.stretch * (time - self.middle))
 
+    def moments(self, time: FloatArray) -> FloatArray:
+        """Return the recording's times at the reference's times."""
+        early = time - self.offset + self.stretch * self.middle
+        return np.asarray(early / (1.0 + self.stretch))
+
     def moved(self, offset: float, stretch: float) -> Alignment:
         """Return the alignment with both changed."""
         return Alignment(

@@ -35,7 +35,8 @@ class Blur(NamedTuple):
     are independent, as a share. Where the noise of the n points is white, it is not afterwards; if
     the blur ``whitens``, it is the other way round: of white noise that comes on top (shaking) the
     shares ``white`` are seen on accelerometer and gyroscope, and slow noise whole. What shakes at
-    one moment is ``heard`` around it, through the low-pass too: so its variance is spread.
+    one moment is ``heard`` around it, through the low-pass too: so its variance is spread. Where
+    the truth knows forces at rest only, the accelerometer is ``judged`` at some of the m points.
     """
 
     matrices: tuple[sparse.csr_matrix, sparse.csr_matrix]
@@ -44,6 +45,18 @@ class Blur(NamedTuple):
     whitens: bool = False
     white: tuple[float, float] = (1.0, 1.0)
     heard: tuple[FloatArray, FloatArray] = (np.ones(1), np.ones(1))
+    judged: BoolArray | None = None
+
+    def judging(self, points: BoolArray) -> Blur:
+        """Return the blur that sees nothing of the accelerometer but these of the n points."""
+        own = (self.matrices[0] @ sparse.diags(points.astype(float))).tocsr()
+        return self._replace(matrices=(own, self.matrices[1]), judged=points[self.seen])
+
+    def counts(self, channel: int) -> BoolArray:
+        """Return which of the m points tell of a channel."""
+        if self.judged is None or channel >= 3:
+            return np.ones(len(self.seen), bool)
+        return self.judged
 
 
 class Colour(NamedTuple):

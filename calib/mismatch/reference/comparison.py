@@ -20,6 +20,7 @@ from calib.effects.observed import observed
 from calib.errors import NoCommonMotionError
 from calib.mismatch.reference.alignment import LEAST_OVERLAP, Alignment
 from calib.mismatch.reference.alike import check_motion, check_units
+from calib.mismatch.reference.band import FELT
 from calib.mismatch.reference.captured import Known, sensor_densities
 from calib.mismatch.reference.carried import (
     NAMES,
@@ -30,7 +31,7 @@ from calib.mismatch.reference.carried import (
     rough_arm,
     true_force,
 )
-from calib.mismatch.reference.colour import WHITE, Colour, find_colour, gaussian, whitening
+from calib.mismatch.reference.colour import WHITE, Blur, Colour, find_colour, gaussian, whitening
 from calib.mismatch.reference.scatter import scatter
 from calib.mismatch.reference.truths import RecordingTruth
 from calib.mismatch.reference.visible import catalogue_shapes
@@ -111,6 +112,8 @@ class ComparisonProblem:
         sensor vibrates, and when it is at rest: what effects are functions of is still then. Noise
         that is in the differences and in a column as well would be a scale factor error of that
         rest. The differences keep it: it is white there.
+    notes : mapping, optional
+        What was done to the truth before, for the summary.
     """
 
     reference = True
@@ -129,7 +132,9 @@ class ComparisonProblem:
         blur: float = 0.0,
         band: float = 0.0,
         raw: Recording | None = None,
+        notes: Mapping[str, object] | None = None,
     ) -> None:
+        self.notes = notes or {}
         self.truth, self.gravity = truth, gravity
         self.turned = mat_sr is not None
         covered = truth.covers(alignment.times(real.time))
@@ -144,11 +149,7 @@ class ComparisonProblem:
         self.index = np.flatnonzero(covered)
         self.time = real.time[self.index]
         self.band, self.interval, self.unresolved = band, real.interval, blur > 0
-        self.blur = (
-            whitening(self.time, [WHITE, WHITE], self.interval, band)
-            if band
-            else gaussian(self.time, blur, real.interval)
-        )
+        self.judged: BoolArray | None = None
         self.measured = np.hstack((real.accel, real.gyro))[self.index]
         self.temperature = (
             None
@@ -169,6 +170,13 @@ class ComparisonProblem:
                 self.densities = sensor_densities(raw, np.stack((poses.start, poses.stop), axis=1))
             edges = np.stack((raw.time[poses.start], raw.time[poses.stop - 1]), axis=1)
             self.rests = np.searchsorted(self.time, edges)
+        if not truth.placed:
+            self.judged = self._at_rest(shaken)
+        self.blur = self._judging(
+            whitening(self.time, [WHITE, WHITE], self.interval, band)
+            if band
+            else gaussian(self.time, blur, real.interval)
+        )
         level = start.gyro.bias if not len(self.rests) else np.median(poses.gyro, axis=0)
         still = State(shaken.time, shaken.accel, shaken.gyro - level)
         variance = observed(still, ("vibration",)).vibration
@@ -222,7 +230,24 @@ class ComparisonProblem:
         )
         if self.gyroscopic:
             state = replace(state, force=true_force(state, arm_of(self.setup.model), errors))
+        if self.judged is not None:
+            # What it feels between rests nothing tells but the accelerometer itself.
+            own = model.accel.correct(self.measured[:, :3])
+            state = replace(state, force=np.where(self.judged[:, None], state.force, own))
         return observed(state, ("since_turn", "turning"))
+
+    def _at_rest(self, shaken: Recording) -> BoolArray:
+        """Return which points are at rest, and feel no motion through a low-pass either."""
+        out = np.zeros(len(self.time), bool)
+        poses = find_poses(shaken)
+        felt = FELT / self.band if self.band else 0.0
+        for a, b in zip(poses.start, poses.stop, strict=True):
+            first, last = shaken.time[a] + felt, shaken.time[b - 1] - felt
+            out |= (self.time >= first) & (self.time <= last)
+        return out
+
+    def _judging(self, blur: Blur) -> Blur:
+        return blur if self.judged is None else blur.judging(self.judged)
 
     def move(
         self, baseline: Mapping[str, float], nuisance: FloatArray, terms: tuple[Term, ...]
@@ -295,12 +320,21 @@ class ComparisonProblem:
     def _stilled(self, state: State) -> State:
         force, rate = state.force.copy(), state.rate.copy()
         turning, gradient = state.rate_dot.copy(), state.gradient.copy()
+        mat = None if state.mat_ns is None else state.mat_ns.copy()
         for a, b in self.rests:
             if b > a:
                 force[a:b], rate[a:b] = force[a:b].mean(axis=0), rate[a:b].mean(axis=0)
                 turning[a:b], gradient[a:b] = 0.0, 0.0
+                if mat is not None:
+                    u, _, vt = np.linalg.svd(mat[a:b].mean(axis=0))
+                    mat[a:b] = u @ vt
         return replace(
-            state, force=force, rate=rate, angular_acceleration=turning, known_gradient=gradient
+            state,
+            force=force,
+            rate=rate,
+            mat_ns=mat,
+            angular_acceleration=turning,
+            known_gradient=gradient,
         )
 
     def _gradient(self, given: FloatArray | None, mat: FloatArray) -> FloatArray | None:
@@ -343,6 +377,8 @@ class ComparisonProblem:
             if k > 3 and np.abs(step).max() < 1e-7:
                 break
             state = self.state()
+            if self.judged is not None:
+                continue
             arm = arm + rough_arm(self.setup.model.felt(state), self.residual(state)[:, :3])
             self._give((*given, arm_term(arm)) if arm.any() else given)
         self._give(given)
@@ -364,10 +400,13 @@ class ComparisonProblem:
         turning = float(np.quantile(np.linalg.norm(state.rate, axis=1), FAST))
         steepest = (2 * np.pi / max(turning, 1e-3)) ** 2
         colours = [
-            find_colour(self.time, left[:, own], self.interval, self.band, steepest=steepest)
-            for own in (slice(0, 3), slice(3, 6))
+            find_colour(self.time[at], left[at, own], self.interval, self.band, steepest=steepest)
+            for own, at in (
+                (slice(0, 3), slice(None) if self.judged is None else self.judged),
+                (slice(3, 6), slice(None)),
+            )
         ]
-        self.blur = whitening(self.time, colours, self.interval, self.band)
+        self.blur = self._judging(whitening(self.time, colours, self.interval, self.band))
         self.colours = colours
 
     def _nuisance(self, state: State, name: str) -> Mapping[str, FloatArray]:

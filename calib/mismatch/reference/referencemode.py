@@ -48,8 +48,15 @@ BEYOND = 4.0
 it takes 2e-5. A rate is a product of orientations, and a force of one and an acceleration: the
 noise of one times that of the other would be noise at any frequency."""
 
+EXACT = 1e-4
+"""Of a quaternion that no system sees, but that rounding to four digits leaves: a motion captured
+is never so much about one axis, a table's profile is."""
+
 BRIDGE = 8
 """Samples beside an end, or a gap, after which a spline has forgotten it to a hundredth."""
+
+SWAPPED = "swapped_markers"
+"""Of the summary: what was left out, as one marker was taken for another."""
 
 SETUPS = ("time_offset", "clock_scale", "reference_misalignment")
 
@@ -76,11 +83,14 @@ class ReferenceMotion:
         Scalar first, ``mat_ns`` or its inverse (the recording tells which); rows that are not
         finite are gaps.
     position : (n, 3) array, m, or None
+    fixed : bool
+        Whether the body is said to turn about a fixed point, as on a table of several axes.
     """
 
     time: FloatArray
     quat: FloatArray
     position: FloatArray | None = None
+    fixed: bool = False
 
     @property
     def known(self) -> BoolArray:
@@ -89,6 +99,19 @@ class ReferenceMotion:
         if self.position is not None:
             good &= np.isfinite(self.position).all(axis=1)
         return np.asarray(good)
+
+    @property
+    def placed(self) -> bool:
+        """Whether it is known where the body's point is while it moves.
+
+        It is where positions are given, or the point is fixed: that is said, or the body turns
+        about one axis and nothing else, as a table does and nothing that is carried.
+        """
+        if self.position is not None or self.fixed:
+            return True
+        quat = self.quat[self.known]
+        # Turns about one axis lie in a plane through the origin.
+        return bool(np.linalg.eigvalsh(quat.T @ quat)[1] < EXACT**2 * len(quat))
 
     def evened(self) -> ReferenceMotion:
         """Return it with times of a steady clock, if what it saw was taken evenly."""
@@ -134,7 +157,7 @@ class ReferenceMotion:
         # At its ends the derivatives of a spline are loose.
         inner = slice(BRIDGE, -BRIDGE)
         recording = Recording(time[inner], force[inner], rate[inner], "device")
-        return RecordingTruth(recording, gravity, bridged[inner], quat[inner])
+        return RecordingTruth(recording, gravity, bridged[inner], quat[inner], placed=self.placed)
 
     def inverted(self) -> ReferenceMotion:
         """Return the reference with the inverse orientations."""
@@ -175,9 +198,13 @@ def diagnose_reference(
         if still:
             return undetermined(still, summary)
     elif reference.position is None:
-        summary["position"] = "not known: the point of the reference counts as at rest"
+        summary["position"] = (
+            "not known: the point of the reference counts as at rest"
+            if reference.placed
+            else "not known: the accelerometer is judged only at rest"
+        )
     problem, skip = compare_reference(real, reference, seen, gravity=gravity, model=model)
-    return conclude(problem, seen, summary, setups=SETUPS, skip=skip)
+    return conclude(problem, seen, {**summary, **problem.notes}, setups=SETUPS, skip=skip)
 
 
 def compare_reference(
@@ -189,6 +216,7 @@ def compare_reference(
     model: SensorModel | None = None,
 ) -> tuple[ComparisonProblem, tuple[str, ...]]:
     """Align a reference with a recording; return what to compare, and what cannot show."""
+    notes: dict[str, object] = {}
     if isinstance(reference, Recording):
         alignment = align(real.time, real.gyro, reference.time, reference.gyro)
         mat = mounting(real, RecordingTruth(reference, gravity), alignment)[0]
@@ -201,7 +229,7 @@ def compare_reference(
         truth = RecordingTruth(reference, gravity, known.spoilt)
         common = matched(real, truth, alignment, mat, spoilt=seen.spoilt)
     else:
-        common, alignment, mat = _captured(real, reference, gravity, seen.spoilt)
+        common, alignment, mat, notes = _captured(real, reference, gravity, seen.spoilt)
     problem = ComparisonProblem(
         common.real,
         common.truth,
@@ -213,6 +241,7 @@ def compare_reference(
         blur=common.blur,
         band=common.band,
         raw=real if common.limited else None,
+        notes=notes,
     )
     # What both were limited to hides the sensor's own low-pass. Where samples do not resolve the
     # motion, one that is lost cannot be told from motion either.
@@ -222,12 +251,14 @@ def compare_reference(
 
 def _captured(
     real: Recording, reference: ReferenceMotion, gravity: float, spoilt: BoolArray
-) -> tuple[Matched, Alignment, FloatArray]:
-    """Align a captured motion, and limit both to the band that they share."""
+) -> tuple[Matched, Alignment, FloatArray, dict[str, object]]:
+    """Align a captured motion, and limit both to the band that they share; say what is left out."""
     ways = (_placed(real, way, gravity) for way in (reference, reference.inverted()))
     reference, truth, alignment, mat, _ = min(ways, key=lambda placed: placed.error)
     bad = swapped(reference.time, reference.quat, real, alignment, mat)
+    notes: dict[str, object] = {}
     if bad.any():
+        notes[SWAPPED] = _left_out(reference, bad, alignment)
         seen = replace(reference, quat=np.where(bad[:, None], np.nan, reference.quat))
         reference, truth, alignment, mat, _ = _placed(real, seen, gravity)
     forces = reference.position is not None
@@ -235,7 +266,16 @@ def _captured(
     if common.band and BEYOND * common.band < 0.5 / truth.recording.interval:
         truth = reference.truth(gravity=gravity, bandwidth=BEYOND * common.band)
         common = limited(real, truth, common.band, spoilt)
-    return common, alignment, mat
+    return common, alignment, mat, notes
+
+
+def _left_out(
+    reference: ReferenceMotion, bad: BoolArray, alignment: Alignment
+) -> dict[str, object]:
+    """Return how many samples are left out, and when, in the recording's time."""
+    edges = np.flatnonzero(np.diff(bad, prepend=False, append=False)).reshape(-1, 2) - [0, 1]
+    at = alignment.moments(reference.time[edges])
+    return {"samples": int((bad & reference.known).sum()), "intervals": at.round(3).tolist()}
 
 
 def _placed(real: Recording, reference: ReferenceMotion, gravity: float) -> _Placed:

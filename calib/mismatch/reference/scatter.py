@@ -82,7 +82,11 @@ def scatter(
         y = matrix @ left[:, c]
         heard = np.stack([_spread(part, blur.heard[c // 3]) for part in parts.T], axis=1)
         seen = heard[blur.seen] if blur.whitens else matrix.power(2) @ heard
-        share = _of_parts(seen, y, design, blur.power)
+        counts = blur.counts(c)
+        if not counts.any():
+            variance[:, c] = 1.0
+            continue
+        share = _of_parts(seen[counts], y[counts], design[counts], blur.power)
         known = seen @ share
         share[1:] /= blur.white[c // 3]
         variance[:, c] = heard @ share

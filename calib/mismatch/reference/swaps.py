@@ -47,7 +47,7 @@ def swapped(
     from scipy.ndimage import median_filter  # only this needs it
 
     out = np.zeros(len(time), bool)
-    own = (time - alignment.offset + alignment.stretch * alignment.middle) / (1 + alignment.stretch)
+    own = alignment.moments(time)
     good = np.flatnonzero(
         np.isfinite(quat).all(axis=1) & (own > real.time[0]) & (own < real.time[-1])
     )
@@ -73,9 +73,14 @@ def swapped(
     every = max(1, round(WINDOW / POINTS / float(np.median(np.diff(at)))))
     width = round(WINDOW / (every * float(np.median(np.diff(at)))))
     middle = median_filter(total[::every], size=(width, 1), mode="nearest")
-    far = np.abs(
+    about = np.abs(
         total - np.stack([np.interp(at, at[::every], column) for column in middle.T], axis=1)
     )
-    limit = FAR * np.median(far, axis=0) / 0.6745 + LEAST
+    limit = FAR * np.median(about, axis=0) / 0.6745 + LEAST
+    # A gap is a step, and of two points beside it one may be on either side: between two points of
+    # the median nothing is far from both that is between them.
+    k = np.arange(len(total)) // every
+    ends = middle[k], middle[np.minimum(k + 1, len(middle) - 1)]
+    far = np.maximum(np.minimum(*ends) - total, total - np.maximum(*ends))
     out[good] = (far > limit).any(axis=1)
     return np.asarray(np.convolve(out, np.ones(2 * REACH + 1), mode="same") > 0)

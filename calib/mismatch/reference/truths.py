@@ -46,7 +46,8 @@ class RecordingTruth:
 
     ``spoilt`` marks samples that are not to be believed (clipped). ``quat`` (n, 4) are orientations
     ``mat_ns``, where they are known; neighbours have one sign. ``gradient`` (n, 3, 3) is that of
-    the motion, where the signals themselves do not tell it (`State.known_gradient`).
+    the motion, where the signals themselves do not tell it (`State.known_gradient`). Unless it is
+    ``placed``, its forces are those of a body at rest: where its point moved nobody knows.
     """
 
     recording: Recording
@@ -54,6 +55,7 @@ class RecordingTruth:
     spoilt: BoolArray | None = None
     quat: FloatArray | None = None
     gradient: FloatArray | None = None
+    placed: bool = True
     _good: FloatArray = field(init=False)
     _spline: BSpline = field(init=False)
 

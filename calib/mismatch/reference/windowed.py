@@ -6,7 +6,7 @@ In each window and on each channel a difference is projected on its mean and on 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import sparse
@@ -65,7 +65,8 @@ class Shapes:
 
     ``noise`` (k, 6) is the variance of a window's points. Where that is not the same throughout,
     ``scatter`` tells of every point but for a factor of each window, and the shapes are those of
-    points in units of its root.
+    points in units of its root. Where the accelerometer is not judged everywhere, ``told`` (k,)
+    says in which windows it is.
     """
 
     first: IntArray
@@ -75,14 +76,26 @@ class Shapes:
     vectors: tuple[FloatArray, ...]
     noise: FloatArray
     scatter: Scatter | None = None
+    told: BoolArray | None = None
 
 
-def cut(time: FloatArray) -> tuple[IntArray, IntArray]:
-    """Return windows ``[first, last)`` of equal length with at least 12 points each."""
+def cut(time: FloatArray, judged: BoolArray | None = None) -> tuple[IntArray, IntArray]:
+    """Return windows ``[first, last)`` of equal length with at least 12 points each.
+
+    Where the accelerometer is ``judged``, (n,) bool, in parts only, windows begin and end with
+    these.
+    """
     span = time[-1] - time[0]
     count = int(np.clip(span / SHORTEST, 1, SEGMENTS))
-    edges = np.searchsorted(time, time[0] + span * np.arange(count + 1) / count)
+    even = time[0] + span * np.arange(count + 1) / count
+    edges = np.searchsorted(time, even)
     edges[-1] = len(time)
+    if judged is not None:
+        turns = np.flatnonzero(np.diff(judged)) + 1
+        away = np.abs(even[:, None] - time[turns]).min(axis=1, initial=np.inf)
+        edges = np.unique(
+            np.concatenate(([0, len(time)], turns, edges[away > 0.5 * even[1] - 0.5 * even[0]]))
+        )
     keep = np.diff(edges) >= 12
     return edges[:-1][keep], edges[1:][keep]
 
@@ -108,7 +121,10 @@ def find_shapes(
     scatter : Scatter, optional
         Without, points are as noisy throughout a window.
     """
-    first, last = cut(time[blur.seen])
+    first, last = cut(time[blur.seen], blur.judged)
+    judged = np.stack(
+        [[blur.counts(c)[a:b].all() for c in range(6)] for a, b in zip(first, last, strict=True)]
+    )
     noise, free = np.empty((len(first), 6)), np.empty((len(first), 6))
     size = _sizes(scatter, blur)
     seen_of = np.ones_like(size) if scatter is None else scatter.seen
@@ -121,9 +137,14 @@ def find_shapes(
         own = matrix @ np.stack([v for channel, v in columns if channel == name], axis=1)
         own /= size[:, c, None]
         seen = matrix @ left[:, c] / size[:, c]
-        rough = float(np.median(np.abs(np.diff(seen, n=2)))) / 0.6745 / np.sqrt(6.0)
+        counts = blur.counts(c)
+        counts = counts[2:] & counts[:-2] if counts.any() else ~counts[2:]
+        rough = float(np.median(np.abs(np.diff(seen, n=2))[counts])) / 0.6745 / np.sqrt(6.0)
         rough = max(rough, 1e-9)
         for s, (a, b) in enumerate(zip(first, last, strict=True)):
+            if not judged[s, c]:
+                noise[s, c], free[s, c] = 0.0, 1.0
+                continue
             mean = 1.0 / size[a:b, c]
             mean /= np.linalg.norm(mean)
             part = own[a:b] - np.outer(mean, mean @ own[a:b])
@@ -140,7 +161,7 @@ def find_shapes(
             free[s, c] = max(many - 1 - shapes.shape[1], LEAST_FREE * many)
             noise[s, c] = float(rest @ rest) / free[s, c]
             found += [(float(v), s, c, x) for v, x in zip(strength[keep], shapes.T, strict=True)]
-    noise = _levelled(noise, free, independent, blur.white)
+    noise = _levelled(noise, free, independent, blur.white, judged)
     noise *= _of_windows(size, first, last)
     strongest = sorted(found, key=lambda item: -item[0])[:SHAPES]
     strongest.sort(key=lambda item: (item[2], item[1]))
@@ -152,6 +173,7 @@ def find_shapes(
         tuple(item[3] for item in strongest),
         noise,
         scatter,
+        None if blur.judged is None else judged[:, 0],
     )
 
 
@@ -180,17 +202,22 @@ def _levelled(
     free: FloatArray,
     independent: FloatArray,
     white: tuple[float, float],
+    judged: BoolArray,
 ) -> FloatArray:
     """Return the noise of windows (k, 6): that of most of them, or more where there is more.
 
     Where shapes take up most of a window, little of its noise is left to be seen. What is more is
-    not of the colour of the rest: it is taken as white, of which the share ``white`` is seen.
+    not of the colour of the rest: it is taken as white, of which the share ``white`` is seen. What
+    was not ``judged`` (k, 6) says nothing.
     """
-    out = np.empty_like(noise)
+    out = np.ones_like(noise)
     for c in range(6):
-        told = free[:, c] > 0.5 * independent[:, c]
+        own = judged[:, c]
+        if not own.any():
+            continue
+        told = own & (free[:, c] > 0.5 * independent[:, c])
         if told.sum() < 5:
-            told = free[:, c] >= np.quantile(free[:, c], 0.8)
+            told = own & (free[:, c] >= np.quantile(free[own, c], 0.8))
         most = max(float(np.median(noise[told, c])), 1e-18)
         beyond = noise[:, c] > most * (1.0 + BEYOND * np.sqrt(2.0 / free[:, c]))
         more = (noise[:, c] - most) / white[c // 3]
@@ -278,7 +305,7 @@ def make_rows(
         matrix += np.diag(means * share[segment[:dense], channel[:dense]])
         slow = _besides("slow", means, np.ones(dense, bool), channel[:dense], SLOW, SPREAD)
         density = np.square(np.repeat(known[:2], 3))
-    return Rows(
+    rows = Rows(
         residual=residual,
         baseline=np.stack([column(baseline_column(x, state)) for x in names], axis=1),
         names=names,
@@ -304,6 +331,10 @@ def make_rows(
         restless=restless,
         prior=prior,
     )
+    if shapes.told is None:
+        return rows
+    rows = rows.without((channel < 3) & ~shapes.told[segment])
+    return replace(rows, components=tuple(c for c in rows.components if len(c.index)))
 
 
 def _besides(
