@@ -33,6 +33,7 @@ from calib.mismatch.reference.carried import (
 )
 from calib.mismatch.reference.colour import WHITE, Blur, Colour, find_colour, gaussian, whitening
 from calib.mismatch.reference.scatter import scatter
+from calib.mismatch.reference.stilled import gradient_in, resting, stilled
 from calib.mismatch.reference.truths import RecordingTruth
 from calib.mismatch.reference.visible import catalogue_shapes
 from calib.mismatch.reference.windowed import Shapes, find_shapes, make_rows, robust_step
@@ -171,7 +172,7 @@ class ComparisonProblem:
             edges = np.stack((raw.time[poses.start], raw.time[poses.stop - 1]), axis=1)
             self.rests = np.searchsorted(self.time, edges)
         if not truth.placed:
-            self.judged = self._at_rest(shaken)
+            self.judged = resting(self.time, shaken, felt=FELT / band if band else 0.0)
         self.blur = self._judging(
             whitening(self.time, [WHITE, WHITE], self.interval, band)
             if band
@@ -217,7 +218,7 @@ class ComparisonProblem:
             force=state.force @ mat.T,
             rate=state.rate @ mat.T,
             angular_acceleration=None if given is None else given @ mat.T,
-            known_gradient=self._gradient(state.known_gradient, mat),
+            known_gradient=gradient_in(mat, state.known_gradient, self.rests),
             mat_ns=None if state.mat_ns is None else state.mat_ns @ mat.T,
             temperature=self.temperature,
             temperature_slope=None,
@@ -235,16 +236,6 @@ class ComparisonProblem:
             own = model.accel.correct(self.measured[:, :3])
             state = replace(state, force=np.where(self.judged[:, None], state.force, own))
         return observed(state, ("since_turn", "turning"))
-
-    def _at_rest(self, shaken: Recording) -> BoolArray:
-        """Return which points are at rest, and feel no motion through a low-pass either."""
-        out = np.zeros(len(self.time), bool)
-        poses = find_poses(shaken)
-        felt = FELT / self.band if self.band else 0.0
-        for a, b in zip(poses.start, poses.stop, strict=True):
-            first, last = shaken.time[a] + felt, shaken.time[b - 1] - felt
-            out |= (self.time >= first) & (self.time <= last)
-        return out
 
     def _judging(self, blur: Blur) -> Blur:
         return blur if self.judged is None else blur.judging(self.judged)
@@ -273,7 +264,7 @@ class ComparisonProblem:
         """Return recording minus model of the truth."""
         state = self.state()
         left = self.residual(state)
-        state = self._stilled(state)
+        state = stilled(state, self.rests)
         # The sensor's errors act on what it feels where it is. Of a motion that is not resolved
         # that is not known: it would be noise, and the same in many columns.
         felt = state if self.unresolved else self.setup.model.felt(state)
@@ -316,35 +307,6 @@ class ComparisonProblem:
         angle = gyro * np.sqrt(self.colours[1].square) / (2.0 * np.pi)
         own = min(self.densities[0], accel), min(self.densities[1], gyro)
         return Known(*own, angle, self.interval)
-
-    def _stilled(self, state: State) -> State:
-        force, rate = state.force.copy(), state.rate.copy()
-        turning, gradient = state.rate_dot.copy(), state.gradient.copy()
-        mat = None if state.mat_ns is None else state.mat_ns.copy()
-        for a, b in self.rests:
-            if b > a:
-                force[a:b], rate[a:b] = force[a:b].mean(axis=0), rate[a:b].mean(axis=0)
-                turning[a:b], gradient[a:b] = 0.0, 0.0
-                if mat is not None:
-                    u, _, vt = np.linalg.svd(mat[a:b].mean(axis=0))
-                    mat[a:b] = u @ vt
-        return replace(
-            state,
-            force=force,
-            rate=rate,
-            mat_ns=mat,
-            angular_acceleration=turning,
-            known_gradient=gradient,
-        )
-
-    def _gradient(self, given: FloatArray | None, mat: FloatArray) -> FloatArray | None:
-        """Return a truth's gradient in frame s, without what squares of its noise are at rest."""
-        if given is None:
-            return None
-        still = [given[a:b].sum(axis=0) for a, b in self.rests if b > a]
-        if still:
-            given = given - np.sum(still, axis=0) / np.maximum(np.diff(self.rests), 0).sum()
-        return np.asarray(mat @ given @ mat.T)
 
     @property
     def loose(self) -> FloatArray:

@@ -1,0 +1,53 @@
+"""Rests of a recording that is compared: where what effects are functions of is still."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from calib.effects.base import State
+from calib.recording import Recording
+from calib.statics import find_poses
+from calib.types import BoolArray, FloatArray, IntArray
+
+
+def resting(time: FloatArray, shaken: Recording, *, felt: float) -> BoolArray:
+    """Return which of (n,) times are at rest, and so far (s) from motion that none is felt."""
+    out = np.zeros(len(time), bool)
+    poses = find_poses(shaken)
+    for a, b in zip(poses.start, poses.stop, strict=True):
+        out |= (time >= shaken.time[a] + felt) & (time <= shaken.time[b - 1] - felt)
+    return out
+
+
+def stilled(state: State, rests: IntArray) -> State:
+    """Return a state that is still in its (k, 2) rests, samples ``[first, last)``."""
+    force, rate = state.force.copy(), state.rate.copy()
+    turning, gradient = state.rate_dot.copy(), state.gradient.copy()
+    mat = None if state.mat_ns is None else state.mat_ns.copy()
+    for a, b in rests:
+        if b > a:
+            force[a:b], rate[a:b] = force[a:b].mean(axis=0), rate[a:b].mean(axis=0)
+            turning[a:b], gradient[a:b] = 0.0, 0.0
+            if mat is not None:
+                u, _, vt = np.linalg.svd(mat[a:b].mean(axis=0))
+                mat[a:b] = u @ vt
+    return replace(
+        state,
+        force=force,
+        rate=rate,
+        mat_ns=mat,
+        angular_acceleration=turning,
+        known_gradient=gradient,
+    )
+
+
+def gradient_in(mat: FloatArray, given: FloatArray | None, rests: IntArray) -> FloatArray | None:
+    """Return a truth's gradient in frame `mat`, without what squares of its noise are at rest."""
+    if given is None:
+        return None
+    still = [given[a:b].sum(axis=0) for a, b in rests if b > a]
+    if still:
+        given = given - np.sum(still, axis=0) / np.maximum(np.diff(rests), 0).sum()
+    return np.asarray(mat @ given @ mat.T)
