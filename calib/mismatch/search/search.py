@@ -6,6 +6,7 @@ the physics of the catalogue against each other and against honest rivals.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -146,7 +147,8 @@ def choose(rows: Rows, ranking: Ranking, accepted: list[Accepted]) -> Candidate 
     """Return what explains most: physics, unless the rivals together are more probable.
 
     An event where something is unexplained already is part of that, and gets no name of its own.
-    What an effect leaves that was found already is no second finding of it.
+    What an effect leaves that was found already is no second finding of it. What no channel of it
+    shows is another cause, and lends it no weight.
     """
     best = ranking.best
     groups = {
@@ -168,6 +170,18 @@ def choose(rows: Rows, ranking: Ranking, accepted: list[Accepted]) -> Candidate 
         ):
             # Nor does it lend its weight to a name that is less probable.
             return None
+    chosen = _most_probable(rows, ranking, groups, accepted)
+    if chosen is None:
+        return None
+    alike = [v for g, v in groups.items() if set(best[g].channels) & set(chosen.channels)]
+    return chosen if logsumexp(alike) >= np.log(CLAIM) else None
+
+
+def _most_probable(
+    rows: Rows, ranking: Ranking, groups: Mapping[str, float], accepted: list[Accepted]
+) -> Candidate | None:
+    """Return the best of the more probable side, physics or rivals, by what the groups count."""
+    best = ranking.best
     physical = [g for g in groups if best[g].physical]
     rival = [g for g in groups if not best[g].physical]
     top = max(physical, key=lambda g: groups[g], default=None)

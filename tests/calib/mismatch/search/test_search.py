@@ -73,7 +73,7 @@ def test_what_a_drift_can_mimic_is_not_passed_over_for_a_poorer_rival(stacked):
 def test_a_name_that_is_less_probable_than_rivals_needs_the_claim_by_itself(stacked):
     rows, stack = stacked
     effect = candidate(stack, "gyro_g_sensitivity", ("gxx",))
-    wave = next(c for c in stack.candidates if c.group == "wave in a window gyro.z")
+    wave = next(c for c in stack.candidates if c.group == "wave in a window gyro.x")
     best = {c.group: c for c in (effect, wave)}
 
     def chosen(physics, rival):
@@ -84,6 +84,23 @@ def test_a_name_that_is_less_probable_than_rivals_needs_the_claim_by_itself(stac
     assert chosen(1.5, 2.0) is effect
     assert chosen(0.9, 0.8) is effect
     assert chosen(0.9, 1.4) is wave
+
+
+def test_causes_on_other_channels_lend_no_weight(stacked):
+    rows, stack = stacked
+    gyro = candidate(stack, "gyro_g_sensitivity", ("gxx",))
+    accel = candidate(stack, "accel_cubic", ("kx",))
+    wave = next(c for c in stack.candidates if c.group == "wave in a window gyro.x")
+    best = {c.group: c for c in (gyro, accel, wave)}
+
+    def chosen(groups):
+        ranking = Ranking(stack, np.zeros(0), best, groups, expected_levels(rows))
+        assert ranking.claims
+        return choose(rows, ranking, [])
+
+    assert chosen({gyro.group: 1.0, accel.group: 0.5}) is None
+    assert chosen({gyro.group: 1.0, wave.group: 0.5}) is gyro
+    assert chosen({gyro.group: 1.2, accel.group: 0.5}) is gyro
 
 
 def test_low_passes_of_unlike_channels_stay_apart(stacked):
