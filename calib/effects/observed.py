@@ -26,6 +26,10 @@ LOOK = 1.0
 MOVES = 5.0
 """Standard deviations at rest from which on a rate is that of a turn."""
 
+CREEPING = 2e-3
+"""rad/s below which none is, however quiet the rest: a table's profile has no noise, and a low-pass
+rings after a turn."""
+
 TURN_REACH = STEADY + PAUSE + LOOK
 """s on either side of a moment that decide whether a turn is under way."""
 
@@ -82,7 +86,8 @@ def _edge(time: FloatArray, rate: FloatArray, last: int, following: float) -> fl
     if len(rest) < 2:
         return now
     a, b = np.searchsorted(time, (now - STEADY, now + LOOK - PAUSE))
-    off = np.abs(rate[a : min(b, stop)] - rest.mean(axis=0)) > MOVES * rest.std(axis=0)
+    most = np.maximum(MOVES * rest.std(axis=0), CREEPING)
+    off = np.abs(rate[a : min(b, stop)] - rest.mean(axis=0)) > most
     moves = np.flatnonzero(off.any(axis=1))
     return float(time[a + moves[-1]]) if len(moves) else now
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from scipy.signal import butter, sosfiltfilt
 
 from calib.effects.base import State, Term
 from calib.effects.observed import observed_turns, since_and_during
@@ -105,6 +106,17 @@ def test_turns_end_when_the_hand_stops(rate: float) -> None:
         assert late.min() > -2 / rate
         assert late.max() < 0.09
         assert np.median(late) < 0.05
+
+
+def test_what_rings_after_a_turn_without_noise_is_none() -> None:
+    time = np.arange(0.0, 10.0, 0.01)
+    rate = np.zeros((len(time), 3))
+    during = (time > 3.0) & (time < 4.0)
+    rate[during, 2] = 1.5 * np.sin(np.pi * (time[during] - 3.0)) ** 2
+    seen = sosfiltfilt(butter(4, 8.0, fs=100.0, output="sos"), rate, axis=0)
+    starts, ends = observed_turns(time, seen)
+    assert starts == pytest.approx([3.0], abs=0.05)
+    assert ends == pytest.approx([4.0], abs=0.05)
 
 
 def test_a_pause_on_the_way_ends_no_turn_and_what_shakes_is_none() -> None:
