@@ -21,6 +21,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.special import logsumexp
 
 from calib.mismatch.hypotheses.candidates import Sums
 from calib.mismatch.hypotheses.score import SCALES, SHARES, Stack, present_factors
@@ -77,6 +78,11 @@ def e_values(rows: Rows, stack: Stack, rng: np.random.Generator, draws: int) -> 
         match = columns.T @ y
         for each in known:
             out[some] += each.e_value(match)
+        if not first:
+            # All draws at once are a sum of their own: the first is scored by the engine as well.
+            engine = stack.log_bayes_factors(whitener, y[:, 0])
+            weight = np.log([c.weight for c in stack.candidates])
+            assert np.isclose(np.log(out[0]), logsumexp(engine + weight), atol=1e-6)
     return np.log(out)
 
 

@@ -70,8 +70,9 @@ def swapped(
     usual = usual < FAR * np.median(usual)
     left = left - design @ np.linalg.lstsq(design[usual], left[usual])[0]
     total = np.vstack((np.zeros(3), np.cumsum(left, axis=0)))
-    every = max(1, round(WINDOW / POINTS / float(np.median(np.diff(at)))))
-    width = round(WINDOW / (every * float(np.median(np.diff(at)))))
+    interval = float(np.median(np.diff(at)))
+    every = max(1, round(WINDOW / POINTS / interval))
+    width = round(WINDOW / (every * interval))
     middle = median_filter(total[::every], size=(width, 1), mode="nearest")
     about = np.abs(
         total - np.stack([np.interp(at, at[::every], column) for column in middle.T], axis=1)

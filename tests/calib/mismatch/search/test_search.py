@@ -50,17 +50,26 @@ def test_events_of_one_kind_stay_apart(stacked):
     assert not _again(steps[0], [first])
 
 
+def ranked(stacked, evidence, drifting=frozenset()):
+    rows, stack = stacked
+    best = {c.group: c for c in evidence}
+    groups = {c.group: value for c, value in evidence.items()}
+    levels = expected_levels(rows)
+    return Ranking(stack, np.zeros(0), best, groups, levels, drifting)
+
+
+def wave_in_a_window(stack, channel):
+    return next(c for c in stack.candidates if c.group == f"wave in a window {channel}")
+
+
 def test_what_a_drift_can_mimic_is_not_passed_over_for_a_poorer_rival(stacked):
     rows, stack = stacked
     step = candidate(stack, "gyro_bias_step", ("bz",))
-    wave = next(c for c in stack.candidates if c.group == "wave in a window gyro.z")
-    best = {c.group: c for c in (step, wave)}
+    wave = wave_in_a_window(stack, "gyro.z")
 
     def chosen(of_step, of_wave):
-        groups = {step.group: of_step, wave.group: of_wave}
-        drifting = frozenset({step.group})
-        levels = expected_levels(rows)
-        return choose(rows, Ranking(stack, np.zeros(0), best, groups, levels, drifting), [])
+        found = ranked(stacked, {step: of_step, wave: of_wave}, frozenset({step.group}))
+        return choose(rows, found, [])
 
     assert chosen(3.8, -0.2) is step
     assert chosen(1.5, -0.2) is None
@@ -73,13 +82,10 @@ def test_what_a_drift_can_mimic_is_not_passed_over_for_a_poorer_rival(stacked):
 def test_a_name_that_is_less_probable_than_rivals_needs_the_claim_by_itself(stacked):
     rows, stack = stacked
     effect = candidate(stack, "gyro_g_sensitivity", ("gxx",))
-    wave = next(c for c in stack.candidates if c.group == "wave in a window gyro.x")
-    best = {c.group: c for c in (effect, wave)}
+    wave = wave_in_a_window(stack, "gyro.x")
 
     def chosen(physics, rival):
-        groups = {effect.group: physics, wave.group: rival}
-        levels = expected_levels(rows)
-        return choose(rows, Ranking(stack, np.zeros(0), best, groups, levels), [])
+        return choose(rows, ranked(stacked, {effect: physics, wave: rival}), [])
 
     assert chosen(1.5, 2.0) is effect
     assert chosen(0.9, 0.8) is effect
@@ -90,17 +96,16 @@ def test_causes_on_other_channels_lend_no_weight(stacked):
     rows, stack = stacked
     gyro = candidate(stack, "gyro_g_sensitivity", ("gxx",))
     accel = candidate(stack, "accel_cubic", ("kx",))
-    wave = next(c for c in stack.candidates if c.group == "wave in a window gyro.x")
-    best = {c.group: c for c in (gyro, accel, wave)}
+    wave = wave_in_a_window(stack, "gyro.x")
 
-    def chosen(groups):
-        ranking = Ranking(stack, np.zeros(0), best, groups, expected_levels(rows))
+    def chosen(evidence):
+        ranking = ranked(stacked, evidence)
         assert ranking.claims
         return choose(rows, ranking, [])
 
-    assert chosen({gyro.group: 1.0, accel.group: 0.5}) is None
-    assert chosen({gyro.group: 1.0, wave.group: 0.5}) is gyro
-    assert chosen({gyro.group: 1.2, accel.group: 0.5}) is gyro
+    assert chosen({gyro: 1.0, accel: 0.5}) is None
+    assert chosen({gyro: 1.0, wave: 0.5}) is gyro
+    assert chosen({gyro: 1.2, accel: 0.5}) is gyro
 
 
 def test_low_passes_of_unlike_channels_stay_apart(stacked):
