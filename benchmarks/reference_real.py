@@ -23,6 +23,7 @@ import numpy as np
 from calib.effects import get_effect
 from calib.mismatch import ReferenceMotion, diagnose_reference
 from calib.mismatch.reference.alignment import Alignment
+from calib.mismatch.reference.carried import ARM, arm_term
 from calib.mismatch.reference.comparison import ComparisonProblem, Setup
 from calib.mismatch.reference.referencemode import compare_reference
 from calib.mismatch.samples.samples import look_at_samples
@@ -50,8 +51,9 @@ def main() -> int:
     if not data.is_dir():
         print(f"{data} is not there: give --data DIR", file=sys.stderr)
         return 1
-    print("| recording | arm, mm | drawn, mm | second half, before | after | others | CPU, s |")
-    print("|---|---|---|---|---|---|---|")
+    head = "| recording | arm, mm | drawn, mm | second half, before | after | with the drawn arm |"
+    print(head + " others | CPU, s |")
+    print("|---|---|---|---|---|---|---|---|")
     good = True
     drawn = drawing(data / "mimu4444" / "IMU_positions.csv", 1, 7)
     for run in args.runs:
@@ -82,24 +84,24 @@ def say(
     seconds = time.process_time() - start
     item = next((f for f in found.findings if f.effect == "accel_lever_arm"), None)
     if item is None:
-        print(f"| {name} | not found | | | | {others} | {seconds:.0f} |")
+        print(f"| {name} | not found | | | | | {others} | {seconds:.0f} |")
         return None
     values = [item.parameters[f"r{a}"] for a in "xyz"]
     text = ", ".join(f"{1e3 * q.value:.2f} ± {1e3 * (q.sigma or 0):.2f}" for q in values)
     known = "" if drawn is None else ", ".join(f"{1e3 * v:.2f}" for v in drawn)
-    before, after = second_half(real, reference)
-    print(
-        f"| {name} | {text} | {known} | {before:.3g} m/s² | {after:.3g} m/s² | {others} | "
-        f"{seconds:.0f} |",
-        flush=True,
-    )
+    left = " | ".join(f"{v:.3g} m/s²" for v in second_half(real, reference, drawn))
+    left += "" if drawn is not None else " | "
+    print(f"| {name} | {text} | {known} | {left} | {others} | {seconds:.0f} |", flush=True)
     return np.array([q.value for q in values])
 
 
-def second_half(real: Recording, reference: Recording | ReferenceMotion) -> tuple[float, float]:
+def second_half(
+    real: Recording, reference: Recording | ReferenceMotion, drawn: np.ndarray | None
+) -> list[float]:
     """Return the RMS of accelerometer samples about what the first half says of the second.
 
-    Once with the baseline and the alignment of the first half, once with all that was found there.
+    With the baseline and the alignment of the first half, with all that was found there, and, where
+    there is a drawing, with the arm of that in place of the one that was found.
     """
     speed = np.linalg.norm(real.gyro, axis=1)
     fast = np.flatnonzero(speed > FAST * np.quantile(speed, 0.999))
@@ -114,13 +116,18 @@ def second_half(real: Recording, reference: Recording | ReferenceMotion) -> tupl
     alignment = Alignment(at["offset"], at["stretch"], at["middle"])
     whole = compared(real, reference)
     unseen = (whole.time > real.time[middle]) & (whole.time < real.time[fast[-1]])
-    out = []
     turned, errors = mat_from_rotvec(np.array(at["rotation"])), np.array(at["reference_gyro"])
-    for setup in (plain, Setup(model, alignment, turned, errors)):
+    setups = [plain, Setup(model, alignment, turned, errors)]
+    if drawn is not None:
+        others = tuple(t for t in lasting if t.effect != ARM)
+        exact = replace(model, terms=(*others, arm_term(drawn)))
+        setups.append(Setup(exact, alignment, turned, errors))
+    out = []
+    for setup in setups:
         whole.setup = setup
         left = whole.residual(whole.state())[unseen, :3]
         out.append(float(np.sqrt(np.mean(np.square(left)))))
-    return out[0], out[1]
+    return out
 
 
 def compared(real: Recording, reference: Recording | ReferenceMotion) -> ComparisonProblem:

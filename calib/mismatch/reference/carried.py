@@ -6,7 +6,14 @@ reference. But what an arm ``r`` makes the accelerometer feel follows from the r
 
     A(w) = skew(w)² + skew(dw/dt)          A(w - e) r = A(w) r + columns @ (b, E) + ...
 
-A bias of half a degree per second at 180 dps and 10 cm is 5 mm/s² that follows the rate.
+A bias of half a degree per second at 180 dps and 10 cm is 5 mm/s² that follows the rate. Where an
+arm is short little of that shows, and all of it could be an arm of another length: what is known of
+such parts beforehand keeps it apart.
+
+References
+----------
+.. [1] InvenSense, "MPU-6000 and MPU-6050 product specification", rev. 3.4, 2013, p. 12: sensitivity
+   to 3 %, across axes to 2 %, output at no rate to 20 dps.
 """
 
 from __future__ import annotations
@@ -15,7 +22,8 @@ import numpy as np
 
 from calib.effects.base import Column, State, Term
 from calib.model import SensorModel
-from calib.recording import AXES
+from calib.recording import AXES, Recording
+from calib.statics import find_poses
 from calib.types import FloatArray
 
 ARM = "accel_lever_arm"
@@ -31,10 +39,28 @@ NAMES = (
 """The errors that are fitted: b, and the rows of E."""
 
 SIZES = np.repeat([0.01, 0.01], [3, 9])
-"""What they typically are: 0.6 dps, 1 %."""
+"""What they typically are (standard deviations): 0.6 dps beside what it reads at rest, and 1 %, as
+data sheets state limits of two to three times that [1]_."""
+
+UNSETTLED = 0.35
+"""rad/s: what it may read at rest where it never is, the limit of a data sheet [1]_."""
 
 SEEN = 5e-3
 """m: an arm shorter than that carries less than anybody sees."""
+
+
+def expected(other: Recording, mat: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return where the errors (12,) of another IMU are expected, and how far they may be from it.
+
+    ``mat`` (3, 3) takes its vectors to s.
+    """
+    errors, loose = np.zeros(len(NAMES)), SIZES.copy()
+    poses = find_poses(other)
+    if len(poses.start):
+        errors[:3] = mat @ np.median(poses.gyro, axis=0)
+    else:
+        loose[:3] = UNSETTLED
+    return errors, loose
 
 
 def rough_arm(state: State, left: FloatArray) -> FloatArray:

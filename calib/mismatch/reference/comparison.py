@@ -28,6 +28,7 @@ from calib.mismatch.reference.carried import (
     arm_of,
     arm_term,
     carried,
+    expected,
     rough_arm,
     true_force,
 )
@@ -64,7 +65,6 @@ LOOSE = {
     "bias": 2.0,
     "scale_factor_error": 0.05,
     "misalignment": 0.05,
-    "zero_rate": 0.35,
     "delay": 0.1,
     "scale": 0.01,
     **dict.fromkeys(("rx", "ry", "rz"), 0.2),
@@ -189,9 +189,14 @@ class ComparisonProblem:
         self.power_on = float(real.time[0])
         mat = np.eye(3) if mat_sr is None else mat_sr
         self.gyroscopic = self.turned and truth.quat is None
-        self.setup = Setup(start, alignment, mat, np.zeros(len(NAMES)))
+        errors, own = np.zeros(len(NAMES)), np.zeros(0)
+        if self.gyroscopic:
+            errors, own = expected(truth.recording, mat)
+        self.setup = Setup(start, alignment, mat, errors)
         self.names = BASELINE
-        self.moved = np.zeros(len(BASELINE) + len(self.aligned))
+        kinds = [n.split(".")[1] for n in (*self.names, *self.alignments)]
+        self.loose = np.append([LOOSE[k] for k in kinds], own)
+        self.moved = np.zeros(len(self.loose))
         self.shapes: Shapes | None = None
         self.colours: list[Colour] | None = None
         self.fit()
@@ -307,12 +312,6 @@ class ComparisonProblem:
         angle = gyro * np.sqrt(self.colours[1].square) / (2.0 * np.pi)
         own = min(self.densities[0], accel), min(self.densities[1], gyro)
         return Known(*own, angle, self.interval)
-
-    @property
-    def loose(self) -> FloatArray:
-        """How far baseline and nuisances may be from where they start."""
-        kinds = [n.split(".")[1] for n in (*self.names, *self.aligned)]
-        return np.array([LOOSE[k] for k in kinds])
 
     def residual(self, state: State) -> FloatArray:
         """Return recording minus model, (n, 6)."""

@@ -1,11 +1,29 @@
 """What an arm carries of another gyroscope's errors, against the kinematics it is made of."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from calib.effects.base import State, Term
-from calib.mismatch.reference.carried import NAMES, arm_of, carried, rough_arm, true_force
-from calib.model import SensorModel
+from calib.mismatch.reference.alignment import Alignment
+from calib.mismatch.reference.carried import (
+    NAMES,
+    SIZES,
+    UNSETTLED,
+    arm_of,
+    carried,
+    expected,
+    rough_arm,
+    true_force,
+)
+from calib.mismatch.reference.comparison import ComparisonProblem
+from calib.mismatch.reference.truths import RecordingTruth
+from calib.model import SensorModel, Triad
+from calib.rotation import mat_from_rotvec
+from calib.simulate import simulate
+from calib.simulation.bench import bench_protocol
+from calib.simulation.noise import CONSUMER
 
 ARM = np.array([0.2, -0.1, 0.05])
 
@@ -55,3 +73,24 @@ def test_the_arm_of_a_model():
     )
     np.testing.assert_array_equal(arm_of(SensorModel(terms=terms)), [0.1, 0.0, -0.2])
     assert not arm_of(SensorModel()).any()
+
+
+def test_what_it_reads_at_rest_is_known_where_it_rests_and_open_where_it_never_does():
+    rng = np.random.default_rng(3)
+    motion = bench_protocol(rng, poses=4, first_pose=2.0, pose_duration=(2.0, 3.0))
+    bias = np.array([0.1, -0.2, 0.05])
+    sensor = SensorModel(gyro=Triad(bias))
+    real, other = (
+        simulate(motion, model, CONSUMER, rng=rng, rate=50.0) for model in (SensorModel(), sensor)
+    )
+    moving = (other.time > 2.0) & (np.linalg.norm(other.gyro - bias, axis=1) > 0.3)
+    turn = np.flatnonzero(moving)[0]
+    errors, loose = expected(other.slice(turn, turn + 30), np.eye(3))
+    assert not errors.any()
+    np.testing.assert_array_equal(loose, [*[UNSETTLED] * 3, *SIZES[3:]])
+    mat = mat_from_rotvec(np.array([0.0, 0.0, 0.5]))
+    truth = RecordingTruth(replace(other, accel=other.accel @ mat, gyro=other.gyro @ mat), 9.80665)
+    problem = ComparisonProblem(real, truth, Alignment(0.0, 0.0, 1.0), gravity=9.80665, mat_sr=mat)
+    np.testing.assert_allclose(problem.setup.errors[:3], bias, atol=2e-3)
+    own = [n.startswith("reference_gyro") for n in problem.aligned]
+    np.testing.assert_array_equal(problem.loose[len(problem.names) :][own], SIZES)
