@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from imu_cli.options import HeightOption, ImuOption, LatitudeOption, ProfileOption, choose_gravity
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from calib.calibration import Calibration, Quantity
-    from calib.mismatch import Diagnosis, Finding
+    from calib.calibration import Calibration
+    from calib.mismatch import Diagnosis
     from calib.model import SensorModel
     from calib.recording import Recording
 
@@ -84,7 +82,8 @@ def diagnose(
     from drivers.calibration_file import load_calibration, save_calibration
     from drivers.formats import read_recording
     from drivers.reference_file import read_reference
-    from imu_cli.output import print_json
+    from imu_cli.diagnosis_view import diagnosis_lines
+    from imu_cli.output import print_json, print_lines, warn
 
     local = choose_gravity(gravity, latitude, height)
     if against is not None and reference is not None:
@@ -115,16 +114,19 @@ def diagnose(
         found, real = _by_itself(recording, profile, imu, gravity=local.value, model=model)
     if output is not None and found.names:
         save_calibration(_signed(found.calibration(real, gravity=local), recording), output)
+    document = found.to_json()
     if report is not None:
         from drivers.calibration_file import write_atomic
         from imu_cli.report.diagnosis import diagnosis_report
         from imu_cli.report.page import render_page
 
-        write_atomic(report, render_page(diagnosis_report(found.to_json())))
+        write_atomic(report, render_page(diagnosis_report(document)))
     if json:
-        print_json(found.to_json())
+        print_json(document)
     else:
-        _show(found)
+        print_lines(*diagnosis_lines(document))
+        for text in found.missing:
+            warn(f"the recording lacks {text}")
     if output is not None and not found.names:
         # The verdict is said before what it leaves nothing to write for.
         found.calibration(real, gravity=local)
@@ -171,135 +173,3 @@ def _signed(made: Calibration, recording: Path) -> Calibration:
             date=datetime.now(UTC).isoformat(timespec="seconds"),
         )
     )
-
-
-def _show(found: Diagnosis) -> None:
-    from imu_cli.output import console, warn
-    from imu_cli.report.diagnosis import alias_sentence
-
-    out = console()
-    out.print(f"[bold]{_VERDICTS[found.verdict]}[/]", soft_wrap=True)
-    for number, item in enumerate(found.findings, 1):
-        _show_finding(number, item)
-    for left in found.unexplained:
-        where = ", ".join(left.channels)
-        when = ", ".join(f"{a:.1f} to {b:.1f} s" for a, b in left.intervals)
-        out.print(
-            f"\n[bold]Unexplained[/]: {where}, {when}; follows {left.follows} "
-            f"({_chance(left.p_value)}).",
-            soft_wrap=True,
-        )
-        for rival in left.rivals:
-            out.print(f"  or: {rival.effect} (odds {rival.odds:.2g})")
-    for alias in found.aliases:
-        if alias.alike:
-            sentence = alias_sentence(alias.to_json())
-            out.print(f"\n[bold]Cannot be known[/]: {sentence}", soft_wrap=True)
-    if found.findings or found.unexplained:
-        from rich.table import Table
-
-        from imu_cli.report.units import people_unit
-
-        table = Table("residual", "unit", "before", "after", "noise floor", box=None)
-        for c in found.changes:
-            unit, factor = people_unit(c.unit)
-            values = (c.before, c.after, c.noise_floor)
-            table.add_row(c.rows, unit, *(f"{value * factor:.4g}" for value in values))
-        out.print()
-        out.print(table)
-    known, used = found.summary.get("poses", 0), found.summary.get("poses_used", 0)
-    if used < known:
-        out.print(f"\n{used} of {known} poses were looked at.", soft_wrap=True)
-    if "stamps" in found.summary:
-        out.print(
-            f"\nTime stamps scatter by {found.summary['stamps']}, but samples were taken evenly: "
-            "even times were used.",
-            soft_wrap=True,
-        )
-    _show_notes(found.summary)
-    for text in found.missing:
-        warn(f"the recording lacks {text}")
-
-
-def _show_notes(summary: Mapping[str, Any]) -> None:
-    from imu_cli.output import console
-
-    out = console()
-    if "swapped_markers" in summary:
-        left = summary["swapped_markers"]
-        when = ", ".join(f"{a:.2f} to {b:.2f} s" for a, b in left["intervals"])
-        out.print(
-            f"\n{left['samples']} samples of the reference were left out: one marker was taken for "
-            f"another at {when}.",
-            soft_wrap=True,
-        )
-    if "silent" in summary:
-        out.print(
-            f"\nWithout noise: {summary['silent']}; they count as noisy as the quietest sensor is.",
-            soft_wrap=True,
-        )
-
-
-_VERDICTS = {
-    "consistent": "Consistent: nothing beyond noise.",
-    "explained": "Explained: what the simulation leaves out has a name.",
-    "partly_explained": "Partly explained: some of what differs has a name, some has none.",
-    "unexplained": "Unexplained: it differs from its simulation, and no known physics fits.",
-    "undetermined": "Undetermined: this recording cannot tell.",
-}
-
-
-def _show_finding(number: int, item: Finding) -> None:
-    from calib.effects.base import PRESENCE
-    from imu_cli.output import console
-
-    out = console()
-    out.print(f"\n[bold]{number}. {item.title}[/] ({item.effect})", soft_wrap=True)
-    out.print(f"   {item.sentence}", soft_wrap=True)
-    when = ", ".join(f"{a:.1f} to {b:.1f} s" for a, b in item.intervals)
-    out.print(
-        f"   Where: {', '.join(item.channels)}; {when}; follows {item.regime}.", soft_wrap=True
-    )
-    out.print(f"   How sure: {_chance(item.p_value)}, all looks counted.", soft_wrap=True)
-    for name, q in item.parameters.items():
-        if q.unit != PRESENCE:  # the channels say it
-            out.print(f"   {name} = {_quantity(q)}")
-    for a in item.absorbed_by[:4]:
-        out.print(
-            f"   {a.parameter} had absorbed {_in_unit(a.unit, a.shift)} of it "
-            f"({a.standard_errors:.1f} standard errors).",
-            soft_wrap=True,
-        )
-    if item.held_out is not None:
-        h = item.held_out
-        out.print(
-            f"   On held-out blocks, {h.rows}: {_in_unit(h.unit, h.before, h.after)} "
-            f"(noise floor {_in_unit(h.unit, h.noise_floor)}).",
-            soft_wrap=True,
-        )
-    elif item.held_out_reason:
-        out.print(f"   Not checked on held-out data: {item.held_out_reason}.", soft_wrap=True)
-    for rival in item.rivals:
-        out.print(f"   Or: {rival.effect}, odds {rival.odds:.2g} to 1.", soft_wrap=True)
-    if item.to_separate:
-        out.print(f"   {item.to_separate}", soft_wrap=True)
-
-
-def _chance(p_value: float) -> str:
-    if p_value < 1e-6:
-        return "p < 1e-6"
-    return f"p = {p_value:.2g}"
-
-
-def _in_unit(unit: str, *values: float) -> str:
-    """Return values in the unit that people use, one after the other."""
-    from imu_cli.report.units import people_unit
-
-    name, factor = people_unit(unit)
-    return " -> ".join(f"{value * factor:.3g}" for value in values) + f" {name}"
-
-
-def _quantity(q: Quantity) -> str:
-    from imu_cli.report.units import said
-
-    return said(q.value, q.sigma, q.unit)

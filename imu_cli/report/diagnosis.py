@@ -9,15 +9,8 @@ import numpy as np
 
 from calib.effects.base import PRESENCE
 from imu_cli.report.model import Block, Paragraph, Plot, Report, Series, Table
-from imu_cli.report.units import people_unit, said, with_error
-
-VERDICTS = {
-    "consistent": ("Consistent: nothing beyond noise.", "good"),
-    "explained": ("Explained: everything beyond noise has a name.", "good"),
-    "partly_explained": ("Partly explained: something is left that has no name here.", "partial"),
-    "unexplained": ("Unexplained: something is there that is not in the catalogue.", "bad"),
-    "undetermined": ("Undetermined: this recording cannot tell.", "partial"),
-}
+from imu_cli.report.units import people_unit, with_error
+from imu_cli.report.words import VERDICTS, alias_sentence, chance, likelihood, notes, spans, where
 
 
 def diagnosis_report(document: Mapping[str, Any]) -> Report:
@@ -38,9 +31,12 @@ def diagnosis_report(document: Mapping[str, Any]) -> Report:
     for alias in document.get("aliases", ()):
         if alias["alike"]:
             blocks.append(Paragraph("What cannot be known", (alias_sentence(alias),)))
-    residuals = (document.get("fit") or {}).get("residuals")
-    if residuals:
-        blocks.append(_residuals(residuals))
+    said = notes(document)
+    if said:
+        blocks.append(Paragraph("What was done before", tuple(said)))
+    fit = document.get("fit") or {}
+    if fit.get("residuals"):
+        blocks.append(_residuals(fit))
     if document.get("cannot_show"):
         rows = tuple(document["cannot_show"].items())
         blocks.append(Table("What this recording cannot show", ("effect", "why"), rows))
@@ -68,15 +64,6 @@ def _facts(document: Mapping[str, Any]) -> tuple[tuple[str, str], ...]:
     return tuple(facts)
 
 
-def alias_sentence(alias: Mapping[str, Any]) -> str:
-    """Return what cannot be known, of one entry of ``aliases``."""
-    sizes = ", ".join(f"{name} = {said(**q)}" for name, q in alias["parameters"].items())
-    return (
-        f"{alias['alias_of']} is {said(**alias['common'])} on all axes alike; "
-        f"{alias['effect']} ({sizes}) would look the same. It needs {alias['needs']}."
-    )
-
-
 def _overview(findings: list[Mapping[str, Any]]) -> Table:
     rows = []
     for finding in findings:
@@ -93,7 +80,7 @@ def _overview(findings: list[Mapping[str, Any]]) -> Table:
             (
                 finding["effect"],
                 ", ".join(finding["channels"]),
-                _chance(finding["p_value"]),
+                chance(finding["p_value"]),
                 gain,
                 ", ".join(r["effect"] for r in finding["rivals"]) or "-",
             )
@@ -110,7 +97,7 @@ def _overview(findings: list[Mapping[str, Any]]) -> Table:
 
 def _finding(number: int, finding: Mapping[str, Any]) -> list[Block]:
     title = f"{number}. {finding.get('title', finding['effect'])}"
-    sentences = [finding.get("sentence", ""), f"Where: {finding['regime']}."]
+    sentences = [finding.get("sentence", ""), f"Where: {where(finding)}."]
     if finding["absorbed_by"]:
         moved = [_absorbed(item) for item in finding["absorbed_by"]]
         sentences.append(f"Until now these parameters had taken it up: {', '.join(moved)}.")
@@ -165,27 +152,22 @@ def _evidence(number: int, effect: str, evidence: Mapping[str, Any]) -> Plot:
     )
 
 
-def _chance(p_value: float) -> str:
-    """Write a p-value; below a millionth the noise model is not to be trusted to the digit."""
-    return "< 1e-6" if p_value < 1e-6 else f"{p_value:.1g}"
-
-
 def _unexplained(items: list[Mapping[str, Any]]) -> Table:
     rows = tuple(
         (
             ", ".join(item["channels"]),
-            "; ".join(f"{a:.1f} to {b:.1f} s" for a, b in item["intervals"]),
+            spans(item["intervals"], "; "),
             item["follows"],
-            _chance(item["p_value"]),
+            chance(item["p_value"]),
         )
         for item in items
     )
     return Table("Unexplained", ("channels", "when", "follows", "p"), rows, (3,))
 
 
-def _residuals(residuals: list[Mapping[str, Any]]) -> Table:
+def _residuals(fit: Mapping[str, Any]) -> Table:
     rows = []
-    for item in residuals:
+    for item in fit["residuals"]:
         unit, factor = people_unit(item["unit"])
         numbers = (f"{item[key] * factor:.3g}" for key in ("before", "after", "noise_floor"))
         rows.append((item["rows"], *numbers, unit))
@@ -194,4 +176,5 @@ def _residuals(residuals: list[Mapping[str, Any]]) -> Table:
         ("rows", "before", "after", "noise floor", "unit"),
         tuple(rows),
         (1, 2, 3),
+        likelihood(fit),
     )

@@ -1,0 +1,94 @@
+"""A diagnosis as a person reads it on a screen."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from calib.effects.base import PRESENCE
+from imu_cli.report.units import people_unit, said
+from imu_cli.report.words import VERDICTS, alias_sentence, chance, likelihood, notes, spans, where
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+ABSORBED = 4
+"""So many of the parameters that had absorbed an effect are said; the document has all."""
+
+
+def diagnosis_lines(document: Mapping[str, Any]) -> Iterator[str | Table]:
+    """Yield what a diagnosis document says (``imu-cal diagnose --json``), line by line."""
+    yield f"[bold]{VERDICTS[document['verdict']][0]}[/]"
+    for number, finding in enumerate(document["findings"], 1):
+        yield ""
+        yield f"[bold]{number}. {finding['title']}[/] ({finding['effect']})"
+        yield from (f"   {line}" for line in _finding(finding))
+    for left in document["unexplained"]:
+        place = f"{', '.join(left['channels'])}; {spans(left['intervals'])}"
+        yield ""
+        yield (
+            f"[bold]Unexplained[/]: {place}; follows {left['follows']} "
+            f"(p {_equal(left['p_value'])})."
+        )
+        yield from (f"  or: {r['effect']} (odds {r['odds']:.2g})" for r in left["rivals"])
+    for alias in document["aliases"]:
+        if alias["alike"]:
+            yield ""
+            yield f"[bold]Cannot be known[/]: {alias_sentence(alias)}"
+    if document["findings"] or document["unexplained"]:
+        yield ""
+        yield _residuals(document["fit"]["residuals"])
+        yield f" {likelihood(document['fit'])}"
+    for note in notes(document):
+        yield ""
+        yield note
+
+
+def _finding(finding: Mapping[str, Any]) -> Iterator[str]:
+    yield finding["sentence"]
+    yield f"Where: {where(finding)}."
+    yield f"How sure: p {_equal(finding['p_value'])}, all looks counted."
+    for name, item in finding["parameters"].items():
+        if item["unit"] != PRESENCE:  # the channels say it
+            yield f"{name} = {said(item['value'], item['sigma'], item['unit'])}"
+    for item in finding["absorbed_by"][:ABSORBED]:
+        yield (
+            f"{item['parameter']} had absorbed {_in_unit(item['unit'], item['shift'])} of it "
+            f"({item['standard_errors']:.1f} standard errors)."
+        )
+    held = finding["held_out"]
+    if held is not None:
+        gain = _in_unit(held["unit"], held["before"], held["after"])
+        floor = _in_unit(held["unit"], held["noise_floor"])
+        yield (
+            f"On held-out blocks, {held['rows']}: {gain} (noise floor {floor}); "
+            f"log-likelihood {held['log_likelihood_gain']:+.1f}."
+        )
+    elif finding["held_out_reason"]:
+        yield f"Not checked on held-out data: {finding['held_out_reason']}."
+    for rival in finding["rivals"]:
+        yield f"Or: {rival['effect']}, odds {rival['odds']:.2g} to 1."
+    if finding["to_separate"]:
+        yield finding["to_separate"]
+
+
+def _equal(p_value: float) -> str:
+    text = chance(p_value)
+    return text if text.startswith("<") else f"= {text}"
+
+
+def _in_unit(unit: str, *values: float) -> str:
+    """Return values in the unit that people use, one after the other."""
+    name, factor = people_unit(unit)
+    return " -> ".join(f"{value * factor:.3g}" for value in values) + f" {name}"
+
+
+def _residuals(residuals: Sequence[Mapping[str, Any]]) -> Table:
+    from rich.table import Table
+
+    table = Table("residual", "unit", "before", "after", "noise floor", box=None)
+    for item in residuals:
+        unit, factor = people_unit(item["unit"])
+        values = (item[key] * factor for key in ("before", "after", "noise_floor"))
+        table.add_row(item["rows"], unit, *(f"{value:.4g}" for value in values))
+    return table

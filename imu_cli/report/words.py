@@ -1,0 +1,76 @@
+"""What a diagnosis is in words: the same on a screen and on a page."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from imu_cli.report.units import said
+
+VERDICTS = {
+    "consistent": ("Consistent: nothing beyond noise.", "good"),
+    "explained": ("Explained: everything beyond noise has a name.", "good"),
+    "partly_explained": ("Partly explained: something is left that has no name here.", "partial"),
+    "unexplained": ("Unexplained: something is there that is not in the catalogue.", "bad"),
+    "undetermined": ("Undetermined: this recording cannot tell.", "partial"),
+}
+"""Sentence and tone of each verdict."""
+
+
+def chance(p_value: float) -> str:
+    """Write a p-value; below a millionth the noise model is not to be trusted to the digit."""
+    return "< 1e-6" if p_value < 1e-6 else f"{p_value:.2g}"
+
+
+def spans(intervals: Sequence[Sequence[float]], separator: str = ", ") -> str:
+    """Write intervals in the recording's seconds."""
+    return separator.join(f"{start:.1f} to {stop:.1f} s" for start, stop in intervals)
+
+
+def where(finding: Mapping[str, Any]) -> str:
+    """Return on which channels a finding is, when, and what it follows."""
+    parts = (", ".join(finding["channels"]), spans(finding["intervals"]))
+    return "; ".join((*(part for part in parts if part), f"follows {finding['regime']}"))
+
+
+def likelihood(fit: Mapping[str, Any]) -> str:
+    """Return the log-likelihood before and after; nothing where nothing was fitted."""
+    both = fit.get("log_likelihood")
+    if both is None:
+        return ""
+    return f"Log-likelihood: {both['before']:.1f} -> {both['after']:.1f}."
+
+
+def alias_sentence(alias: Mapping[str, Any]) -> str:
+    """Return what cannot be known, of one entry of ``aliases``."""
+    sizes = ", ".join(f"{name} = {said(**q)}" for name, q in alias["parameters"].items())
+    return (
+        f"{alias['alias_of']} is {said(**alias['common'])} on all axes alike; "
+        f"{alias['effect']} ({sizes}) would look the same. It needs {alias['needs']}."
+    )
+
+
+def notes(document: Mapping[str, Any]) -> list[str]:
+    """Return what was done to the recording before it was judged, one sentence each."""
+    recording = document.get("recording") or {}
+    out = []
+    known, used = recording.get("poses", 0), recording.get("poses_used", 0)
+    if used < known:
+        out.append(f"{used} of {known} poses were looked at.")
+    if "stamps" in recording:
+        out.append(
+            f"Time stamps scatter by {recording['stamps']}, but samples were taken evenly: even "
+            "times were used."
+        )
+    if "swapped_markers" in recording:
+        left = recording["swapped_markers"]
+        when = ", ".join(f"{start:.2f} to {stop:.2f} s" for start, stop in left["intervals"])
+        out.append(
+            f"{left['samples']} samples of the reference were left out: one marker was taken for "
+            f"another at {when}."
+        )
+    if "silent" in recording:
+        out.append(
+            f"Without noise: {recording['silent']}; they count as noisy as the quietest sensor is."
+        )
+    return out

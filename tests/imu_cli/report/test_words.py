@@ -1,0 +1,48 @@
+"""What a screen and a page say of a diagnosis."""
+
+from imu_cli.report.diagnosis import diagnosis_report
+from imu_cli.report.model import Paragraph
+from imu_cli.report.words import chance, likelihood, notes, where
+
+DOCUMENT = {
+    "verdict": "consistent",
+    "findings": [],
+    "unexplained": [],
+    "recording": {
+        "poses": 92,
+        "poses_used": 80,
+        "stamps": "1.2 ms",
+        "swapped_markers": {"samples": 3, "intervals": [[1.0, 1.25]]},
+        "silent": "gyro.x",
+    },
+}
+
+
+def test_everything_that_was_done_to_a_recording_is_said_on_the_page() -> None:
+    said = notes(DOCUMENT)
+    for words in ("80 of 92 poses", "1.2 ms", "3 samples", "1.00 to 1.25 s", "gyro.x"):
+        assert any(words in sentence for sentence in said)
+    pages = [b for b in diagnosis_report(DOCUMENT).blocks if isinstance(b, Paragraph)]
+    assert tuple(said) in [page.sentences for page in pages]
+
+
+def test_nothing_is_said_where_nothing_was_done() -> None:
+    plain = {**DOCUMENT, "recording": {"poses": 20, "poses_used": 20}}
+    assert notes(plain) == []
+    assert not diagnosis_report(plain).blocks
+
+
+def test_where_a_finding_is() -> None:
+    finding = {"channels": ["gyro.x", "gyro.y"], "intervals": [[0, 5], [7, 9.04]], "regime": "|w|"}
+    assert where(finding) == "gyro.x, gyro.y; 0.0 to 5.0 s, 7.0 to 9.0 s; follows |w|"
+    assert where({**finding, "intervals": []}) == "gyro.x, gyro.y; follows |w|"
+
+
+def test_a_chance_is_not_said_beyond_what_the_noise_model_knows() -> None:
+    assert [chance(p) for p in (1e-306, 2e-6, 0.0123, 1.0)] == ["< 1e-6", "2e-06", "0.012", "1"]
+
+
+def test_the_log_likelihood_is_said_where_something_was_fitted() -> None:
+    both = {"before": -33570.34, "after": -187.81}
+    assert likelihood({"log_likelihood": both}) == "Log-likelihood: -33570.3 -> -187.8."
+    assert likelihood({"log_likelihood": None}) == ""
