@@ -67,6 +67,24 @@ def read_reference(
     return replace(found, fixed=True)
 
 
+def read_motion(path: Path, *, fixed: bool = False) -> ReferenceMotion:
+    """Read a reference that knows how the body moved.
+
+    Raises
+    ------
+    RecordingError
+        Also if it is another IMU, which knows what it felt.
+    """
+    found = read_reference(path, fixed=fixed)
+    if isinstance(found, Recording):
+        raise RecordingFormatError(
+            f"{path}: it is the recording of an IMU, whose motion is known only through its "
+            f"calibration; expected motion capture or a table's profile (or give "
+            f"--like {path.name} with --calibration)"
+        )
+    return found
+
+
 def _read(path: Path, *, imu: int | None, profile: str | None) -> Recording | ReferenceMotion:
     if not path.is_file() or profile is not None:
         if not path.exists():

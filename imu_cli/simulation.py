@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +12,9 @@ import numpy as np
 from calib.calibration import Calibration
 from calib.effects import effects
 from calib.effects.base import Term
+from calib.effects.text import parse_term
+from calib.mismatch.reference.beside import motion_beside, without_alignment
+from calib.mismatch.reference.referencemode import ReferenceMotion
 from calib.model import SensorModel
 from calib.recording import DeviceInfo, Recording
 from calib.simulate import Sampling, digital_twin, simulate
@@ -18,6 +22,7 @@ from calib.simulation.kinematics import Motion
 from calib.simulation.library import make_motion
 from calib.simulation.noise import CONSUMER, NoiseModel, noise_at_rest
 from calib.simulation.recorded import motion_of
+from calib.simulation.referenced import motion_from_reference, shown_bandwidth
 from calib.statics import find_poses
 from drivers.calibration_file import describe_input, load_calibration
 from drivers.formats import read_recording
@@ -38,6 +43,9 @@ class Plan:
     noise: float
     sampling: Sampling
     sensor: Path | None = None
+    effects: tuple[str, ...] = ()
+    reference: ReferenceMotion | None = None
+    bandwidth: float | None = None
     like: Path | None = None
     calibration: Path | None = None
     profile: str | None = None
@@ -69,6 +77,9 @@ class Plan:
             raise ValueError(f"--noise must not be negative, got {self.noise}")
         if self.gravity is not None and not 9.7 < self.gravity < 9.9:
             raise ValueError(f"--gravity must be in m/s², 9.7 to 9.9 on Earth, got {self.gravity}")
+        if self.bandwidth is not None and not (np.isfinite(self.bandwidth) and self.bandwidth > 0):
+            raise ValueError(f"--bandwidth must be positive, got {self.bandwidth}")
+        self.terms((0.0, self.duration))
 
     @property
     def device(self) -> DeviceInfo:
@@ -84,10 +95,9 @@ class Plan:
             gyro_lsb=None if gyro is None else gyro * step,
         )
 
-    @property
-    def span(self) -> tuple[float, float]:
-        """The times that an event may have by default, s."""
-        return 0.0, self.duration
+    def terms(self, span: tuple[float, float]) -> tuple[Term, ...]:
+        """Return the effects that were asked for; moments lie within the span, s."""
+        return tuple(parse_term(text, span=span) for text in self.effects)
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,6 +109,8 @@ class Simulated:
     motion: Motion
     model: SensorModel
     noise: NoiseModel
+    reference: Mapping[str, Any] = field(default_factory=dict)
+    """What is to be known of the reference whose motion it is."""
 
     def summary(self, path: Path) -> list[str]:
         """Return lines of text for the screen."""
@@ -114,13 +126,15 @@ class Simulated:
         ]
         if counts:
             lines.append("motion: " + ", ".join(counts))
+        if self.reference:
+            lines.append(f"reference: {_of_reference(self.reference)}")
         for term in self.model.terms:
             values = ", ".join(f"{k} = {v:.4g}" for k, v in term.parameters.items())
             lines.append(f"effect: {term.effect} ({values})")
         return lines
 
 
-def run(plan: Plan, terms: tuple[Term, ...], *, rng: np.random.Generator) -> Simulated:
+def run(plan: Plan, *, rng: np.random.Generator) -> Simulated:
     """Simulate what was asked for.
 
     Raises
@@ -129,13 +143,17 @@ def run(plan: Plan, terms: tuple[Term, ...], *, rng: np.random.Generator) -> Sim
         If a calibration or the recording cannot be read.
     """
     if plan.like is not None:
-        return _twin(plan, terms, rng=rng)
+        return _twin(plan, plan.like, rng=rng)
     calibration = None if plan.sensor is None else load_calibration(plan.sensor)
     model = SensorModel() if calibration is None else calibration.model
-    model = replace(model, terms=model.terms + terms)
+    model = replace(model, terms=model.terms + plan.terms((0.0, plan.duration)))
     gravity = plan.gravity or (G if calibration is None else calibration.gravity.value)
     noise = _noise(calibration).scaled(plan.noise)
-    motion = make_motion(plan.motion, rng=rng, duration=plan.duration, gravity=gravity)
+    known: dict[str, Any] = {}
+    if plan.reference is None:
+        motion = make_motion(plan.motion, rng=rng, duration=plan.duration, gravity=gravity)
+    else:
+        motion, known = _referenced(plan, plan.reference, gravity)
     recording = simulate(
         motion,
         model,
@@ -148,28 +166,76 @@ def run(plan: Plan, terms: tuple[Term, ...], *, rng: np.random.Generator) -> Sim
     truth = None
     if plan.truth:
         truth = simulate(motion, SensorModel(), NoiseModel(), rng=rng, rate=plan.rate)
-    return Simulated(recording, truth, motion, model, noise)
+    return Simulated(recording, truth, motion, model, noise, known)
 
 
-def _twin(plan: Plan, terms: tuple[Term, ...], *, rng: np.random.Generator) -> Simulated:
-    assert plan.like is not None
-    assert plan.calibration is not None
-    recording = read_recording(plan.like, profile=plan.profile, imu=plan.imu)
-    calibration = load_calibration(plan.calibration)
+def _referenced(
+    plan: Plan, reference: ReferenceMotion, gravity: float
+) -> tuple[Motion, dict[str, Any]]:
+    """Return the motion of a reference by itself, and what is to be known of it."""
+    reference = reference.evened()
+    seen = reference.time, reference.quat, reference.position
+    bandwidth = plan.bandwidth or shown_bandwidth(*seen)
+    start = float(reference.time[reference.known][0])
+    motion = motion_from_reference(*seen, gravity=gravity, bandwidth=bandwidth, start=start)
+    return motion.until(plan.duration), _known(reference, bandwidth)
+
+
+def _known(reference: ReferenceMotion, bandwidth: float | None) -> dict[str, Any]:
+    gaps = ~reference.known
+    return {
+        "bandwidth": bandwidth,
+        "samples_missing": int(gaps.sum()),
+        "position": reference.position is not None,
+    }
+
+
+def _of_reference(known: Mapping[str, Any]) -> str:
+    band = known["bandwidth"]
+    parts = [
+        "exact" if band is None else f"low-passed at {band:.3g} Hz, against its noise",
+        "with positions" if known["position"] else "its point does not move",
+    ]
+    if known["samples_missing"]:
+        parts.append(f"{known['samples_missing']} missing samples were bridged")
+    return "; ".join(parts)
+
+
+def _twin(plan: Plan, log: Path, *, rng: np.random.Generator) -> Simulated:
+    recording = read_recording(log, profile=plan.profile, imu=plan.imu)
+    calibration = None if plan.calibration is None else load_calibration(plan.calibration)
     sensor = calibration if plan.sensor is None else load_calibration(plan.sensor)
-    events = _events_of(plan.like, calibration)
-    own = replace(calibration.model, terms=calibration.model.terms + events)
-    model = own if sensor is calibration else sensor.model
-    model = replace(model, terms=model.terms + terms)
-    gravity = plan.gravity or calibration.gravity.value
+    own = SensorModel()
+    if calibration is not None:
+        events = _events_of(log, calibration)
+        own = replace(calibration.model, terms=calibration.model.terms + events)
+    model = own if sensor is calibration or sensor is None else sensor.model
+    if plan.reference is not None:
+        own = replace(own, terms=without_alignment(own.terms))
+        model = replace(model, terms=without_alignment(model.terms))
+    span = float(recording.time[0]), float(recording.time[-1])
+    model = replace(model, terms=model.terms + plan.terms(span))
+    assumed = calibration or sensor
+    gravity = plan.gravity or (G if assumed is None else assumed.gravity.value)
     poses = find_poses(recording)
     noise = noise_at_rest(recording, poses).scaled(plan.noise)
-    motion = motion_of(recording, own, poses, gravity=gravity)
+    known: dict[str, Any] = {}
+    if plan.reference is None:
+        motion = motion_of(recording, own, poses, gravity=gravity)
+    else:
+        recording, motion, bandwidth, notes = motion_beside(
+            recording,
+            plan.reference,
+            gravity=gravity,
+            model=own if calibration else None,
+            bandwidth=plan.bandwidth,
+        )
+        known = {**_known(plan.reference, bandwidth), **notes}
     twin = digital_twin(recording, motion, model, noise, rng=rng)
     truth = None
     if plan.truth:
         truth = digital_twin(recording, motion, SensorModel(), NoiseModel(), rng=rng)
-    return Simulated(twin, truth, motion, model, noise)
+    return Simulated(twin, truth, motion, model, noise, known)
 
 
 def _events_of(log: Path, calibration: Calibration) -> tuple[Term, ...]:
@@ -217,6 +283,7 @@ def describe(result: Simulated, path: Path, *, seed: int) -> dict[str, Any]:
             for s in result.motion.segments
         ],
         "sensor": values,
+        "reference": dict(result.reference) or None,
         "terms": [
             {"effect": t.effect, "parameters": dict(t.parameters)} for t in result.model.terms
         ],

@@ -1,4 +1,4 @@
-"""The motion of a real recording: from its own rests and turns, or from a reference.
+"""The motion of a real recording, from its own rests and turns.
 
 Orientation is a rotation spline (twice differentiable, so rate and angular acceleration are its
 exact derivatives); acceleration is a cubic spline, whose integrals are velocity and position.
@@ -16,7 +16,6 @@ from collections.abc import Callable
 import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import uniform_filter1d
-from scipy.signal import butter, sosfiltfilt
 from scipy.spatial.transform import Rotation, RotationSpline
 
 from calib.effects.base import State
@@ -70,7 +69,7 @@ def motion_of(
         Its time 0 is the recording's first sample.
     """
     time = recording.time - recording.time[0]
-    temperature = _temperature(recording)
+    temperature = temperature_of(recording)
     measured = State(
         recording.time,
         recording.accel,
@@ -96,7 +95,7 @@ def motion_of(
     return Motion(
         "recording",
         float(time[-1]),
-        _splines(time, quat, acceleration),
+        splines(time, quat, acceleration),
         tuple(sorted(segments, key=lambda segment: segment.start)),
         temperature=temperature,
         vibration=_interpolated(time, np.sqrt(shake)) if shake.any() else None,
@@ -104,65 +103,10 @@ def motion_of(
     )
 
 
-def motion_from_reference(
-    time: FloatArray,
-    quat: FloatArray,
-    position: FloatArray | None = None,
-    *,
-    gravity: float,
-    bandwidth: float | None = None,
-    name: str = "reference",
-) -> Motion:
-    """Return the motion that a reference measured: motion capture, a table, a simulation.
-
-    Parameters
-    ----------
-    time : (n,) array, s
-        Increasing; the motion's time 0 is the first of them.
-    quat : (n, 4) array
-        Orientations ``mat_ns``, scalar first. Rows that are not finite are left out.
-    position : (n, 3) array, m, or None
-        None has the sensor stay where it is.
-    gravity : float, m/s²
-    bandwidth : float, Hz, or None
-        Low-pass without delay, against noise of the reference; None takes it as exact. Two
-        derivatives of a position make much of its noise.
-
-    Raises
-    ------
-    ValueError
-        If shapes disagree, time does not increase, or fewer than four rows are finite.
-    """
-    time, quat = np.asarray(time, np.float64), np.asarray(quat, np.float64)
-    if quat.shape != (len(time), 4):
-        raise ValueError(f"`quat` must be {(len(time), 4)}, got {quat.shape}")
-    good = np.isfinite(quat).all(axis=1)
-    if position is not None:
-        position = np.asarray(position, np.float64)
-        if position.shape != (len(time), 3):
-            raise ValueError(f"`position` must be {(len(time), 3)}, got {position.shape}")
-        good &= np.isfinite(position).all(axis=1)
-    if good.sum() < 4:
-        raise ValueError(f"`quat` has {good.sum()} finite rows, expected at least four")
-    at = time[good] - time[0]
-    if np.diff(at).min() <= 0:
-        raise ValueError("`time` must increase")
-    quat = _continuous(quat[good])
-    if bandwidth is not None:
-        quat = _low_pass(at, quat, bandwidth)
-    quat /= np.linalg.norm(quat, axis=1, keepdims=True)
-    acceleration = np.zeros((len(at), 3))
-    if position is not None:
-        position = position[good]
-        if bandwidth is not None:
-            position = _low_pass(at, position, bandwidth)
-        acceleration = CubicSpline(at, position)(at, 2)
-    return Motion(name, float(at[-1]), _splines(at, quat, acceleration), gravity=gravity)
-
-
-def _splines(
+def splines(
     time: FloatArray, quat: FloatArray, acceleration: FloatArray
 ) -> Callable[[FloatArray], Kinematics]:
+    """Return the motion through orientations (n, 4) and accelerations in frame n (n, 3)."""
     turning = RotationSpline(time, Rotation.from_quat(quat[:, [1, 2, 3, 0]]))
     force = CubicSpline(time, acceleration)
     velocity, position = force.antiderivative(1), force.antiderivative(2)
@@ -303,12 +247,6 @@ def _conjugate(quat: FloatArray) -> FloatArray:
     return quat * [1.0, -1.0, -1.0, -1.0]
 
 
-def _continuous(quat: FloatArray) -> FloatArray:
-    """Return the quaternions with signs such that neighbours are near."""
-    flip = np.where(np.einsum("ij,ij->i", quat[1:], quat[:-1]) < 0, -1.0, 1.0)
-    return np.asarray(quat * np.concatenate([[1.0], np.cumprod(flip)])[:, None])
-
-
 def _without_noise(values: FloatArray, poses: Poses, shake: FloatArray) -> FloatArray:
     """Return (n, 3) values through a local Wiener filter with the variance at rest as its noise.
 
@@ -335,16 +273,6 @@ def _pairs(poses: Poses) -> list[tuple[int, int]]:
     return [(int(a), int(b)) for a, b in zip(poses.start, poses.stop, strict=True)]
 
 
-def _low_pass(time: FloatArray, values: FloatArray, bandwidth: float) -> FloatArray:
-    """Return (n, k) values through a low-pass without delay; as they are if it is too wide."""
-    step = float(np.median(np.diff(time))) if len(time) > 1 else 1.0
-    if bandwidth >= 0.45 / step or len(time) < 32:
-        return np.array(values)
-    sos = butter(4, bandwidth, fs=1 / step, output="sos")
-    out: FloatArray = sosfiltfilt(sos, values, axis=0)
-    return out
-
-
 def _rest_bias(time: FloatArray, rate: FloatArray, poses: Poses) -> FloatArray:
     """Return what the gyro still reads at rest, between the rests by straight lines, (n, 3)."""
     if not len(poses):
@@ -368,7 +296,7 @@ def _interpolated(time: FloatArray, values: FloatArray) -> Callable[[FloatArray]
     return lambda when: np.stack([np.interp(when, time, v) for v in values.T], axis=1)
 
 
-def _temperature(recording: Recording) -> Callable[[FloatArray], FloatArray] | None:
+def temperature_of(recording: Recording) -> Callable[[FloatArray], FloatArray] | None:
     """Return the recorded temperature, without its thermometer's noise and steps."""
     known = known_temperature((recording,))
     if known is None:

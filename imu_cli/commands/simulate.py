@@ -20,6 +20,29 @@ EFFECT_HELP = (
 def simulate(
     output: Annotated[Path, typer.Option("-o", "--output", help="Recording to write.")],
     motion: Annotated[str | None, typer.Option(help=MOTION_HELP)] = None,
+    reference: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="REF",
+            help="Move as motion capture or a table's profile says. With --like: at the times and "
+            "in the frame of that recording.",
+        ),
+    ] = None,
+    fixed_point: Annotated[
+        bool,
+        typer.Option(
+            "--fixed-point",
+            help="REF has orientations only, and the body turned about a fixed point: a table of "
+            "several axes. (One axis, angles and rates are known to.)",
+        ),
+    ] = False,
+    bandwidth: Annotated[
+        float | None,
+        typer.Option(
+            help="Low-pass of REF against its noise, Hz. [default: where its motion ends; none if "
+            "it is exact]"
+        ),
+    ] = None,
     like: Annotated[
         Path | None,
         typer.Option(metavar="LOG", help="Digital twin of this recording: its motion and times."),
@@ -37,7 +60,7 @@ def simulate(
     ] = None,
     rate: Annotated[float | None, typer.Option(help="Samples per second. [default: 100]")] = None,
     duration: Annotated[
-        str | None, typer.Option(help="Such as 90s or 10min. [default: 3min]")
+        str | None, typer.Option(help="Such as 90s or 10min. [default: 3min, or all of REF]")
     ] = None,
     noise: Annotated[
         float, typer.Option(help="Multiple of the sensor's noise; 0 is without.")
@@ -67,14 +90,15 @@ def simulate(
 
     Without --sensor the sensor has no errors but a consumer part's noise. With --like and
     --calibration the result is the digital twin of a recording: what that calibration says the
-    sensor should have read on the same motion.
+    sensor should have read on the same motion. With --reference the motion is what something else
+    saw, and --like needs no calibration.
     """
     import numpy as np
 
-    from calib.effects.text import parse_term
     from calib.simulate import Sampling
     from calib.simulation.library import MOTIONS
     from drivers.formats import open_writer
+    from drivers.reference_file import read_motion
     from imu_cli import output as out
     from imu_cli.options import parse_duration
     from imu_cli.simulation import Plan, describe, run
@@ -83,10 +107,10 @@ def simulate(
         raise typer.BadParameter(
             f"{motion!r} is no motion: {', '.join(MOTIONS)}", param_hint="--motion"
         )
-    if like is not None and calibration is None:
+    if like is not None and calibration is None and reference is None:
         raise typer.BadParameter(
             "the motion of a recording is known only through its calibration: give --calibration "
-            "(imu-cal calibrate makes one)",
+            "(imu-cal calibrate makes one), or --reference",
             param_hint="--like",
         )
     if like is None and calibration is not None:
@@ -109,14 +133,25 @@ def simulate(
             + ", ".join(given),
             param_hint="--like",
         )
-    inputs = [path for path in (like, calibration, sensor) if path is not None and path.exists()]
+    if reference is not None and motion is not None:
+        raise typer.BadParameter(
+            "expected --motion or --reference, got both", param_hint="--motion"
+        )
+    for name, needs in (("--fixed-point", fixed_point), ("--bandwidth", bandwidth is not None)):
+        if needs and reference is None:
+            raise typer.BadParameter("it needs --reference", param_hint=name)
+    used = (like, calibration, sensor, reference)
+    inputs = [path for path in used if path is not None and path.exists()]
     outputs = [path for path in (output, truth) if path is not None]
-    if any(path.exists() and path.samefile(used) for path in outputs for used in inputs):
+    if any(path.exists() and path.samefile(other) for path in outputs for other in inputs):
         raise typer.BadParameter("would overwrite what it is made from", param_hint="--output")
     if truth is not None and truth.resolve() == output.resolve():
         raise typer.BadParameter("is the same file as --output", param_hint="--truth")
+    moved = None if reference is None else read_motion(reference, fixed=fixed_point)
     try:
         seconds = parse_duration(duration or "3min")
+        if moved is not None:
+            seconds = min(seconds if duration else np.inf, moved.duration)
         plan = Plan(
             motion=motion or "bench",
             duration=seconds,
@@ -125,6 +160,9 @@ def simulate(
             noise=noise,
             sampling=Sampling(jitter=jitter or 0.0, lost=lost or 0.0),
             sensor=sensor,
+            effects=tuple(effect or ()),
+            reference=moved,
+            bandwidth=bandwidth,
             like=like,
             calibration=calibration,
             profile=profile,
@@ -134,16 +172,19 @@ def simulate(
             gyro_range=gyro_range,
             bits=bits,
         )
-        terms = tuple(parse_term(text, span=plan.span) for text in effect or ())
     except ValueError as error:
         raise typer.BadParameter(str(error)) from error
     # The suffixes are checked before the work is done.
     writers = [open_writer(path, atomic=True) for path in outputs]
-    result = run(plan, terms, rng=np.random.default_rng(seed))
+    result = run(plan, rng=np.random.default_rng(seed))
     for writer, recording in zip(writers, (result.recording, result.truth), strict=False):
         if recording is not None:
             with writer:
                 writer.append(recording)
+    if moved is not None and not moved.placed:
+        out.warn(
+            f"{reference} has no positions: its point counts as fixed (--fixed-point, if it was)"
+        )
     document = describe(result, output, seed=seed)
     if json:
         out.print_json(document)

@@ -12,9 +12,12 @@ from calib.calibration import Calibration, Event, Gravity, Noise, Provenance, Qu
 from calib.effects.base import Term
 from calib.effects.text import parse_term
 from calib.model import SensorModel, Triad
-from calib.simulation.library import MOTIONS
+from calib.simulate import Sampling, simulate
+from calib.simulation.kinematics import Motion
+from calib.simulation.library import MOTIONS, make_motion
+from calib.simulation.noise import CONSUMER
 from drivers.calibration_file import describe_input, load_calibration, save_calibration
-from drivers.formats import read_recording
+from drivers.formats import open_writer, read_recording
 from imu_cli.app import app
 from imu_cli.options import parse_duration
 
@@ -148,6 +151,11 @@ def test_events_are_in_the_twin_of_their_own_recording_only(sensor: Path, tmp_pa
         (["--calibration", "cal.json"], "--like"),
         (["--like", "log.csv", "--calibration", "cal.json", "--rate", "50"], "--rate"),
         (["--like", "log.csv", "--calibration", "cal.json", "--lost", "0.1"], "--lost"),
+        (["--like", "log.csv", "--reference", "ref.csv", "--rate", "50"], "--rate"),
+        (["--reference", "ref.csv", "--motion", "bench"], "--motion"),
+        (["--reference", "ref.csv", "--calibration", "cal.json"], "--like"),
+        (["--fixed-point"], "--reference"),
+        (["--bandwidth", "5"], "--reference"),
     ],
 )
 def test_wrong_arguments(arguments: list[str], said: str, tmp_path: Path) -> None:
@@ -177,6 +185,107 @@ def test_inputs_are_not_overwritten(sensor: Path, tmp_path: Path) -> None:
     assert "overwrite" in result.stderr
     assert run("-o", tmp_path / "a.csv", "--truth", tmp_path / "a.csv").exit_code == 2
     assert log.read_bytes() == before
+
+
+def reference(path: Path, motion: Motion, *, position: bool = True) -> Path:
+    time = np.arange(0.0, motion.duration, 0.01)
+    turning, way = motion.kinematics(time)
+    names, columns = ["time", "qw", "qx", "qy", "qz"], [time[:, None] + 9.0, turning.quat]
+    if position:
+        assert way is not None
+        names, columns = [*names, "x", "y", "z"], [*columns, way.position]
+    np.savetxt(path, np.hstack(columns), "%.9f", ",", header=",".join(names), comments="")
+    return path
+
+
+@pytest.fixture
+def moved() -> Motion:
+    return make_motion("bench", rng=np.random.default_rng(3), duration=60.0, gravity=9.80665)
+
+
+def test_the_motion_of_a_reference(moved: Motion, sensor: Path, tmp_path: Path) -> None:
+    known = reference(tmp_path / "ref.csv", moved)
+    path, truth = tmp_path / "sim.arrow", tmp_path / "truth.arrow"
+    result = run("--reference", known, "--sensor", sensor, "-o", path, "--truth", truth, "--json")
+    assert result.exit_code == 0, result.stderr
+    document = json.loads(result.stdout)
+    assert document["motion"] == "reference"
+    assert document["reference"] == {"bandwidth": None, "samples_missing": 0, "position": True}
+    assert len([s for s in document["segments"] if s["kind"] == "turn"]) == len(moved.turns)
+    true = read_recording(truth)
+    assert true.duration == pytest.approx(60.0, abs=0.03)
+    state = moved.state(true.time)
+    inner = slice(100, -100)
+    assert np.abs(true.gyro - state.rate)[inner].max() < 0.01
+    # The fixture's sensor was calibrated where gravity is 9.81.
+    assert (true.accel - state.force * 9.81 / 9.80665)[inner].std() < 0.01
+    left = read_recording(path).accel[:, 0] - 1.02 * true.accel[:, 0]
+    assert left.mean() == pytest.approx(0.3, abs=2e-3)
+
+
+def test_a_reference_without_positions_is_said_to_stay(moved: Motion, tmp_path: Path) -> None:
+    known = reference(tmp_path / "ref.csv", moved, position=False)
+    path = tmp_path / "sim.csv"
+    result = run("--reference", known, "--duration", "20s", "--noise", 0, "-o", path)
+    assert result.exit_code == 0, result.stderr
+    assert "--fixed-point" in result.stderr
+    assert "does not move" in result.stdout
+    size = np.linalg.norm(read_recording(path).accel, axis=1)
+    np.testing.assert_allclose(size, 9.80665, atol=1e-5)
+    result = run("--reference", known, "--fixed-point", "--duration", "20s", "-o", path)
+    assert result.exit_code == 0, result.stderr
+    assert not result.stderr
+
+
+def test_a_reference_in_the_time_and_frame_of_a_log(
+    moved: Motion, sensor: Path, tmp_path: Path
+) -> None:
+    known = reference(tmp_path / "ref.csv", moved)
+    rng = np.random.default_rng(4)
+    model = load_calibration(sensor).model
+    log = tmp_path / "log.arrow"
+    real = simulate(moved, model, CONSUMER, rng=rng, rate=80.0, sampling=Sampling(5.0))
+    with open_writer(log, atomic=True) as writer:
+        writer.append(real)
+    twin = tmp_path / "twin.arrow"
+    result = run(
+        *("--reference", known, "--like", log, "--calibration", sensor, "-o", twin, "--noise", 0)
+    )
+    assert result.exit_code == 0, result.stderr
+    found = read_recording(twin)
+    first = int(np.searchsorted(real.time, found.time[0]))
+    same = real.slice(first, first + len(found))
+    assert len(found) > 0.98 * len(real)
+    np.testing.assert_array_equal(found.time, same.time)
+    inner = slice(40, -40)
+    for name, level in (("accel", 4e-3), ("gyro", 1e-4)):
+        left = (getattr(found, name) - getattr(same, name))[inner]
+        assert np.sqrt(np.mean(left**2)) < 1.5 * level * np.sqrt(40)
+    # Without a calibration it is the ideal sensor there.
+    result = run("--reference", known, "--like", log, "-o", twin, "--noise", 0)
+    assert result.exit_code == 0, result.stderr
+    ideal = read_recording(twin)
+    left = real.accel[np.searchsorted(real.time, ideal.time), 0] - ideal.accel[:, 0]
+    assert left.mean() == pytest.approx(0.3, abs=0.1)
+
+
+def test_an_imu_is_no_motion(sensor: Path, tmp_path: Path) -> None:
+    log = tmp_path / "log.csv"
+    assert run("--duration", "10s", "-o", log).exit_code == 0
+    result = run("--reference", log, "-o", tmp_path / "sim.csv")
+    assert result.exit_code == 3
+    assert "--like log.csv with --calibration" in " ".join(result.stderr.split())
+    assert run("--reference", log, "-o", log).exit_code == 2
+
+
+def test_moments_lie_within_the_recording_that_is_twinned(sensor: Path, tmp_path: Path) -> None:
+    log, twin = tmp_path / "log.arrow", tmp_path / "twin.arrow"
+    assert run("--sensor", sensor, "--duration", "40s", "-o", log).exit_code == 0
+    result = run(
+        *("--like", log, "--calibration", sensor, "-o", twin, "--effect", "gyro_bias_step")
+    )
+    assert result.exit_code == 0, result.stderr
+    assert "moment = 20" in result.stdout
 
 
 def test_durations() -> None:

@@ -101,6 +101,12 @@ class ReferenceMotion:
         return np.asarray(good)
 
     @property
+    def duration(self) -> float:
+        """From the first to the last time at which the reference saw the body, s."""
+        time = self.time[self.known]
+        return float(time[-1] - time[0]) if len(time) else 0.0
+
+    @property
     def placed(self) -> bool:
         """Whether it is known where the body's point is while it moves.
 
@@ -216,6 +222,19 @@ def compare_reference(
     model: SensorModel | None = None,
 ) -> tuple[ComparisonProblem, tuple[str, ...]]:
     """Align a reference with a recording; return what to compare, and what cannot show."""
+    problem, skip, _ = compared(real, reference, seen, gravity=gravity, model=model)
+    return problem, skip
+
+
+def compared(
+    real: Recording,
+    reference: Recording | ReferenceMotion,
+    seen: Samples,
+    *,
+    gravity: float,
+    model: SensorModel | None = None,
+) -> tuple[ComparisonProblem, tuple[str, ...], Recording | ReferenceMotion]:
+    """Return what `compare_reference` does, and the reference as it was used."""
     notes: dict[str, object] = {}
     if isinstance(reference, Recording):
         alignment = align(real.time, real.gyro, reference.time, reference.gyro)
@@ -229,7 +248,7 @@ def compare_reference(
         truth = RecordingTruth(reference, gravity, known.spoilt)
         common = matched(real, truth, alignment, mat, spoilt=seen.spoilt)
     else:
-        common, alignment, mat, notes = _captured(real, reference, gravity, seen.spoilt)
+        common, alignment, mat, notes, reference = _captured(real, reference, gravity, seen.spoilt)
     problem = ComparisonProblem(
         common.real,
         common.truth,
@@ -246,12 +265,12 @@ def compare_reference(
     # What both were limited to hides the sensor's own low-pass. Where samples do not resolve the
     # motion, one that is lost cannot be told from motion either.
     hidden = ("bandwidth",) if common.limited else ()
-    return problem, ((*hidden, "dropped_samples") if common.blur else hidden)
+    return problem, ((*hidden, "dropped_samples") if common.blur else hidden), reference
 
 
 def _captured(
     real: Recording, reference: ReferenceMotion, gravity: float, spoilt: BoolArray
-) -> tuple[Matched, Alignment, FloatArray, dict[str, object]]:
+) -> tuple[Matched, Alignment, FloatArray, dict[str, object], ReferenceMotion]:
     """Align a captured motion, and limit both to the band that they share; say what is left out."""
     ways = (_placed(real, way, gravity) for way in (reference, reference.inverted()))
     reference, truth, alignment, mat, _ = min(ways, key=lambda placed: placed.error)
@@ -266,7 +285,7 @@ def _captured(
     if common.band and BEYOND * common.band < 0.5 / truth.recording.interval:
         truth = reference.truth(gravity=gravity, bandwidth=BEYOND * common.band)
         common = limited(real, truth, common.band, spoilt)
-    return common, alignment, mat, notes
+    return common, alignment, mat, notes, reference
 
 
 def _left_out(

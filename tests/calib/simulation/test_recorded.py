@@ -12,7 +12,7 @@ from calib.simulation.bench import bench_protocol
 from calib.simulation.kinematics import Motion
 from calib.simulation.motions import pendulum
 from calib.simulation.noise import NoiseModel, noise_at_rest
-from calib.simulation.recorded import motion_from_reference, motion_of
+from calib.simulation.recorded import motion_of
 from calib.statics import find_poses
 
 G = 9.80665
@@ -103,47 +103,6 @@ def test_a_recording_without_poses_has_a_motion() -> None:
     assert not motion.segments
     left = motion.state(recording.time).rate - MODEL.gyro.correct(recording.gyro)
     assert np.sqrt(np.mean(left**2)) < 3e-3
-
-
-@pytest.mark.parametrize("rate", [100.0, 400.0])
-def test_a_reference_gives_back_its_motion(rate: float) -> None:
-    motion = pendulum(hold=0.0, duration=10.0)
-    time = np.arange(0.0, 10.0, 1 / rate)
-    kinematics = motion.kinematics(time)
-    assert kinematics.path is not None
-    quat = kinematics.turning.quat.copy()
-    quat[::3] *= -1  # the same orientations
-    quat[50:53] = np.nan
-    found = motion_from_reference(time + 7.0, quat, kinematics.path.position, gravity=G)
-    between = time[20:-20] + 0.3 / rate
-    true, state = motion.state(between), found.state(between)
-    np.testing.assert_allclose(state.rate, true.rate, atol=1e-3)
-    np.testing.assert_allclose(state.force, true.force, atol=0.1)
-
-
-def test_a_noisy_reference_is_smoothed_without_delay() -> None:
-    motion = pendulum(hold=0.0, duration=20.0, length=0.5)
-    time = np.arange(0.0, 20.0, 0.005)
-    kinematics = motion.kinematics(time)
-    assert kinematics.path is not None
-    noise = np.random.default_rng(8).normal(0, 2e-4, (len(time), 3))
-    found = motion_from_reference(
-        time, kinematics.turning.quat, kinematics.path.position + noise, gravity=G, bandwidth=6.0
-    )
-    error = (found.state(time).force - motion.state(time).force)[100:-100]
-    assert np.sqrt(np.mean(error**2)) < 0.15
-
-
-def test_references_are_checked() -> None:
-    time, quat = np.arange(5.0), np.tile([1.0, 0, 0, 0], (5, 1))
-    for arguments, name in (
-        ((time, quat[:4]), "quat"),
-        ((time, quat, np.zeros((4, 3))), "position"),
-        ((time, np.full((5, 4), np.nan)), "quat"),
-        ((np.zeros(5), quat), "time"),
-    ):
-        with pytest.raises(ValueError, match=f"`{name}`"):
-            motion_from_reference(*arguments, gravity=G)
 
 
 def test_white_noise_at_rest_is_measured() -> None:
