@@ -68,6 +68,14 @@ class AxisError(TransformEffect):
             signals, parameters, "axes", lambda x, number: x @ signed_permutation(int(number))
         )
 
+    def in_words(self, shape: Mapping[str, float]) -> str:
+        said = [
+            f"The {triad}'s axes show {describe_order(int(shape[f'{triad}_axes']))}."
+            for triad in ("accel", "gyro")
+            if f"{triad}_axes" in shape
+        ]
+        return " ".join(said)
+
 
 def signed_permutation(number: int) -> FloatArray:
     """Return the matrix (3, 3) of one of the `ORDERS`."""

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from calib import faults
-from calib.calibration import Quantity
+from calib.calibration import Quantity, parameter_unit
 from calib.effects import get_effect
 from calib.effects.axis_error import ORDERS, signed_permutation
 from calib.mismatch.findings.diagnosis import Finding, Interval, Unexplained
@@ -127,7 +127,7 @@ def look_at_faults(recording: Recording, moving: BoolArray, *, whole: bool) -> S
     unexplained: list[Unexplained] = []
     clipped = np.zeros(values.shape, bool)
     step, noise = faults.resolution(values), faults.noise_at_rest(values)
-    for first, triad, unit in ((0, "accel", "m/s²"), (3, "gyro", "rad/s")):
+    for first, triad in ((0, "accel"), (3, "gyro")):
         limit = 0.0
         for c in range(first, first + 3):
             at = faults.find_clipping(
@@ -143,7 +143,7 @@ def look_at_faults(recording: Recording, moving: BoolArray, *, whole: bool) -> S
             # The range is one: what another axis reached for a sample or two was cut there as well.
             own = slice(first, first + 3)
             clipped[:, own] |= np.abs(values[:, own]) >= limit - 1.5 * step[own]
-            findings.append(_saturation(recording, clipped, triad, limit, unit))
+            findings.append(_saturation(recording, clipped, triad, limit))
     stuck = 0
     told = len(recording) if whole or moving.any() else 0
     for c, start, stop in faults.find_stuck(
@@ -224,8 +224,8 @@ def _units(recording: Recording, poses: Poses, closure: Closure | None) -> list[
     for fault in unit_faults(recording, poses, closure):
         own = "" if fault.channel is None else f".{'xyz'[fault.channel]}"
         channels = tuple(c for c in CHANNELS if c.startswith(fault.triad + own))
-        value = Quantity(fault.factor - 1.0, None, "1")
-        out.append(_finding("unit_error", recording, channels, {fault.triad: value}, fault.message))
+        values = {fault.triad: fault.factor - 1.0}
+        out.append(_finding("unit_error", recording, channels, values, fault.message))
     return out
 
 
@@ -235,28 +235,21 @@ def _axes(recording: Recording, closure: Closure | None) -> list[Finding]:
     # The closure knows what undoes the mistake; the effect states the mistake.
     made = closure.axes.T
     number = next((k for k in range(len(ORDERS)) if np.array_equal(signed_permutation(k), made)), 0)
-    values = {"gyro": Quantity(1.0, None, "1"), "gyro_axes": Quantity(float(number), None, "1")}
     names = tuple(f"gyro.{a}" for a, row in zip("xyz", made - np.eye(3), strict=True) if row.any())
-    return [_finding("axis_error", recording, names, values)]
+    return [_finding("axis_error", recording, names, {"gyro": 1.0, "gyro_axes": float(number)})]
 
 
-def _saturation(
-    recording: Recording, clipped: BoolArray, triad: str, limit: float, unit: str
-) -> Finding:
+def _saturation(recording: Recording, clipped: BoolArray, triad: str, limit: float) -> Finding:
     first = 0 if triad == "accel" else 3
     own = clipped[:, first : first + 3]
     channels = tuple(CHANNELS[first + i] for i in range(3) if own[:, i].any())
-    values = {
-        triad: Quantity(1.0, None, "1"),
-        f"{triad}_full_scale": Quantity(limit, None, unit),
-    }
+    values = {triad: 1.0, f"{triad}_full_scale": limit}
     where = intervals_of(recording.time, np.flatnonzero(own.any(axis=1)))
     return _finding("saturation", recording, channels, values, intervals=where)
 
 
 def _repeats(recording: Recording, repeats: IntArray) -> Finding:
-    values = {"count": Quantity(-float(repeats.size), None, "samples")}
-    values["moment"] = Quantity(float(recording.time[repeats[0]]), None, "s")
+    values = {"count": -float(repeats.size), "moment": float(recording.time[repeats[0]])}
     where = intervals_of(recording.time, repeats)
     return _finding("dropped_samples", recording, CHANNELS, values, intervals=where)
 
@@ -264,16 +257,16 @@ def _repeats(recording: Recording, repeats: IntArray) -> Finding:
 def lost_samples(recording: Recording, loss: Loss, turn: FloatArray) -> Finding:
     """Return the finding of a loss that the closure of its own turn shows."""
     late, number = loss.spread
-    values = {
-        "count": Quantity(float(loss.number), number if number > CERTAIN else None, "samples"),
-        "moment": Quantity(loss.moment, float(np.hypot(recording.interval, late)), "s"),
-    }
+    spread = {"moment": float(np.hypot(recording.interval, late))}
+    if number > CERTAIN:
+        spread["count"] = number
     found = _finding(
         "dropped_samples",
         recording,
         CHANNELS,
-        values,
+        {"count": float(loss.number), "moment": loss.moment},
         intervals=((float(turn[0]), float(turn[1])),),
+        spread=spread,
     )
     # Two of the turn's five equations find where and how many; the others prove it.
     gain = 2.5 * (loss.before**2 - loss.after**2)
@@ -297,7 +290,7 @@ def _coarse(
     # Finer than any part rounds are the decimals of a file without noise.
     finest = {s.name.split("_")[0]: s.low or 0.0 for s in get_effect("quantization").shape}
     out = []
-    for first, triad, unit in ((0, "accel", "m/s²"), (3, "gyro", "rad/s")):
+    for first, triad in ((0, "accel"), (3, "gyro")):
         part, whole = change[:, first : first + 3], moved[:, first : first + 3]
         lsb = _refined(whole, step[first : first + 3])
         count, grid = _counts(part, lsb)
@@ -311,10 +304,7 @@ def _coarse(
         if coarse.any():
             names = tuple(CHANNELS[first + i] for i in np.flatnonzero(coarse))
             size = float(np.median(lsb[coarse]))
-            found = {
-                triad: Quantity(1.0, None, "1"),
-                f"{triad}_lsb": Quantity(size, None, unit),
-            }
+            found = {triad: 1.0, f"{triad}_lsb": size}
             out.append(_finding("quantization", recording, names, found))
     return out
 
@@ -342,11 +332,17 @@ def _finding(
     slug: str,
     recording: Recording,
     channels: tuple[str, ...],
-    parameters: Mapping[str, Quantity],
+    values: Mapping[str, float],
     note: str = "",
     intervals: tuple[Interval, ...] = (),
+    spread: Mapping[str, float] | None = None,
 ) -> Finding:
-    effect = get_effect(slug)
+    effect, known = get_effect(slug), spread or {}
+    parameters = {
+        name: Quantity(value, known.get(name), parameter_unit(f"{slug}.{name}"))
+        for name, value in values.items()
+    }
+    sentence = f"{effect.sentence} {effect.in_words(values)}".rstrip()
     whole = ((float(recording.time[0]), float(recording.time[-1])),)
     return Finding(
         effect=slug,
@@ -355,14 +351,14 @@ def _finding(
         channels=channels,
         intervals=intervals or whole,
         regime=effect.follows,
-        parameters=dict(parameters),
+        parameters=parameters,
         p_value=faults.FALSE_ALARM,
         absorbed_by=(),
         held_out=None,
         held_out_reason="it is seen in the samples themselves; no equation is fitted for it",
         rivals=(),
         to_separate="",
-        sentence=f"{effect.sentence} ({note})" if note else effect.sentence,
+        sentence=f"{sentence} ({note})" if note else sentence,
     )
 
 

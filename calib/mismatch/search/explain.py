@@ -29,7 +29,13 @@ from calib.mismatch.search.estimate import Estimate
 from calib.mismatch.search.ranking import Accepted, chance, fitted
 from calib.mismatch.search.search import TIE, TWIN, Outcome
 from calib.recording import CHANNELS
-from calib.types import FloatArray
+from calib.types import BoolArray, FloatArray
+
+RANK = 1e-9
+"""Singular value, of the largest, up to which a direction is not determined."""
+
+UNIQUE = 1e-6
+"""Share of a parameter that may lie in such directions where it is determined all the same."""
 
 COUNTED = 0.3
 """Standard error of a count of samples above which it is not known to be whole."""
@@ -195,12 +201,12 @@ def _proof(
     scale = np.linalg.norm(mean, axis=0)
     scale[scale == 0] = 1.0
     whitener = make_whitener(rows, outcome.levels, outcome.contrast, mean[:, :0])
-    without = np.linalg.lstsq(whitener.whiten(mean / scale), whitener.whiten(residual), rcond=1e-9)
+    without, determined = _least_squares(whitener.whiten(mean / scale), whitener.whiten(residual))
     sigma = np.sqrt(np.diag(fit.covariance))
     absorbed = []
     for j, name in enumerate(names):
-        shift = float(without[0][j] / scale[j] - fit.step[j])
-        if sigma[j] > 0 and abs(shift) > sigma[j]:
+        shift = float(without[j] / scale[j] - fit.step[j])
+        if determined[j] and sigma[j] > 0 and abs(shift) > sigma[j]:
             absorbed.append(Absorbed(name, shift, parameter_unit(name), abs(shift) / sigma[j]))
     absorbed.sort(key=lambda item: -item.standard_errors)
     proof = held_out(
@@ -212,8 +218,16 @@ def _proof(
         contrast=outcome.contrast,
         channels=own.candidate.channels,
     )
-    left = residual - (mean / scale) @ without[0]
+    left = residual - (mean / scale) @ without
     return tuple(absorbed[:8]), proof, left
+
+
+def _least_squares(design: FloatArray, y: FloatArray) -> tuple[FloatArray, BoolArray]:
+    """Return the shortest solution, and which of its elements are the same in all of them."""
+    u, size, vt = np.linalg.svd(design, full_matrices=False)
+    good = size > RANK * size[0]
+    kept = vt[good]
+    return kept.T @ ((u[:, good].T @ y) / size[good]), np.square(kept).sum(axis=0) > 1.0 - UNIQUE
 
 
 _CLOCK_LIKE = ("warm_up", "bias_step")

@@ -9,7 +9,7 @@ from calib.calibration import Gravity
 from calib.document import from_document, to_document
 from calib.effects import get_effect
 from calib.effects.accel_settling import NONE, WHOLE
-from calib.effects.base import State, Term
+from calib.effects.base import PRESENCE, State, Term
 from calib.errors import InsufficientMotionError
 from calib.mismatch import diagnose_recording
 from calib.model import SensorModel
@@ -116,6 +116,7 @@ def test_clipping_is_seen_in_the_samples():
     item = next(f for f in found.findings if f.effect == "saturation")
     assert "gyro.x" in item.channels
     np.testing.assert_allclose(item.parameters["gyro_full_scale"].value, limit, rtol=1e-6)
+    assert item.parameters["gyro"].unit == PRESENCE
 
 
 @pytest.mark.parametrize(
@@ -131,6 +132,9 @@ def test_wrong_units_and_axes_are_named_alone(accel, gyro, name):
     wrong = Recording(real.time, accel * real.accel, real.gyro @ gyro.T, "device")
     found = diagnose_recording(wrong, gravity=GRAVITY)
     assert [f.effect for f in found.findings] == [name]
+    if name == "axis_error":
+        assert "The gyro's axes show x: y, y: x, z: z." in found.findings[0].sentence
+        assert [q.unit for q in found.findings[0].parameters.values()] == [PRESENCE, ""]
 
 
 def test_one_pose_cannot_tell():

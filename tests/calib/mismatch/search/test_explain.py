@@ -1,9 +1,10 @@
 """What the numbers of a finding must be for its name to stand."""
 
+import numpy as np
 import pytest
 
 from calib.calibration import Quantity
-from calib.mismatch.search.explain import _is_whole
+from calib.mismatch.search.explain import _is_whole, _least_squares
 
 
 @pytest.mark.parametrize(
@@ -18,3 +19,14 @@ from calib.mismatch.search.explain import _is_whole
 )
 def test_samples_are_lost_whole_or_not_at_all(value, sigma, whole):
     assert _is_whole(Quantity(value, sigma, "samples")) is whole
+
+
+def test_what_two_columns_share_is_not_determined():
+    rng = np.random.default_rng(4)
+    design = rng.normal(size=(20, 3))
+    design = np.column_stack((design, design[:, 0] - 2.0 * design[:, 1]))
+    y = design @ [1.0, 2.0, 3.0, 0.0]
+    solution, determined = _least_squares(design, y)
+    np.testing.assert_array_equal(determined, [False, False, True, False])
+    np.testing.assert_allclose(solution, np.linalg.lstsq(design, y, rcond=1e-9)[0], atol=1e-12)
+    assert _least_squares(design[:, :3], y)[1].all()
