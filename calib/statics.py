@@ -288,16 +288,24 @@ def _rate_at_rest(
     # From the densest place outwards, in groups, each within reach of the one before it.
     groups = [slice(k, k + GROUP) for k in range(0, len(rate), GROUP)]
     centre = densest // GROUP
-    known: dict[int, FloatArray] = {}
+    known: dict[int, tuple[FloatArray, FloatArray]] = {}
     for path in (range(centre, len(groups)), range(centre, -1, -1)):
-        bias = rate[densest]
+        bias, since, slope, far = rate[densest], at[densest], np.zeros(3), 0.0
         for g in path:
-            near = np.linalg.norm(rate[groups[g]] - bias, axis=1) <= reach
-            if near.any():
-                bias = np.median(rate[groups[g]][near], axis=0)
-                known[g] = bias
-    when = [float(np.mean(at[groups[g]])) for g in sorted(known)]
-    smooth = np.array([known[g] for g in sorted(known)])
+            time, own = at[groups[g]], rate[groups[g]]
+            # A sensor that warms up leaves faster and faster, back in time.
+            off = own - bias - slope * np.clip(time - since, -far, far)[:, None]
+            near = np.linalg.norm(off, axis=1) <= reach
+            if not near.any():
+                continue
+            time, own, since = time[near], own[near], float(time[near].mean())
+            bias, slope = np.median(own, axis=0), np.zeros(3)
+            if len(time) >= GROUP // 2:
+                slope, far = np.polyfit(time - since, own, 1)[0], 2.0 * float(np.ptp(time))
+            ends = time[[0, -1]]
+            known[g] = ends, bias + slope * (ends - since)[:, None]
+    when = np.concatenate([known[g][0] for g in sorted(known)])
+    smooth = np.concatenate([known[g][1] for g in sorted(known)])
     index = np.arange(len(blocks))
     return np.column_stack([np.interp(index, when, smooth[:, k]) for k in range(3)])
 
