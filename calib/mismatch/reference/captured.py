@@ -11,12 +11,15 @@ is the noisier the more of gravity is across an axis.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
 from scipy import sparse
 
 from calib.effects.base import State
+from calib.effects.vibration import quiet_level
+from calib.mismatch.rows.rows import Component
 from calib.recording import Recording
 from calib.rotation import skew
 from calib.types import FloatArray, IntArray
@@ -25,8 +28,17 @@ BLOCK = 0.25
 """s over which a sensor's noise is averaged: slow beside its own low-pass, quick beside its drift.
 """
 
-LEAST = 20
-"""Differences between neighbouring blocks that tell how loud a sensor is to a fifth."""
+FEWEST, LEAST = 3, 20
+"""Differences between neighbouring blocks: of a rest that tells anything, and of all rests that
+tell how loud a sensor is to a tenth."""
+
+
+WANDERS, UNSURE = 0.1, 2.0
+"""Variance of an angle's slow errors as a share of what its noise leaves in the mean of a window,
+and the standard deviation of the logarithm of that: what captures a motion seldom says."""
+
+LEAST_ANGLE = 1e-5
+"""rad that no capture is better than."""
 
 
 class Known(NamedTuple):
@@ -44,22 +56,30 @@ class Known(NamedTuple):
 def sensor_densities(recording: Recording, rests: IntArray) -> tuple[float, float] | None:
     """Return the noise densities of both triads, by blocks of (k, 2) rests; None if these are few.
 
-    ``rests`` are samples ``[start, stop)``.
+    ``rests`` are samples ``[start, stop)``. Those that shake tell of what shakes them.
     """
     each = max(1, round(BLOCK / recording.interval))
     values = np.hstack((recording.accel, recording.gyro))
-    changes = []
+    found = []
     for start, stop in rests:
         count = (stop - start) // each
-        blocks = values[start : start + count * each].reshape(count, each, 6).mean(axis=1)
-        changes.append(np.diff(blocks, axis=0))
-    found = np.concatenate([*changes, np.zeros((0, 6))])
-    if len(found) < LEAST:
+        if count > FEWEST:
+            blocks = values[start : start + count * each].reshape(count, each, 6).mean(axis=1)
+            square = np.square(np.diff(blocks, axis=0)).sum(axis=0).reshape(2, 3).mean(axis=1)
+            found.append([*square, count - 1])
+    of_rests = np.array(found).reshape(-1, 3)
+    number = of_rests[:, 2]
+    if number.sum() < LEAST:
         return None
-    # Half of a normal variable's sizes are below 0.6745 of its standard deviation.
-    sigma = np.median(np.abs(found), axis=0) / 0.6745 / np.sqrt(2.0)
-    accel, gyro = sigma.reshape(2, 3).mean(axis=1) * np.sqrt(2.0 * each * recording.interval)
-    return float(accel), float(gyro)
+    variance = of_rests[:, :2] / number[:, None]
+    # Neighbouring differences of the three axes share a block.
+    limit = 1.0 + 4.0 * np.sqrt(1.0 / number)
+    densities = []
+    for own in variance.T:
+        quiet = own <= limit * quiet_level(own, limit)
+        level = float(own[quiet] @ number[quiet] / number[quiet].sum())
+        densities.append(float(np.sqrt(level * each * recording.interval)))
+    return densities[0], densities[1]
 
 
 def mean_covariance(
@@ -80,20 +100,59 @@ def mean_covariance(
     known : Known
         Whatever else there is comes on top.
     """
-    n, step = len(state.time), known.interval
-    # Of a sum of weights times a derivative: minus the derivative of the weights.
-    slope = sparse.diags([0.5 / step, -0.5 / step], [1, -1], shape=(n, n), format="csr")
-    crossed = skew(state.force), skew(state.rate)
+    step = known.interval
     out = np.zeros((len(channel), len(channel)))
     for c, weights in enumerate(functional):
         own = np.flatnonzero(channel == c)
         rows = weights[own]
         # Per point a variance is half a density over the interval.
         total = rows @ rows.T * (known[c // 3] ** 2 / (2.0 * step))
-        for k in range(3):
-            felt = rows @ sparse.diags(crossed[c // 3][:, c % 3, k])
-            if c == 3 + k:
-                felt = felt + rows @ slope
+        for felt in _felt(rows, c, state, step):
             total += felt @ felt.T * (known.angle**2 / (2.0 * step))
         out[np.ix_(own, own)] = total.toarray()
     return out
+
+
+def wobble(
+    functional: list[sparse.csr_matrix],
+    channel: IntArray,
+    state: State,
+    known: Known,
+    nodes: FloatArray,
+) -> Component:
+    """Return what angles err by slowly, as a component of (k,) rows: straight from node to node.
+
+    However slowly an angle wanders it comes back, and what it adds to the mean rate of one window
+    it takes from another's. Errors that each window had by itself would not: beside them a bias
+    were never known better than that.
+
+    Parameters
+    ----------
+    nodes : (s,) array, s
+        Between them an angle errs by what is between its errors there.
+    """
+    hats = np.stack([np.interp(state.time, nodes, hat) for hat in np.eye(len(nodes))], axis=1)
+    response = sparse.lil_matrix((len(channel), 3 * len(nodes)))
+    for c, weights in enumerate(functional):
+        own = np.flatnonzero(channel == c)
+        felt = [each @ hats for each in _felt(weights[own], c, state, known.interval)]
+        response[own] = np.hstack(felt)
+    length = float(np.median(np.diff(nodes)))
+    expected = WANDERS * max(known.angle**2 / (2.0 * length), LEAST_ANGLE**2)
+    index, kernel = np.arange(len(channel)), np.eye(3 * len(nodes))
+    return Component("angles slow", index, response.tocsr(), kernel, expected, UNSURE)
+
+
+def _felt(
+    rows: sparse.csr_matrix, c: int, state: State, step: float
+) -> Iterator[sparse.csr_matrix]:
+    """Yield what rows (k, n) of a channel feel of errors of each angle at the n points."""
+    n = len(state.time)
+    crossed = skew(state.force if c < 3 else state.rate)
+    for k in range(3):
+        felt = rows @ sparse.diags(crossed[:, c % 3, k])
+        if c == 3 + k:
+            # Of a sum of weights times a derivative: minus the derivative of the weights.
+            slope = sparse.diags([0.5 / step, -0.5 / step], [1, -1], shape=(n, n), format="csr")
+            felt = felt + rows @ slope
+        yield felt

@@ -50,6 +50,9 @@ from calib.types import BoolArray, FloatArray
 FAST = 0.98
 """Share of the samples that turn slower than the motion at its fastest."""
 
+UNSURE = 1.5
+"""Factor up to which a density at zero frequency is not known from what is above `SLOWEST`."""
+
 ACCEL_BASELINE = (
     *(f"accel.bias.{a}" for a in AXES),
     *(f"accel.scale_factor_error.{a}" for a in AXES),
@@ -310,8 +313,12 @@ class ComparisonProblem:
         accel, gyro = np.sqrt(2.0 * self.interval * seen)
         # A rate is 2 pi f times an angle.
         angle = gyro * np.sqrt(self.colours[1].square) / (2.0 * np.pi)
-        own = min(self.densities[0], accel), min(self.densities[1], gyro)
-        return Known(*own, angle, self.interval)
+        # The sensor alone is no louder than both: where it is, the body moves in its rests.
+        accel, gyro = (
+            own if own < UNSURE * both else both
+            for own, both in zip(self.densities, (accel, gyro), strict=True)
+        )
+        return Known(accel, gyro, angle, self.interval)
 
     def residual(self, state: State) -> FloatArray:
         """Return recording minus model, (n, 6)."""

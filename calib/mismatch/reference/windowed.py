@@ -5,7 +5,7 @@ In each window and on each channel a difference is projected on its mean and on 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,7 +19,7 @@ from calib.mismatch.noise.sensornoise import (
     drift_components,
     flicker_covariance,
 )
-from calib.mismatch.reference.captured import Known, mean_covariance
+from calib.mismatch.reference.captured import Known, mean_covariance, wobble
 from calib.mismatch.reference.colour import Blur
 from calib.mismatch.reference.scatter import Scatter
 from calib.mismatch.rows.rows import UNKNOWN, Component, Kind, Rows
@@ -49,10 +49,6 @@ BEYOND = 3.0
 
 LIKE_REST = 1.5
 """Up to so much more noise than quiet ones a window has none of its own."""
-
-SLOW = 0.1
-"""Share of the noise of samples that their means are expected to have where a captured motion's
-angles leave less: what captures the motion may err slowly, too."""
 
 RESTLESS = 4.0
 """A window whose samples scatter by this much more (in variance) than in quiet ones holds motion
@@ -218,7 +214,9 @@ def _levelled(
         told = own & (free[:, c] > 0.5 * independent[:, c])
         if told.sum() < 5:
             told = own & (free[:, c] >= np.quantile(free[own, c], 0.8))
-        most = max(float(np.median(noise[told, c])), 1e-18)
+        # The median of chi-squared is below its mean: Wilson and Hilferty's approximation.
+        middle = (1.0 - 2.0 / (9.0 * np.maximum(free[told, c], 1.0))) ** 3
+        most = max(float(np.median(noise[told, c] / middle)), 1e-18)
         beyond = noise[:, c] > most * (1.0 + BEYOND * np.sqrt(2.0 / free[:, c]))
         more = (noise[:, c] - most) / white[c // 3]
         out[:, c] = most + np.where(beyond, more, 0.0)
@@ -301,9 +299,11 @@ def make_rows(
     )
     if known is not None:
         share = np.maximum(1.0 - LIKE_REST * quiet / shapes.noise, 0.0)
-        matrix = mean_covariance([f[:dense] for f in functional], channel[:dense], state, known)
+        averaging = [f[:dense] for f in functional]
+        matrix = mean_covariance(averaging, channel[:dense], state, known)
         matrix += np.diag(means * share[segment[:dense], channel[:dense]])
-        slow = _besides("slow", means, np.ones(dense, bool), channel[:dense], SLOW, SPREAD)
+        nodes = np.append(interval[:, 0], interval[-1, 1])
+        slow = (wobble(averaging, channel[:dense], state, known, nodes),)
         density = np.square(np.repeat(known[:2], 3))
     rows = Rows(
         residual=residual,
@@ -318,7 +318,7 @@ def make_rows(
         components=(
             *_components(pieces, dense, interval, density),
             *slow,
-            *_besides("motion", means, restless[:dense], channel[:dense], 1.0, UNKNOWN),
+            *_of_motion(means, restless[:dense], channel[:dense]),
         ),
         kind=kind,
         channel=channel,
@@ -337,26 +337,17 @@ def make_rows(
     return replace(rows, components=tuple(c for c in rows.components if len(c.index)))
 
 
-def _besides(
-    label: str,
-    variance: FloatArray,
-    which: BoolArray,
-    channel: IntArray,
-    expected: float,
-    spread: float,
-) -> tuple[Component, ...]:
-    """Return what else those means may err by, in parts of the variance that samples say.
+def _of_motion(variance: FloatArray, restless: BoolArray, channel: IntArray) -> Iterator[Component]:
+    """Yield what restless means err by besides, in parts of the variance that samples say.
 
     The truth's errors, which go with the motion, are no white noise: neighbouring samples err
-    alike, so that a mean is off by more. Nor need a captured motion's be all in its angles.
+    alike, so that a mean is off by more.
     """
-    out = []
     for k, triad in enumerate(("accel", "gyro")):
-        index = np.flatnonzero(which & (channel // 3 == k))
+        index = np.flatnonzero(restless & (channel // 3 == k))
         if index.size:
-            name, own = f"{triad} {label}", variance[index]
-            out.append(Component.alone(name, index, own, expected=expected, spread=spread))
-    return tuple(out)
+            own = variance[index]
+            yield Component.alone(f"{triad} motion", index, own, expected=1.0, spread=UNKNOWN)
 
 
 def _components(

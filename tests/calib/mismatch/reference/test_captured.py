@@ -1,10 +1,18 @@
 """What the noise of captured orientations makes of means."""
 
+from dataclasses import replace
+
 import numpy as np
+import pytest
 from scipy import sparse
 
 from calib.effects.base import State
-from calib.mismatch.reference.captured import Known, mean_covariance, sensor_densities
+from calib.mismatch.reference.captured import (
+    Known,
+    mean_covariance,
+    sensor_densities,
+    wobble,
+)
 from calib.model import SensorModel
 from calib.rotation import mat_from_rotvec
 from calib.simulate import simulate
@@ -26,33 +34,46 @@ def turning(n: int) -> tuple[np.ndarray, np.ndarray]:
     return mat, rate
 
 
+def averages(number: int, n: int) -> tuple[list[sparse.csr_matrix], np.ndarray, np.ndarray]:
+    """Return the means of windows as functionals of six channels, their channels, and weights.
+
+    Not up to their ends, where a derivative would be one-sided.
+    """
+    mean = np.zeros((number, n))
+    for k in range(number):
+        mean[k, k * WINDOW + 2 : (k + 1) * WINDOW - 2] = 1.0 / (WINDOW - 4)
+    functional = []
+    for c in range(6):
+        rows = np.zeros((6 * number, n))
+        rows[c::6] = mean
+        functional.append(sparse.csr_matrix(rows))
+    return functional, np.tile(np.arange(6), number), mean
+
+
+def seen_wrong(mat: np.ndarray, rate: np.ndarray, angle: np.ndarray) -> np.ndarray:
+    """Return the true force and rate (n, 6) minus those of orientations that are off by angles."""
+    force = np.einsum("nji,j->ni", mat, [0.0, 0.0, 9.8])
+    off = np.einsum("nij,njk->nik", mat, mat_from_rotvec(angle))
+    felt = np.einsum("nji,j->ni", off, [0.0, 0.0, 9.8])
+    turned = np.einsum("nji,nj->ni", mat_from_rotvec(angle), rate) + np.gradient(
+        angle, STEP, axis=0
+    )
+    return np.hstack((force - felt, rate - turned))
+
+
 def test_means_err_as_angles_say():
     """Against the differences themselves, their angles and the sensor's own noise drawn anew."""
     n, rng = 8 * WINDOW, np.random.default_rng(1)
     mat, rate = turning(n)
     force = np.einsum("nji,j->ni", mat, [0.0, 0.0, 9.8])
     state = State(STEP * np.arange(n), force, rate)
-    # Not up to their ends, where a derivative would be one-sided.
-    mean = np.zeros((8, n))
-    for k in range(8):
-        mean[k, k * WINDOW + 2 : (k + 1) * WINDOW - 2] = 1.0 / (WINDOW - 4)
-    functional = []
-    for c in range(6):
-        rows = np.zeros((48, n))
-        rows[c::6] = mean
-        functional.append(sparse.csr_matrix(rows))
+    functional, channel, mean = averages(8, n)
     known = Known(2e-3, 1e-4, 3e-4, STEP)
-    channel = np.tile(np.arange(6), 8)
     expected = mean_covariance(functional, channel, state, known)
     sigma = np.array(known[:3]) / np.sqrt(2.0 * STEP)
     trials = np.empty((1000, 48))
     for row in trials:
-        angle = rng.normal(0.0, sigma[2], (n, 3))
-        off = np.einsum("nij,njk->nik", mat, mat_from_rotvec(angle))
-        felt = np.einsum("nji,j->ni", off, [0.0, 0.0, 9.8])
-        slope = np.gradient(angle, STEP, axis=0)
-        turned = np.einsum("nji,nj->ni", mat_from_rotvec(angle), rate) + slope
-        left = np.hstack((force - felt, rate - turned))
+        left = seen_wrong(mat, rate, rng.normal(0.0, sigma[2], (n, 3)))
         left += rng.normal(size=(n, 6)) * np.repeat(sigma[:2], 3)
         row[:] = (mean @ left).ravel()
     found = trials.T @ trials / len(trials)
@@ -62,13 +83,36 @@ def test_means_err_as_angles_say():
     assert np.abs((found - expected) / np.outer(scale, scale)).max() < 0.15
 
 
-def test_a_sensors_own_noise_is_that_of_its_rests():
+def test_angles_that_wander_are_felt_as_they_are_and_come_back():
+    n, rng = 8 * WINDOW, np.random.default_rng(2)
+    mat, rate = turning(n)
+    force = np.einsum("nji,j->ni", mat, [0.0, 0.0, 9.8])
+    state = State(STEP * np.arange(n), force, rate)
+    functional, channel, mean = averages(8, n)
+    nodes = STEP * WINDOW * np.arange(9.0)
+    found = wobble(functional, channel, state, Known(2e-3, 1e-4, 3e-4, STEP), nodes)
+    error = rng.normal(0.0, 1e-4, (9, 3))
+    angle = np.stack([np.interp(state.time, nodes, own) for own in error.T], axis=1)
+    felt = (mean @ seen_wrong(mat, rate, angle)).ravel()
+    np.testing.assert_allclose(-(found.response @ error.T.ravel()), felt, atol=2e-6)
+    # At rest the mean rates of all windows add up to what the first and last angle differ by.
+    still = replace(state, rate=0.0 * rate)
+    at_rest = wobble(functional, channel, still, Known(2e-3, 1e-4, 3e-4, STEP), nodes)
+    total = np.ones(8) @ at_rest.matrix[3::6, 3::6] @ np.ones(8)
+    assert total < 3.0 / (WINDOW * STEP) ** 2
+    assert total < 0.25 * np.trace(at_rest.matrix[3::6, 3::6])
+
+
+@pytest.mark.parametrize("vibration", [0.0, 10.0])
+def test_a_sensors_own_noise_is_that_of_its_quiet_rests(vibration):
     rng = np.random.default_rng(3)
-    motion = bench_protocol(rng, poses=12, pose_duration=(3.0, 4.0), tremor=0.3)
+    motion = bench_protocol(
+        rng, poses=12, pose_duration=(3.0, 4.0), tremor=0.3, vibration=vibration
+    )
     recording = simulate(motion, SensorModel(), CONSUMER, rng=rng, rate=100.0)
     poses = find_poses(recording)
     found = sensor_densities(recording, np.stack((poses.start, poses.stop), axis=1))
     assert found is not None
-    assert 0.8 < found[0] / CONSUMER.accel_noise_density < 1.25
-    assert 0.8 < found[1] / CONSUMER.gyro_noise_density < 1.25
+    assert 0.9 < found[0] / CONSUMER.accel_noise_density < 1.1
+    assert 0.9 < found[1] / CONSUMER.gyro_noise_density < 1.1
     assert sensor_densities(recording, np.zeros((0, 2), np.int64)) is None
