@@ -24,7 +24,10 @@ def chance(p_value: float) -> str:
 
 def spans(intervals: Sequence[Sequence[float]], separator: str = ", ") -> str:
     """Write intervals in the recording's seconds."""
-    return separator.join(f"{start:.1f} to {stop:.1f} s" for start, stop in intervals)
+    # Adding 0 makes a plain zero of what rounds to minus zero.
+    return separator.join(
+        f"{round(start, 1) + 0.0:.1f} to {round(stop, 1) + 0.0:.1f} s" for start, stop in intervals
+    )
 
 
 def where(finding: Mapping[str, Any]) -> str:

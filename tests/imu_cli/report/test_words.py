@@ -33,7 +33,11 @@ def test_nothing_is_said_where_nothing_was_done() -> None:
 
 
 def test_where_a_finding_is() -> None:
-    finding = {"channels": ["gyro.x", "gyro.y"], "intervals": [[0, 5], [7, 9.04]], "regime": "|w|"}
+    finding = {
+        "channels": ["gyro.x", "gyro.y"],
+        "intervals": [[-0.01, 5], [7, 9.04]],
+        "regime": "|w|",
+    }
     assert where(finding) == "gyro.x, gyro.y; 0.0 to 5.0 s, 7.0 to 9.0 s; follows |w|"
     assert where({**finding, "intervals": []}) == "gyro.x, gyro.y; follows |w|"
 
