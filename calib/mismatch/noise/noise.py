@@ -28,6 +28,9 @@ level (a variance)."""
 INDEPENDENT = 1e-5
 """Share of a column's length that those before it must leave for it to be clearly independent."""
 
+NEAR = 0.02
+"""What the log-likelihood may be short of its maximum: evidence counts in nats."""
+
 ROUNDING = 1e-12
 """Products of unit vectors up to which these are orthogonal."""
 
@@ -92,7 +95,7 @@ def estimate_levels(
     basis = range_basis(mean)
     logs = np.log(start)
     best: tuple[float, FloatArray] | None = None
-    halved, caution, log_share = 0, 0.1, 0.0
+    halved, caution, log_share, gain = 0, 0.1, 0.0, np.inf
     for _ in range(iterations):
         levels = np.exp(logs)
         factor = rows.arrow.factorise(levels)
@@ -105,9 +108,11 @@ def estimate_levels(
                 break
             logs = 0.5 * (logs + best[1])
             continue
-        gain = np.inf if best is None else value - best[0]
+        before, gain = gain, np.inf if best is None else value - best[0]
         best = (value, logs)
-        if gain < 0.02:
+        # Near the maximum gains are a geometric series, of which this is what is left.
+        ratio = gain / before if np.isfinite(before) else 1.0
+        if gain < NEAR or (ratio < 0.5 and gain * ratio / (1 - ratio) < NEAR):
             break
         py, trace, vpy = rows.arrow.slopes(factor, white, left)
         trace, vpy = trace * levels, vpy * levels

@@ -207,6 +207,9 @@ def _fit(
     prior, value = prior_rows(rows, accepted)
     design, scale = scaled(np.vstack((whitener.whiten(mean), prior)))
     y = np.append(whitener.whiten(rows.residual), value)
+    # A triangle has all products of these columns, in fewer rows.
+    triangle = np.asarray(np.linalg.qr(np.column_stack((design, y)), mode="r"))
+    design, y = triangle[:, :-1], triangle[:, -1]
     aside = cut(rows, accepted)
     inverse = np.zeros(design.T.shape)
     inverse[~aside] = _inverse(design[:, ~aside])

@@ -52,9 +52,10 @@ RARE = 0.02
 PAIRS = 3
 """How many effects of one channel are tried as the first of a pair."""
 
-PLAIN, AHEAD = 50.0, 20.0
-"""Log evidence from which, and by how much more than any other, the best is plain. Levels that are
-not raised by what was left out would put it further ahead, and are found for it alone."""
+PLAIN, AHEAD = 20.0, 20.0
+"""Log evidence from which something is plainly left, and how far behind the best an answer then is
+out of the running. Levels that are not raised by what was left out would put the best further
+ahead, and are found for those in the running alone."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,6 +86,12 @@ class Ranking:
     levels: FloatArray
     drifting: frozenset[str] = frozenset()
     pair: tuple[float, Candidate] | None = None
+    beside: Mapping[str, FloatArray] = field(default_factory=dict)
+    """Levels with the best of a group in the mean, of those groups for which they were found."""
+
+    def levels_with(self, candidate: Candidate) -> FloatArray:
+        """Return levels to start from where a candidate is fitted too."""
+        return self.beside.get(candidate.group, self.levels)
 
     @property
     def total(self) -> float:
@@ -152,27 +159,33 @@ def rank(rows: Rows, stack: Stack, accepted: list[Accepted], start: FloatArray) 
     base = scores.base
     evidence = scores.at(base.values, scores.contrast, base.log_likelihood)
     best, groups = grouped(stack, evidence)
-    every, leaders = base, [max(groups, key=lambda g: groups[g])]
+    running = _running(groups)
+    every = base
     hidden: list[_Hidden] = []
-    if not _plain(groups):
-        evidence, every, hidden = scores.with_drift_of_all(evidence)
+    if len(running) > 1:
+        names, code = stack.groups()
+        which = np.array([g in running for g in names])[code]
+        evidence, every, hidden = scores.with_drift_of_all(evidence, which)
         best, groups = grouped(stack, evidence)
-        leaders = [g for g in leading(best, groups) if groups[g] > np.log(CLAIM) - 7]
-    for name in leaders:
-        evidence = np.maximum(evidence, scores.with_own_drift(best[name], every))
+    beside = {}
+    for name in leading(best, {g: groups[g] for g in running}):
+        if groups[name] <= np.log(CLAIM) - 7:
+            continue
+        scored, beside[name] = scores.with_own_drift(best[name], every)
+        evidence = np.maximum(evidence, scored)
     best, groups = grouped(stack, evidence)
     whitener = scores.whitener(base.values, scores.contrast)
     drifting = _drifting(rows, stack, whitener, [best[g] for g, v in groups.items() if v > 0])
-    ranking = Ranking(stack, evidence, best, groups, base.values, drifting)
+    ranking = Ranking(stack, evidence, best, groups, base.values, drifting, beside=beside)
     if accepted or ranking.claims:
         return ranking
     return replace(ranking, pair=_pair(scores, hidden))
 
 
-def _plain(groups: Mapping[str, float]) -> bool:
-    """Whether one answer is far ahead of all others."""
-    first, second = sorted([*groups.values(), 0.0, 0.0], reverse=True)[:2]
-    return first > PLAIN and first - second > AHEAD
+def _running(groups: Mapping[str, float]) -> list[str]:
+    """Return the groups that may be the answer: all, but where something is plainly left."""
+    top = max(groups.values())
+    return [g for g, v in groups.items() if top <= PLAIN or v >= top - AHEAD]
 
 
 @dataclass(frozen=True, eq=False)
@@ -203,13 +216,15 @@ class _Scores:
     def of(cls, rows: Rows, stack: Stack, accepted: list[Accepted], start: FloatArray) -> _Scores:
         mean = fitted(rows, accepted)
         dense = mean[: rows.n_dense]
+        # Beside what was accepted they start from what was found with it.
+        find = estimate_levels if accepted else find_levels
         return cls(
             rows=rows,
             stack=stack,
             accepted=accepted,
             mean=mean,
             contrast=contrast_noise(rows, accepted),
-            base=find_levels(rows, dense, start),
+            base=find(rows, dense, start),
             basis=range_basis(dense),
             weight=stack.weight,
         )
@@ -250,8 +265,12 @@ class _Scores:
         """Return the log-likelihood of some levels."""
         return level_likelihood(self.rows, self.basis, levels, factor=self._factor(levels)[0])
 
-    def with_drift_of_all(self, evidence: FloatArray) -> tuple[FloatArray, Levels, list[_Hidden]]:
+    def with_drift_of_all(
+        self, evidence: FloatArray, running: BoolArray
+    ) -> tuple[FloatArray, Levels, list[_Hidden]]:
         """Return the evidence where physics, or rivals, take up the drift of their channels.
+
+        Of those candidates that are marked as running.
 
         Beside it the levels with all physics in the mean, and the evidence for physics there.
         """
@@ -266,7 +285,7 @@ class _Scores:
         hidden: list[_Hidden] = []
         for channels in (*((c,) for c in CHANNELS), CHANNELS[:3], CHANNELS[3:]):
             for physical, other in ((True, every), (False, free)):
-                which = stack.of_channels(channels, physical=physical)
+                which = stack.of_channels(channels, physical=physical) & running
                 if not which.any():
                     continue
                 levels = _swap(rows, base.values, other.values, channels)
@@ -281,8 +300,11 @@ class _Scores:
                 evidence = np.maximum(evidence, scored)
         return evidence, every, hidden
 
-    def with_own_drift(self, leader: Candidate, every: Levels) -> FloatArray:
-        """Return the evidence for a candidate's group with levels of its own, near its place."""
+    def with_own_drift(self, leader: Candidate, every: Levels) -> tuple[FloatArray, FloatArray]:
+        """Return the evidence for a candidate's group with levels of its own, and these levels.
+
+        Near its place, too.
+        """
         rows, stack, base = self.rows, self.stack, self.base
         here, moved = leader, nearby(rows, leader)
         own = stack.of(leader)
@@ -292,7 +314,8 @@ class _Scores:
             here = moved.candidates[int(np.argmax(factors))]
             own = moved.of(here)
         with_own = np.hstack((self.mean, own))[: rows.n_dense]
-        found = estimate_levels(rows, with_own, every.values)
+        start = _swap(rows, base.values, every.values, leader.channels)
+        found = estimate_levels(rows, with_own, start)
         outside, cost = self._suited(found.values, here, own)
         null = self._null(found.values) + cost
         null += found.log_share - base.log_share
@@ -304,7 +327,7 @@ class _Scores:
             average += null - base.log_likelihood
             i = stack.candidates.index(leader)
             evidence[i] = max(evidence[i], average + self.weight[i])
-        return evidence
+        return evidence, found.values
 
     def _suited(
         self, levels: FloatArray, rival: Candidate, own: FloatArray

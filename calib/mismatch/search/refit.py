@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from calib.mismatch.hypotheses.ends import place_window, tune_wave
 from calib.mismatch.hypotheses.families import candidate_columns, forms, neighbours
 from calib.mismatch.hypotheses.score import LARGE, SCALES
 from calib.mismatch.hypotheses.windows import THROUGHOUT, WINDOWED, window_columns
-from calib.mismatch.noise.noise import Whitener, find_levels, make_whitener
+from calib.mismatch.noise.noise import Whitener, estimate_levels, find_levels, make_whitener
 from calib.mismatch.rows.rows import Rows
 from calib.mismatch.search.ranking import Accepted, contrast_noise, fitted
 from calib.types import BoolArray, FloatArray
@@ -50,12 +50,25 @@ class Problem(Protocol):
         ...
 
 
+class Refit(NamedTuple):
+    """What a joint fit ends with.
+
+    ``straight`` if rows went where the first step promised: the columns of candidates are then
+    what they were.
+    """
+
+    rows: Rows
+    accepted: list[Accepted]
+    levels: FloatArray
+    straight: bool
+
+
 def refit(
     problem: Problem,
     rows: Rows,
     accepted: list[Accepted],
     levels: FloatArray,
-) -> tuple[Rows, list[Accepted]]:
+) -> Refit:
     """Fit everything jointly, move the model there, and linearise anew."""
     contrast = contrast_noise(rows, accepted)
     levels = find_levels(rows, fitted(rows, accepted)[: rows.n_dense], levels).values
@@ -65,15 +78,15 @@ def refit(
         if accepted[-1].candidate is before or not before.physical:
             break
         # What a shape that was not yet right had left is noise no more.
-        levels = find_levels(rows, fitted(rows, accepted)[: rows.n_dense], levels).values
-    for _ in range(STEPS):
+        levels = estimate_levels(rows, fitted(rows, accepted)[: rows.n_dense], levels).values
+    steps, off = 0, np.inf
+    while off >= BENT and steps < STEPS:
         expected = rows.residual
         rows, accepted, change = _step(problem, rows, accepted, levels, contrast)
         variance = np.concatenate((rows.variance(levels), contrast))
-        bent = np.square(rows.residual - (expected - change)) / variance
-        if bent.sum() < BENT:
-            break
-    return rows, accepted
+        off = float((np.square(rows.residual - (expected - change)) / variance).sum())
+        steps += 1
+    return Refit(rows, accepted, levels, straight=steps == 1 and off < BENT)
 
 
 def _step(

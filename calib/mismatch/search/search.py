@@ -20,7 +20,6 @@ from calib.mismatch.hypotheses.score import Stack
 from calib.mismatch.noise.noise import (
     estimate_levels,
     expected_levels,
-    find_levels,
     make_whitener,
 )
 from calib.mismatch.rows.rows import Rows
@@ -94,31 +93,36 @@ def search(problem: Problem, *, skip: tuple[str, ...] = ()) -> Outcome:
     """Find what was left out, one hypothesis after another."""
     accepted: list[Accepted] = []
     rows = problem.rows()
-    ranking = _ranked(problem, rows, accepted, expected_levels(rows), skip)
+    stack = make_stack(rows, skip=skip, reference=problem.reference)
+    ranking = rank(rows, stack, accepted, expected_levels(rows))
     if not ranking.claims and ranking.pair is not None:
         value, first = ranking.pair
-        accepted.append(_accept(rows, ranking.stack, first, float(DRIFTING * np.exp(value))))
-        levels = ranking.levels
-        del ranking  # its columns are most of the memory that is used
-        rows, accepted = refit(problem, rows, accepted, levels)
-        ranking = _ranked(problem, rows, accepted, levels, skip)
+        accepted.append(_accept(rows, stack, first, float(DRIFTING * np.exp(value))))
+        rows, accepted, levels, straight = refit(problem, rows, accepted, ranking.levels)
+        if problem.reference or not straight:
+            del stack, ranking
+            stack = make_stack(rows, skip=skip, reference=problem.reference)
+        ranking = rank(rows, stack, accepted, levels)
     for _ in range(ROUNDS):
         if not ranking.claims:
             break
         chosen = choose(rows, ranking, accepted)
         if chosen is None:
             break
-        new = _accept(rows, ranking.stack, chosen, float(np.exp(min(ranking.worth, 700))))
+        new = _accept(rows, stack, chosen, float(np.exp(min(ranking.worth, 700))))
         accepted = _with(rows, accepted, new, reference=problem.reference)
-        levels = ranking.levels
-        del ranking
-        rows, accepted = refit(problem, rows, accepted, levels)
+        fit = refit(problem, rows, accepted, ranking.levels_with(chosen))
+        rows, accepted, levels, straight = fit
         extra = _superfluous(rows, accepted, levels)
         if extra is not None:
             accepted = [a for a in accepted if a is not extra]
-            rows, accepted = refit(problem, rows, accepted, levels)
-        ranking = _ranked(problem, rows, accepted, levels, skip)
-    stack = ranking.stack
+            rows, accepted, levels, again = refit(problem, rows, accepted, levels)
+            straight &= again
+        # Beside a reference columns change with the alignment, too.
+        if problem.reference or not straight:
+            del stack, ranking  # their columns are most of the memory that is used
+            stack = make_stack(rows, skip=skip, reference=problem.reference)
+        ranking = rank(rows, stack, accepted, levels)
     contrast = contrast_noise(rows, accepted)
     # The ranking took the better of two maxima: its own is left to be approached more closely.
     levels = estimate_levels(rows, fitted(rows, accepted)[: rows.n_dense], ranking.levels).values
@@ -131,16 +135,6 @@ def search(problem: Problem, *, skip: tuple[str, ...] = ()) -> Outcome:
     ]
     rows, accepted = settle(rows, accepted, levels, contrast, reference=problem.reference)
     return Outcome(rows, tuple(accepted), levels, contrast, ranking.total, tuple(stack.candidates))
-
-
-def _ranked(
-    problem: Problem,
-    rows: Rows,
-    accepted: list[Accepted],
-    levels: FloatArray,
-    skip: tuple[str, ...],
-) -> Ranking:
-    return rank(rows, make_stack(rows, skip=skip, reference=problem.reference), accepted, levels)
 
 
 def choose(rows: Rows, ranking: Ranking, accepted: list[Accepted]) -> Candidate | None:
@@ -199,7 +193,7 @@ def _most_probable(
     if groups[top] > np.log(CLAIM):
         stack = ranking.stack
         pair = _accept(rows, stack, best[top], 1.0)
-        second = rank(rows, stack, [*accepted, pair], ranking.levels)
+        second = rank(rows, stack, [*accepted, pair], ranking.levels_with(best[top]))
         left = [v for g, v in second.groups.items() if second.best[g].physical]
         if left and groups[top] + max(left) > for_rivals and max(left) > np.log(CLAIM):
             return best[top]
@@ -327,7 +321,7 @@ def _superfluous(rows: Rows, accepted: list[Accepted], levels: FloatArray) -> Ac
         return None
     contrast = contrast_noise(rows, accepted)
     # With all findings in the mean: drift must not take up again what they explained.
-    levels = find_levels(rows, fitted(rows, accepted)[: rows.n_dense], levels).values
+    levels = estimate_levels(rows, fitted(rows, accepted)[: rows.n_dense], levels).values
     worst: tuple[float, Accepted | None] = (KEEP, None)
     for a in earlier:
         others = [b for b in accepted if b is not a]

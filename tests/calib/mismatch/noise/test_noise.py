@@ -10,6 +10,7 @@ from calib.mismatch.hypotheses.candidates import Candidate
 from calib.mismatch.hypotheses.score import SCALES, SHARES, Stack
 from calib.mismatch.noise.contrast import contrast_likelihood, contrast_variance
 from calib.mismatch.noise.noise import (
+    NEAR,
     covariance,
     estimate_levels,
     expected_levels,
@@ -69,6 +70,20 @@ def test_levels_are_found_where_turns_close_badly():
         known = estimate_levels(bad, mean, levels)
         found = find_levels(bad, mean, expected_levels(rows))
         assert found.log_likelihood > known.log_likelihood - 0.5
+
+
+def test_the_maximum_is_reached_to_what_evidence_needs():
+    """Steps end where what is left of their gains is small, not where one gains little."""
+    _, self_mode = problem()
+    rows = self_mode.rows()
+    mean = np.hstack((rows.baseline, rows.nuisance))[: rows.n_dense]
+    start = expected_levels(rows)
+    found = estimate_levels(rows, mean, start)
+    closer = found
+    for _ in range(5):
+        closer = estimate_levels(rows, mean, closer.values)
+    assert found.log_likelihood > level_likelihood(rows, range_basis(mean), start) + 1.0
+    assert closer.log_likelihood - NEAR < found.log_likelihood <= closer.log_likelihood
 
 
 def test_bayes_factors_agree_with_the_densities():

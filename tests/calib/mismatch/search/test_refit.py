@@ -5,9 +5,12 @@ import numpy as np
 from calib.effects.base import Term
 from calib.mismatch import diagnose_recording
 from calib.mismatch.noise.noise import expected_levels
+from calib.mismatch.rows.grid import make_grid
 from calib.mismatch.search.ranking import make_stack
-from calib.mismatch.search.refit import solve
+from calib.mismatch.search.refit import refit, solve
 from calib.mismatch.search.search import _accept
+from calib.mismatch.twin.selfmode import SelfProblem
+from calib.statics import find_poses
 
 from ..bench import GRAVITY, problem, recording
 
@@ -27,6 +30,33 @@ def test_a_smooth_rival_does_not_take_the_place_of_the_bias():
     # Harmonics of a unit vector hold a constant, which is a bias; the bias is known to 1e-4 rad/s.
     assert abs(step[bias]) < 2e-3
     assert np.abs(step[-found[0].columns.shape[1] :]).max() < 30.0
+
+
+def refitted(size):
+    """Fit a misalignment jointly, from rows that lack it."""
+    real = recording(Term("gyro_misalignment", {"mxy": size, "mzx": -size}), rate=100.0)
+    grid = make_grid(real, find_poses(real))
+    self_mode = SelfProblem(grid, None, gravity=GRAVITY, full_gyro=False)
+    rows = self_mode.rows()
+    stack = make_stack(rows, skip=(), reference=False)
+    own = next(
+        c for c in stack.candidates if c.name == "gyro_misalignment" and len(c.parameters) == 6
+    )
+    before = stack.of(own)
+    found = refit(self_mode, rows, [_accept(rows, stack, own, 100.0)], expected_levels(rows))
+    return found, before
+
+
+def test_columns_are_what_they_were_where_a_fit_went_straight():
+    found, before = refitted(1e-3)
+    assert found.straight
+    after = found.accepted[0].columns
+    small = np.abs(after - before).max() / np.abs(before).max()
+    found, before = refitted(0.1)
+    assert not found.straight
+    after = found.accepted[0].columns
+    large = np.abs(after - before).max() / np.abs(before).max()
+    assert small < 0.01 < large
 
 
 def test_what_turns_by_a_tenth_is_fitted_as_well_as_what_turns_by_a_thousandth():

@@ -8,9 +8,27 @@ import pytest
 from calib.effects.base import Term
 from calib.mismatch import diagnose_recording
 from calib.mismatch.hypotheses.rivals import FROM_START
-from calib.mismatch.noise.noise import expected_levels
-from calib.mismatch.search.ranking import CLAIM, DRIFTING, Ranking, chance, make_stack, rank
+from calib.mismatch.noise.noise import (
+    NEAR,
+    estimate_levels,
+    expected_levels,
+    level_likelihood,
+    range_basis,
+)
+from calib.mismatch.rows.grid import make_grid
+from calib.mismatch.search.ranking import (
+    CLAIM,
+    DRIFTING,
+    PLAIN,
+    Ranking,
+    chance,
+    fitted,
+    make_stack,
+    rank,
+)
 from calib.mismatch.search.search import _accept, _again, _with, choose
+from calib.mismatch.twin.selfmode import SelfProblem
+from calib.statics import find_poses
 
 from ..bench import GRAVITY, problem, recording
 
@@ -154,3 +172,26 @@ def test_nothing_is_chosen_below_the_claim(stacked):
     rows, stack = stacked
     ranking = rank(rows, stack, [], expected_levels(rows))
     assert choose(rows, ranking, []) is None
+
+
+def test_a_fit_starts_from_levels_that_were_found_beside_what_is_fitted():
+    strong = Term("gyro_g_sensitivity", {"gxx": 1e-3, "gyy": -1e-3, "gzx": 1e-3})
+    real = recording(strong)
+    grid = make_grid(real, find_poses(real))
+    rows = SelfProblem(grid, None, gravity=GRAVITY, full_gyro=False).rows()
+    stack = make_stack(rows, skip=(), reference=False)
+    ranking = rank(rows, stack, [], expected_levels(rows))
+    top = max(ranking.groups, key=lambda g: ranking.groups[g])
+    assert top == "gyro_g_sensitivity"
+    chosen = ranking.best[top]
+    mean = np.hstack((fitted(rows, []), stack.of(chosen)))[: rows.n_dense]
+    basis = range_basis(mean)
+    beside = level_likelihood(rows, basis, ranking.levels_with(chosen))
+    assert beside > estimate_levels(rows, mean, ranking.levels).log_likelihood - 2 * NEAR
+    assert beside > level_likelihood(rows, basis, ranking.levels) + 10.0
+    # What is far behind is not looked at so closely.
+    assert ranking.groups[top] > PLAIN
+    behind = [c for g, c in ranking.best.items() if ranking.groups[g] < 0]
+    assert behind
+    for other in behind:
+        assert ranking.levels_with(other) is ranking.levels
