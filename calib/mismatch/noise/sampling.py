@@ -73,13 +73,7 @@ def sampling_components(
     """
     if not len(rows):
         return []
-    parts = [
-        _added(unforetold(values, spans.first), weights, UNFORETOLD * own, spans)
-        for values, weights, own in (
-            (rate, closed.gyro_weights, noise[:, 3:]),
-            (force, closed.accel_weights, noise[:, :3]),
-        )
-    ]
+    parts = _parts(closed, force, rate, noise, spans)
     by_rate, by_force = (np.einsum("kii->ki", part) for part in parts)
     square, both = np.square(left), by_rate + by_force
     shares = [_shares(square[:, own], both[:, own], white[:, own]) for own in (_TILT, _SPEED)]
@@ -97,6 +91,31 @@ def sampling_components(
         label, expected = f"{signal} by sampling", HALVED[signal]
         out.append(Component(label, index, response, matrix, expected, SPREAD))
     return out
+
+
+def unresolved(
+    closed: Closures, force: FloatArray, rate: FloatArray, noise: FloatArray, spans: Spans
+) -> FloatArray:
+    """Return the variance (k, 5) that jolts between their samples may add to k closures.
+
+    Of turns that are as rough as they look: what every second sample changes is not asked.
+    """
+    parts = _parts(closed, force, rate, noise, spans)
+    by_rate, by_force = (np.einsum("kii->ki", part) for part in parts)
+    return np.asarray(HALVED["rate"] * by_rate + HALVED["force"] * by_force)
+
+
+def _parts(
+    closed: Closures, force: FloatArray, rate: FloatArray, noise: FloatArray, spans: Spans
+) -> tuple[FloatArray, FloatArray]:
+    """Return the covariances (k, 5, 5) of closures by what samples of rate and force are off."""
+    by_rate = _added(
+        unforetold(rate, spans.first), closed.gyro_weights, UNFORETOLD * noise[:, 3:], spans
+    )
+    by_force = _added(
+        unforetold(force, spans.first), closed.accel_weights, UNFORETOLD * noise[:, :3], spans
+    )
+    return by_rate, by_force
 
 
 def _added(off: FloatArray, weights: FloatArray, noise: FloatArray, spans: Spans) -> FloatArray:

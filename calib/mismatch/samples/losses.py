@@ -15,7 +15,15 @@ from typing import NamedTuple
 import numpy as np
 
 from calib.faults import ROBUST
-from calib.mismatch.rows.closure import Ended, Spans, follow_turns, integrate_turns, open_ends
+from calib.mismatch.noise.sampling import unresolved
+from calib.mismatch.rows.closure import (
+    Ended,
+    Spans,
+    close_turns,
+    follow_turns,
+    integrate_turns,
+    open_ends,
+)
 from calib.mismatch.rows.grid import Grid
 from calib.mismatch.twin.selfmode import SelfProblem
 from calib.mismatch.twin.twin import Twin, true_state
@@ -119,7 +127,7 @@ def find_losses(problem: SelfProblem) -> list[Loss]:
         whole = fit_twin(
             grid, replace(whole, full_gyro=True), problem.noise, drop=drop, iterations=2
         )
-    scores = _Closures(grid, whole, turns).scores
+    scores = _Closures(grid, whole, turns, problem.noise).scores
     out = []
     for _ in range(TRIED):
         if scores.max() < SUSPECT:
@@ -128,7 +136,7 @@ def find_losses(problem: SelfProblem) -> list[Loss]:
         s = int(turns[np.argmax(scores)])
         drop[s] = True
         twin = fit_twin(grid, whole, problem.noise, drop=drop)
-        closures = _Closures(grid, twin, turns)
+        closures = _Closures(grid, twin, turns, problem.noise)
         loss = closures.mended(s)
         if loss.stands:
             out.append(loss)
@@ -137,22 +145,29 @@ def find_losses(problem: SelfProblem) -> list[Loss]:
 
 
 class _Closures:
-    """Closures of turns, and their sizes in scatters of them all."""
+    """Closures of turns, and their sizes in scatters of them all.
 
-    def __init__(self, grid: Grid, twin: Twin, turns: IntArray) -> None:
+    What jolts between its samples may add to a turn is in its own scatter: a sensor that is set
+    down hard misses a velocity by as much, and samples put back there would undo it.
+    """
+
+    def __init__(self, grid: Grid, twin: Twin, turns: IntArray, noise: FloatArray) -> None:
         self._grid, self._twin, self._turns = grid, twin, turns
         self._state = true_state(grid, twin, headed=False)
         state, (points, first) = self._state, grid.points_of(turns)
         spans = Spans(grid.time[points], first)
-        ended = integrate_turns(spans, state.force[points], state.rate[points])
-        left = self._residuals(turns, ended, spans.duration)
+        signals = state.force[points], state.rate[points]
+        ups = twin.up[grid.before[turns]], twin.up[grid.after[turns]]
+        closed = close_turns(spans, *signals, *ups, gravity=twin.gravity)
+        left = closed.residual
         # White noise of a rate turns the frame by the root of time, and gravity in it by time more.
         longer = np.maximum(spans.duration / np.median(spans.duration), 1.0)
         scale = np.repeat(np.sqrt([longer, longer**3]).T, (2, 3), axis=1)
         size = ROBUST * np.median(np.abs(left / scale), axis=0)
         scatter = np.repeat([size[:2].mean(), size[2:].mean()], (2, 3))
         self._scatter = np.zeros((len(grid.first), 5))
-        self._scatter[turns] = scatter * scale
+        jolts = unresolved(closed, *signals, noise[points], spans)
+        self._scatter[turns] = np.sqrt(np.square(scatter * scale) + jolts)
         self.scores = self._sizes(left, turns)
 
     def mended(self, s: int) -> Loss:

@@ -53,9 +53,9 @@ def test_a_long_turn_misses_its_closure_by_as_much_more_as_it_is_longer(seed: in
     known = np.ones(len(poses), bool)
     known[6:11] = False  # a turn of 27 s, where others take one or two
     grid = make_grid(whole, poses.select(known))
-    twin = SelfProblem(grid, None, gravity=GRAVITY, full_gyro=False).twin
+    problem = SelfProblem(grid, None, gravity=GRAVITY, full_gyro=False)
     turns = np.flatnonzero(~grid.is_rest)
-    scores = _Closures(grid, twin, turns).scores
+    scores = _Closures(grid, problem.twin, turns, problem.noise).scores
     assert scores[np.argmax(np.ptp(grid.interval[turns], axis=1))] < 4.0
 
 
@@ -65,6 +65,22 @@ def test_one_sample_that_is_wrong_is_no_loss(seed: int, pose: int) -> None:
     gyro = whole.gyro.copy()
     gyro[find_poses(whole).start[pose] - 8] += [1.2, -1.4, 0.8]
     assert not find_losses(problem_of(replace(whole, gyro=gyro)))
+
+
+@pytest.mark.parametrize("seed", [5, 6, 7])
+def test_a_turn_that_ends_with_a_knock_is_no_loss(seed: int) -> None:
+    """What a sample misses of a knock, samples put back beside it would undo."""
+    rng = np.random.default_rng(seed)
+    whole = recording(rate=50.0, seed=seed)
+    accel, poses = whole.accel.copy(), find_poses(whole)
+    for end in poses.start[1::3] - 2:
+        knock = rng.normal(size=3)
+        accel[end] += 20.0 * knock / np.linalg.norm(knock)
+    knocked = problem_of(replace(whole, accel=accel))
+    grid = knocked.grid
+    scores = _Closures(grid, knocked.twin, np.flatnonzero(~grid.is_rest), knocked.noise).scores
+    assert scores.max() < 6.0
+    assert not find_losses(knocked)
 
 
 def test_where_and_how_many_are_found_among_the_jolts_of_a_hand() -> None:
