@@ -111,7 +111,7 @@ def _telling_rows(
     contrast: FloatArray,
     channels: tuple[str, ...],
 ) -> tuple[BoolArray, str, str]:
-    whitener = make_whitener(rows, levels, contrast, mean)
+    whitener = make_whitener(rows, levels, contrast, mean, coupled=False)
     power = np.square(whitener.project(columns)).sum(axis=1)
     touched = np.isin(rows.channel, [CHANNELS.index(c) for c in channels])
     best = (-1.0, np.zeros(len(power), bool), "", "")
@@ -139,7 +139,7 @@ def _leave_out(
     contrast: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
     """Return the held-out error of each row squared, and the square that noise alone leaves."""
-    whitener = make_whitener(rows, levels, contrast, mean)
+    whitener = make_whitener(rows, levels, contrast, mean, coupled=False)
     left, basis = whitener.project(residual), whitener.basis
     factor = whitener.factor.dense()
     fold = fold_of(rows)
@@ -201,7 +201,7 @@ def _gain(
     each = np.append(precision.diagonal(), 1.0 / contrast)
     value, size = [], []
     for mean in (before, after):
-        whitener = make_whitener(rows, levels, contrast, mean, factor=factor)
+        whitener = make_whitener(rows, levels, contrast, mean, factor=factor, coupled=False)
         hidden = whitener.unwhiten_transposed(whitener.basis)
         pull = whitener.unwhiten_transposed(whitener.project(residual)[:, None])[:, 0]
         total, square, number = 0.0, 0.0, 0

@@ -1,4 +1,4 @@
-"""The noise of contrasts within rests and windows, which no drift couples."""
+"""The noise of contrasts within rests and windows."""
 
 from __future__ import annotations
 

@@ -12,11 +12,12 @@ References
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import linalg
 
+from calib.mismatch.noise.coupling import Foretold, foretold
 from calib.mismatch.rows.arrow import Factor
 from calib.mismatch.rows.rows import UNKNOWN, Rows
 from calib.types import FloatArray, IntArray
@@ -277,17 +278,30 @@ class Whitener:
     scale: FloatArray
     basis: FloatArray
     n_dense: int
+    foretold: tuple[Foretold, ...] = ()
 
     def whiten(self, values: FloatArray) -> FloatArray:
         """Return whitened (m, ...) rows."""
         rest = values[self.n_dense :]
+        if self.foretold:
+            rest = rest.copy()
+        for known in self.foretold:
+            rest[known.contrast] -= known.weight @ values[known.mean]
         rest = rest / (self.scale if rest.ndim == 1 else self.scale[:, None])
+        for known in self.foretold:
+            rest[known.contrast] = known.root @ rest[known.contrast]
         return np.concatenate((self.factor.solve(values[: self.n_dense]), rest))
 
     def unwhiten_transposed(self, values: FloatArray) -> FloatArray:
         """Return the transposed whitening applied to (m, k) rows: ``inv(L)' values``."""
         first = self.factor.solve_transposed(values[: self.n_dense])
-        return np.concatenate((first, values[self.n_dense :] / self.scale[:, None]))
+        rest = values[self.n_dense :].copy()
+        for known in self.foretold:
+            rest[known.contrast] = known.root.T @ rest[known.contrast]
+        rest /= self.scale[:, None]
+        for known in self.foretold:
+            first[known.mean] -= known.weight.T @ rest[known.contrast]
+        return np.concatenate((first, rest))
 
     def restricted(self, rows: IntArray) -> Whitener:
         """Return the whitener of values that are zero but on some rows, of which it takes those.
@@ -295,8 +309,15 @@ class Whitener:
         They are those of turns and of whole channels, in their order.
         """
         dense = int(np.searchsorted(rows, self.n_dense))
-        factor = self.factor.restricted(rows[:dense])
-        return Whitener(factor, self.scale[rows[dense:] - self.n_dense], self.basis[rows], dense)
+        factor, contrast = self.factor.restricted(rows[:dense]), rows[dense:] - self.n_dense
+        own = (known.restricted(rows[:dense], contrast) for known in self.foretold)
+        return Whitener(
+            factor,
+            self.scale[contrast],
+            self.basis[rows],
+            dense,
+            tuple(known for known in own if known is not None),
+        )
 
     def project(self, values: FloatArray) -> FloatArray:
         """Return whitened rows without what the fitted columns can reach."""
@@ -311,14 +332,18 @@ def make_whitener(
     fitted: FloatArray,
     *,
     factor: Factor | None = None,
+    coupled: bool = True,
 ) -> Whitener:
     """Return the whitener for these levels, with the (m, p) `fitted` columns projected out.
 
-    ``factor`` is what `Arrow.factorise` makes of the levels, where it is known.
+    ``factor`` is what `Arrow.factorise` makes of the levels, where it is known. Unless ``coupled``,
+    contrasts are taken as they are: by what a part of the rows says alone.
     """
     factor = rows.arrow.factorise(levels) if factor is None else factor
-    plain = Whitener(factor, np.sqrt(contrast), np.zeros((len(rows.residual), 0)), rows.n_dense)
-    return Whitener(factor, plain.scale, range_basis(plain.whiten(fitted)), rows.n_dense)
+    known = foretold(rows, levels) if coupled else ()
+    none = np.zeros((len(rows.residual), 0))
+    plain = Whitener(factor, np.sqrt(contrast), none, rows.n_dense, known)
+    return replace(plain, basis=range_basis(plain.whiten(fitted)))
 
 
 def level_likelihood(

@@ -10,6 +10,7 @@ import numpy as np
 from scipy import sparse
 
 from calib.effects.base import State
+from calib.mismatch.noise.coupling import PARTS
 from calib.mismatch.noise.sampling import sampling_components
 from calib.mismatch.noise.sensornoise import (
     DRIFT,
@@ -34,9 +35,6 @@ from calib.types import FloatArray, IntArray
 
 MEANS = 1 / 3
 """Mean square of the share, from 0 to 1, of a sample interval over which samples are means."""
-
-BINS = (1 / 6, 1 / 2)
-"""Where a cell of a rest is cut, in its length: what a turn leaves behind fades at its start."""
 
 KNOWN = (slice(2, 5), slice(0, 5))
 """Closures of a turn that accelerometers, and gyroscopes, have a part in: of the attitude,
@@ -327,14 +325,14 @@ def _explained(grid: Grid, twin: Twin, state: State) -> FloatArray:
 
 
 def _cell_weights(count: IntArray, cell: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the weights of a mean and of two contrasts over the `BINS`, all of one variance.
+    """Return the weights of a mean and of two contrasts over the `PARTS`, all of one variance.
 
     Each point has its `count` of samples, and its `cell`.
     """
     first = np.flatnonzero(np.diff(cell, prepend=-1))
     points = np.diff(first, append=len(cell))[cell]
     place = (np.arange(len(cell)) - first[cell] + 0.5) / points
-    bins = np.searchsorted(BINS, place)
+    bins = np.searchsorted(PARTS, place)
     size = np.bincount(3 * cell + bins, count).reshape(-1, 3)
     share = (size / size.sum(axis=1, keepdims=True))[cell]
     mean = count / size.sum(axis=1)[cell]

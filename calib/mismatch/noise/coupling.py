@@ -1,0 +1,143 @@
+"""What drift makes of the changes within a rest, once its means are known.
+
+A bias that drifts goes on within a rest as it does from rest to rest. Where rests are long and the
+sensor is quiet, changes within them are drift, and the means of the rests foretell most of it: with
+M the means of one channel and C its contrasts,
+
+    C - Cov(C, M) Cov(M)^-1 M
+
+is what is new in the contrasts, and even that is correlated. Taken for independent they say once
+more what the means have said, and whatever is slow (a temperature, a fluctuation) is believed
+twice.
+
+References
+----------
+.. [1] Rasmussen, Williams, "Gaussian Processes for Machine Learning", 2006, eq. (A.6).
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from scipy import linalg, sparse
+
+from calib.mismatch.noise.sensornoise import DRIFT_TIME, flicker_covariance
+from calib.mismatch.rows.rows import Kind, Rows
+from calib.recording import CHANNELS
+from calib.types import FloatArray, IntArray
+
+PARTS = (1 / 6, 1 / 2)
+"""Where a cell of a rest is cut, in its length: what a turn leaves behind fades at its start. Means
+and contrasts are sums over these parts."""
+
+SLIGHT = 0.02
+"""Share of the variance of contrasts up to which drift in them is not worth foretelling."""
+
+
+class Foretold(NamedTuple):
+    """Contrasts of one channel, numbered as such, as far as dense rows foretell them.
+
+    ``weight`` is what each counts in that; ``root`` whitens what is left, in standard deviations.
+    """
+
+    contrast: IntArray
+    mean: IntArray
+    weight: FloatArray
+    root: FloatArray
+
+    def restricted(self, dense: IntArray, contrast: IntArray) -> Foretold | None:
+        """Return the same with rows numbered as in these, which hold whole channels."""
+        if not np.isin(self.mean[:1], dense).all():
+            return None
+        places = np.searchsorted(contrast, self.contrast), np.searchsorted(dense, self.mean)
+        return Foretold(*places, self.weight, self.root)
+
+
+class _Drifts(NamedTuple):
+    """What one channel's means and contrasts have of drift, by kinds, and of white noise.
+
+    Covariances of the means, of the contrasts with them, and of the contrasts.
+    """
+
+    contrast: IntArray
+    mean: IntArray
+    white: FloatArray
+    means: FloatArray
+    crossed: FloatArray
+    own: FloatArray
+    noise: FloatArray
+
+
+def foretold(rows: Rows, levels: FloatArray) -> tuple[Foretold, ...]:
+    """Return what the means at rest foretell of the contrasts, for drift of these levels."""
+    if not rows.is_rest.any() or rows.n_dense == len(rows.residual):
+        return ()
+    if "drifts" not in rows.kept:
+        rows.kept["drifts"] = [_drifts(rows, c) for c in range(len(CHANNELS))]
+    level = {c.name: value for c, value in zip(rows.components, levels, strict=True)}
+    out = []
+    for name, drift in zip(CHANNELS, rows.kept["drifts"], strict=True):
+        size = np.array([level.get(f"{name} {kind}", 0.0) for kind in ("flicker", "walk")])
+        if (
+            drift is None
+            or not (np.einsum("k,kii->i", size, drift.own) > SLIGHT * drift.noise).any()
+        ):
+            continue
+        means = drift.white + np.tensordot(size, drift.means, 1)
+        means[np.diag_indices_from(means)] += level.get(f"{name} jitter", 0.0)
+        crossed = np.tensordot(size, drift.crossed, 1)
+        weight = linalg.solve(means, crossed.T, assume_a="pos", check_finite=False).T
+        left = np.tensordot(size, drift.own, 1) - weight @ crossed.T
+        left[np.diag_indices_from(left)] += drift.noise
+        scale = np.sqrt(np.diag(left))
+        root = linalg.cholesky(left / np.outer(scale, scale), lower=True, check_finite=False)
+        root = linalg.lapack.dtrtri(root, lower=1)[0]
+        out.append(Foretold(drift.contrast, drift.mean, np.ascontiguousarray(weight), root))
+    return tuple(out)
+
+
+def _drifts(rows: Rows, c: int) -> _Drifts | None:
+    own, start = rows.channel == c, rows.n_dense
+    mean = np.flatnonzero(own[:start] & (rows.kind[:start] == Kind.MEAN))
+    contrast = np.flatnonzero(own[start:])
+    if len(mean) < 2 or not len(contrast):
+        return None
+    part, kernels = _parts(rows.interval.tobytes(), rows.is_rest.tobytes())
+    begin, length = rows.interval[:, 0], np.ptp(rows.interval, axis=1)
+    at = rows.point_segment
+    place = (rows.state.time - begin[at]) / np.maximum(length[at], 1e-9)
+    slot = part[at] + np.searchsorted(PARTS, place)
+    still = np.flatnonzero(rows.is_rest[at])
+    member = sparse.csr_matrix(
+        (np.ones(len(still)), (still, slot[still])), shape=(len(at), kernels.shape[1])
+    )
+    felt = rows.functional[c] @ member
+    of_means, of_contrasts = felt[mean].toarray(), felt[start + contrast].toarray()
+    response = of_contrasts @ kernels
+    return _Drifts(
+        contrast,
+        mean,
+        rows.white[np.ix_(mean, mean)],
+        of_means @ kernels @ of_means.T,
+        response @ of_means.T,
+        response @ of_contrasts.T,
+        rows.white_diagonal[contrast],
+    )
+
+
+@lru_cache(maxsize=1)
+def _parts(interval: bytes, is_rest: bytes) -> tuple[IntArray, FloatArray]:
+    """Return the first part of each segment, and how parts of rests drift together, (2, n, n).
+
+    Flicker and walk of a level of one, as `sensornoise` has them of segments.
+    """
+    times, rest = np.frombuffer(interval).reshape(-1, 2), np.frombuffer(is_rest, bool)
+    cuts = np.array([0.0, *PARTS, 1.0])
+    first = (len(PARTS) + 1) * (np.cumsum(rest) - 1)
+    start, length = times[rest, 0], np.ptp(times[rest], axis=1)
+    middle = (start[:, None] + length[:, None] * 0.5 * (cuts[1:] + cuts[:-1])).ravel()
+    size = (length[:, None] * np.diff(cuts)).ravel()
+    walk = np.minimum.outer(middle - times[0, 0], middle - times[0, 0]) / DRIFT_TIME
+    return np.asarray(first), np.stack((flicker_covariance(middle, size), walk))
