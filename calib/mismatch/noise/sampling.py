@@ -94,15 +94,30 @@ def sampling_components(
 
 
 def unresolved(
-    closed: Closures, force: FloatArray, rate: FloatArray, noise: FloatArray, spans: Spans
+    closed: Closures,
+    left: FloatArray,
+    force: FloatArray,
+    rate: FloatArray,
+    noise: FloatArray,
+    spans: Spans,
 ) -> FloatArray:
-    """Return the variance (k, 5) that jolts between their samples may add to k closures.
-
-    Of turns that are as rough as they look: what every second sample changes is not asked.
-    """
-    parts = _parts(closed, force, rate, noise, spans)
-    by_rate, by_force = (np.einsum("kii->ki", part) for part in parts)
-    return np.asarray(HALVED["rate"] * by_rate + HALVED["force"] * by_force)
+    """Return the variance (k, 5) of closures by jolts, as `sampling_components` expect it."""
+    by_rate, by_force = (
+        np.einsum("kii->ki", part) for part in _parts(closed, force, rate, noise, spans)
+    )
+    white = sum(
+        np.add.reduceat(np.einsum("rnc,nc->nr", np.square(weights), own), spans.start)
+        for weights, own in (
+            (closed.gyro_weights, noise[:, 3:]),
+            (closed.accel_weights, noise[:, :3]),
+        )
+    )
+    square, both, out = np.square(left), by_rate + by_force, np.empty_like(left)
+    for own in (_TILT, _SPEED):
+        share = _shares(square[:, own], both[:, own], white[:, own])[:, None]
+        jolts = HALVED["rate"] * by_rate[:, own] + HALVED["force"] * by_force[:, own]
+        out[:, own] = share * jolts
+    return out
 
 
 def _parts(

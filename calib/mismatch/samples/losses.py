@@ -21,6 +21,7 @@ from calib.mismatch.rows.closure import (
     Spans,
     close_turns,
     follow_turns,
+    integrate_half,
     integrate_turns,
     open_ends,
 )
@@ -166,7 +167,10 @@ class _Closures:
         size = ROBUST * np.median(np.abs(left / scale), axis=0)
         scatter = np.repeat([size[:2].mean(), size[2:].mean()], (2, 3))
         self._scatter = np.zeros((len(grid.first), 5))
-        jolts = unresolved(closed, *signals, noise[points], spans)
+        half = open_ends(
+            integrate_half(spans, *signals), *ups, spans.duration, gravity=twin.gravity
+        )
+        jolts = unresolved(closed, half - left, *signals, noise[points], spans)
         self._scatter[turns] = np.sqrt(np.square(scatter * scale) + jolts)
         self.scores = self._sizes(left, turns)
 
