@@ -105,18 +105,18 @@ def unresolved(
     by_rate, by_force = (
         np.einsum("kii->ki", part) for part in _parts(closed, force, rate, noise, spans)
     )
-    white = sum(
-        np.add.reduceat(np.einsum("rnc,nc->nr", np.square(weights), own), spans.start)
-        for weights, own in (
-            (closed.gyro_weights, noise[:, 3:]),
-            (closed.accel_weights, noise[:, :3]),
-        )
-    )
+    white = np.zeros_like(left)
+    for weights, own in (
+        (closed.gyro_weights, noise[:, 3:]),
+        (closed.accel_weights, noise[:, :3]),
+    ):
+        each = np.einsum("rnc,nc->nr", np.square(weights), own)
+        white += np.add.reduceat(each, spans.start)
     square, both, out = np.square(left), by_rate + by_force, np.empty_like(left)
-    for own in (_TILT, _SPEED):
-        share = _shares(square[:, own], both[:, own], white[:, own])[:, None]
-        jolts = HALVED["rate"] * by_rate[:, own] + HALVED["force"] * by_force[:, own]
-        out[:, own] = share * jolts
+    for some in (_TILT, _SPEED):
+        share = _shares(square[:, some], both[:, some], white[:, some])[:, None]
+        jolts = HALVED["rate"] * by_rate[:, some] + HALVED["force"] * by_force[:, some]
+        out[:, some] = share * jolts
     return out
 
 
