@@ -201,13 +201,15 @@ def _lines(
     """
     bins = len(power)
     mean, floor, p = _above(power)
-    p[held] = np.inf
-    k = int(np.argmin(p))
+    # By its height: of lines that stand far above, all p-values are zero.
+    k = int(np.argmax(np.where(held, 0.0, mean / floor)))
     # A Hann window spreads a line over three frequencies.
     near = slice(max(k - 1, 0), k + 2)
-    if p[k] >= CLAIM or (mean[near] - floor[near]).sum() < _SHARE * floor.sum():
+    excess = np.maximum(mean - floor, 0.0)[near]
+    if held[k] or p[k] >= CLAIM or (mean - floor)[near].sum() < _SHARE * floor.sum():
         return []
-    frequency = (k + 2) / (LENGTH * recording.interval)
+    bin_of = np.arange(bins)[near] @ excess / excess.sum() + 2
+    frequency = bin_of / (LENGTH * recording.interval)
     found, of = np.unique(pose, return_inverse=True)
     # Beside the frequencies that the line spreads over, each rest shows its own floor.
     beside = np.r_[max(k - NEIGHBOURS, 0) : max(k - 2, 0), k + 3 : min(k + NEIGHBOURS + 1, bins)]

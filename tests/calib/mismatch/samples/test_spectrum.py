@@ -92,7 +92,18 @@ def test_a_line_in_some_rests_is_said_to_be_there() -> None:
     assert line.channels == ("accel.y",)
     assert abs(line.intervals[0][0] - start) < 1.0
     assert abs(line.intervals[0][1] - stop) < 1.0
-    assert line.follows in ("a line at 21.1 Hz", "the time: power at one frequency there")
+    assert line.follows in ("a line at 21 Hz", "the time: power at one frequency there")
+
+
+@pytest.mark.parametrize("frequency", [21.0, 25.0, 27.4])
+def test_a_line_far_above_the_noise_is_at_its_frequency(frequency: float) -> None:
+    """Where every p-value beside it is zero, too."""
+    recording, poses = rests(7, np.ones(POSES))
+    accel = np.array(recording.accel)
+    accel[:, 2] += 0.3 * np.sin(2 * np.pi * frequency * recording.time)
+    (line,) = look_at_spectrum(replace(recording, accel=accel), poses)
+    assert line.p_value == 0.0
+    assert float(line.follows.split()[3]) == pytest.approx(frequency, abs=0.15)
 
 
 def test_a_hand_that_trembles_less_the_faster_is_no_line() -> None:
