@@ -34,6 +34,7 @@ from calib.mismatch.twin.selfmode import SelfProblem
 from calib.model import SensorModel
 from calib.poses import Poses
 from calib.recording import CHANNELS, Recording
+from calib.threads import one_thread
 from calib.types import BoolArray, FloatArray
 
 UNKNOWN_DRIFT = 4.0
@@ -83,6 +84,7 @@ def diagnose_recording(
     return diagnose_thinned(thin(lambda: (recording,)), gravity=gravity, model=model)
 
 
+@one_thread()
 def diagnose_thinned(
     thinned: Thinned, *, gravity: float, model: SensorModel | None = None
 ) -> Diagnosis:

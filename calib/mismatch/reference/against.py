@@ -25,6 +25,7 @@ from calib.mismatch.search.search import Outcome, search
 from calib.model import SensorModel
 from calib.recording import CHANNELS, Recording
 from calib.statics import find_poses
+from calib.threads import one_thread
 from calib.timing import evened
 from calib.types import FloatArray
 
@@ -46,6 +47,7 @@ _SELDOM_ALONE = ("earth_rate", "gravity_magnitude")
 """What is in a simulation's own signals already, or is a scale that the baseline has."""
 
 
+@one_thread()
 def diagnose_against(
     real: Recording,
     simulated: Recording,

@@ -31,6 +31,7 @@ from calib.model import SensorModel
 from calib.recording import Recording
 from calib.rotation import mat_from_quat, quat_multiply
 from calib.statics import find_poses
+from calib.threads import one_thread
 from calib.timing import even_times, evened
 from calib.types import BoolArray, FloatArray
 
@@ -179,6 +180,7 @@ def _one_sign(quat: FloatArray, good: BoolArray) -> FloatArray:
     return sign
 
 
+@one_thread()
 def diagnose_reference(
     real: Recording,
     reference: Recording | ReferenceMotion,
