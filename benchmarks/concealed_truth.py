@@ -69,6 +69,7 @@ RATES = {
 
 OUTSIDE_ONLY = ("clock_scale", "reference_misalignment", "accel_lever_arm", "time_offset")
 WITH_ORIENTATION = ("reference_tilt", "earth_rate", "gravity_magnitude")
+CAPTURED = ("reference_smoothing",)
 DELAYING = ("time_offset", "clock_scale", "bandwidth", "inter_axis_skew")
 """What shifts signals in time, and with them the offset of the clocks that fits best."""
 
@@ -122,6 +123,8 @@ def effects_of(mode: str) -> list[str]:
     more = (*OUTSIDE_ONLY[: 3 if mode != "simulation" else 1], "accel_lever_arm")
     if mode in ("capture", "profile"):
         more += WITH_ORIENTATION
+    if mode == "capture":
+        more += CAPTURED
     hidden = [n for n in hidden_effects() if n not in WITH_ORIENTATION]
     if mode in ("capture", "imu"):
         hidden.remove("bandwidth")

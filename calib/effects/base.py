@@ -69,7 +69,8 @@ class Parameter:
     ``typical`` is the size that a consumer part has, in ``unit``; it sets the prior.
     ``reference_only`` marks a parameter that a recording shows only against a reference (motion
     capture, a commanded profile, a second sensor), never by itself. ``refining`` marks a higher
-    order that no sensor has without the others. Nothing that is physical is larger than ``most``.
+    order that no sensor has without the others. Nothing that is physical is smaller than ``least``
+    or larger than ``most``.
     """
 
     name: str
@@ -78,6 +79,7 @@ class Parameter:
     channels: tuple[str, ...]
     reference_only: bool = False
     refining: bool = False
+    least: float = -np.inf
     most: float = np.inf
 
 

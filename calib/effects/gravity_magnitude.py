@@ -26,6 +26,7 @@ class GravityMagnitude(Effect):
             0.02,
             ("accel.x", "accel.y", "accel.z"),
             reference_only=True,
+            least=-0.1,
             most=0.1,
         ),
     )

@@ -15,6 +15,7 @@ _PEOPLE = {
     "1": ("%", 100.0),
     "1/K": ("%/K", 100.0),
     "m": ("mm", 1e3),
+    "s²": ("ms²", 1e6),
     "(rad/s)/(m/s²)": ("dps/g", 180 / math.pi * STANDARD_GRAVITY),
     "(rad/s)/(m/s²)²": ("dps/g²", 180 / math.pi * STANDARD_GRAVITY**2),
     "(m/s²)/(m/s²)²": ("mg/g²", 1e3 * STANDARD_GRAVITY),

@@ -264,10 +264,17 @@ def compared(
         raw=real if common.limited else None,
         notes=notes,
     )
-    # What both were limited to hides the sensor's own low-pass. Where samples do not resolve the
-    # motion, one that is lost cannot be told from motion either.
-    hidden = ("bandwidth",) if common.limited else ()
-    return problem, ((*hidden, "dropped_samples") if common.blur else hidden), reference
+    skip = []
+    if common.limited:
+        # What both were limited to hides the sensor's own low-pass.
+        skip.append("bandwidth")
+    if common.blur:
+        # Where samples do not resolve the motion, one that is lost cannot be told from motion.
+        skip.append("dropped_samples")
+    if isinstance(reference, ReferenceMotion) and reference.position is None and reference.placed:
+        # A table is commanded, not captured.
+        skip.append("reference_smoothing")
+    return problem, tuple(skip), reference
 
 
 def _captured(

@@ -64,7 +64,7 @@ MIMICKED = 9.0
 tie: the likelihood then favours the wrong one in 1 of 15."""
 
 SURE = 3.0
-"""Standard errors by which an effect must be larger than is physical to be none."""
+"""Standard errors by which an effect must be beyond what is physical to be none."""
 
 ROUNDS = 8
 """At most so many findings are tried."""
@@ -247,12 +247,15 @@ def _again(candidate: Candidate, accepted: list[Accepted]) -> bool:
 def _impossible(
     rows: Rows, ranking: Ranking, candidate: Candidate, accepted: list[Accepted]
 ) -> bool:
-    """Whether an effect would have to be larger than is physical: it mimics something else."""
+    """Whether an effect would have to be of a size that none has: it mimics something else."""
     if not candidate.physical:
         return False
     about = {p.name: p for p in get_effect(candidate.name).parameters}
-    most = np.array([about[n].most for n in candidate.parameters])
-    if not np.isfinite(most).any():
+    least, most = (
+        np.array([getattr(about[n], bound) for n in candidate.parameters])
+        for bound in ("least", "most")
+    )
+    if not np.isfinite([least, most]).any():
         return False
     mean, contrast = fitted(rows, accepted), contrast_noise(rows, accepted)
     whitener = make_whitener(rows, ranking.levels, contrast, mean)
@@ -261,7 +264,7 @@ def _impossible(
     typical = np.array([about[n].typical for n in candidate.parameters])
     value = typical * (inverse @ columns.T @ whitener.project(rows.residual))
     sigma = typical * np.sqrt(np.diag(inverse))
-    return bool((np.abs(value) > most + SURE * sigma).any())
+    return bool(((value < least - SURE * sigma) | (value > most + SURE * sigma)).any())
 
 
 def _lasting(candidate: Candidate) -> bool:

@@ -56,6 +56,7 @@ CATALOGUE = [
     "gravity_magnitude",
     "reference_tilt",
     "reference_misalignment",
+    "reference_smoothing",
 ]
 SHAPES = {
     "tau": 30.0,
@@ -70,7 +71,7 @@ SHAPES = {
     "accel_axes": 13,
     "gyro_axes": 7,
 }
-LOSSY = {"saturation", "quantization", "dropped_samples", "bandwidth"}
+LOSSY = {"saturation", "quantization", "dropped_samples", "bandwidth", "reference_smoothing"}
 """What `inverse` cannot undo, or not everywhere; each has a test of its own."""
 
 everyone = pytest.mark.parametrize("slug", CATALOGUE)
@@ -204,6 +205,7 @@ def test_needs_what_it_is_a_function_of(slug: str, state: State) -> None:
         *(s for s in CATALOGUE if "temperature" in s or "vibration" in s),
         "earth_rate",
         "reference_tilt",
+        "reference_smoothing",
         "accel_settling",
     }
     assert (columns == {}) == (slug in lacking)

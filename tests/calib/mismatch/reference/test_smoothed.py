@@ -1,0 +1,91 @@
+"""A captured motion that was smoothed before it was given away."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter1d
+
+from calib.calibration import Gravity
+from calib.mismatch import ReferenceMotion, diagnose_reference
+from calib.mismatch.reference.referencemode import compare_reference
+from calib.mismatch.samples.samples import look_at_samples
+from calib.model import SensorModel
+from calib.recording import Recording
+from calib.rotation import quat_from_rotvec, quat_multiply
+from calib.simulate import simulate
+from calib.simulation.kinematics import Motion
+from calib.simulation.noise import CONSUMER
+from calib.simulation.referenced import motion_from_reference
+from calib.statics import find_poses
+
+GRAVITY, RATE = 9.80665, 120.0
+
+
+@cache
+def swung() -> tuple[Motion, np.ndarray, np.ndarray, np.ndarray]:
+    """Return a body that a hand swings about every axis, with rests; and its path at 480 Hz."""
+    rng = np.random.default_rng(8)
+    time = np.arange(0.0, 60.0, 0.25 / RATE)
+    envelope = np.clip(3.0 * np.sin(np.pi * time / 12.0) ** 2 - 0.6, 0.0, 1.0)
+    strength = gaussian_filter1d(envelope, 0.3 * 4 * RATE)[:, None]
+    strength = np.where(strength < 1e-3, 0.0, strength)
+    turn, away = np.zeros((2, len(time), 3))
+    for frequency in rng.uniform(0.4, 3.0, 8):
+        phase = 2 * np.pi * (frequency * time[:, None] + rng.random((2, 1, 3)))
+        turn += 0.7 / frequency * np.sin(phase[0])
+        away += 0.05 / frequency * np.sin(phase[1])
+    quat = quat_from_rotvec(strength * turn)
+    place = strength * away
+    return motion_from_reference(time, quat, place, gravity=GRAVITY), time, quat, place
+
+
+def recorded(seed: int) -> Recording:
+    rng = np.random.default_rng(seed)
+    return simulate(swung()[0], SensorModel(), CONSUMER, rng=rng, rate=100.0)
+
+
+def captured(seed: int, *, smoothed: float = 0.0) -> ReferenceMotion:
+    """Return what cameras saw; ``smoothed`` is the standard deviation of a Gaussian, s."""
+    _, time, quat, place = swung()
+    rng = np.random.default_rng(1000 + seed)
+    shake = quat_from_rotvec(rng.normal(0.0, np.radians(0.05), (len(time[::4]), 3)))
+    seen = np.hstack((quat_multiply(quat[::4], shake), place[::4]))
+    seen[:, 4:] += rng.normal(0.0, 1e-4, (len(seen), 3))
+    if smoothed:
+        seen = gaussian_filter1d(seen, smoothed * RATE, axis=0)
+    size = np.linalg.norm(seen[:, :4], axis=1, keepdims=True)
+    return ReferenceMotion(time[::4], seen[:, :4] / size, seen[:, 4:])
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_smoothing_is_named_alone_and_by_its_size(seed):
+    width = 0.012
+    real = recorded(seed)
+    found = diagnose_reference(real, captured(seed, smoothed=width), gravity=GRAVITY)
+    named = {f.effect: f for f in found.findings}
+    assert set(named) <= {"reference_smoothing", "time_offset"}
+    item = named["reference_smoothing"]
+    for q in item.parameters.values():
+        # exp(-(width w)² / 2) = 1 - (width w)² / 2 + ..., in which the next term is a tenth.
+        assert q.value == pytest.approx(width**2 / 2, rel=0.15)
+    assert item.held_out is not None
+    assert item.held_out.after < item.held_out.before
+    # It is no part of the sensor.
+    made = found.calibration(real, gravity=Gravity(GRAVITY, "given"))
+    assert not made.model.terms
+    assert [e.effect for e in made.events if e.effect != "time_offset"] == [item.effect]
+
+
+@pytest.mark.parametrize("seed", [3, 4])
+def test_nothing_is_smoothed_in_what_was_not(seed):
+    found = diagnose_reference(recorded(seed), captured(seed), gravity=GRAVITY)
+    assert {f.effect for f in found.findings} <= {"time_offset"}
+
+
+def test_a_table_is_commanded_and_not_smoothed():
+    real, reference = recorded(5), captured(5)
+    table = ReferenceMotion(reference.time, reference.quat, fixed=True)
+    seen = look_at_samples(real, find_poses(real))
+    skips = [compare_reference(real, r, seen, gravity=GRAVITY)[1] for r in (reference, table)]
+    assert ["reference_smoothing" in skip for skip in skips] == [False, True]
