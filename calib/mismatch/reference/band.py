@@ -58,6 +58,11 @@ LESS = 0.9
 """Noise of the differences where it moves, relative to that at rest, below which part of it is in
 the motion. A simulation's own noise hides that; as loud as the recording's it leaves 0.7 to 0.8."""
 
+BEYOND = 4.0
+"""Cut-off of the first low-pass of a captured motion relative to that of what is compared, of which
+it takes 2e-5. A rate is a product of orientations, and a force of one and an acceleration: the
+noise of one times that of the other would be noise at any frequency."""
+
 
 class Matched(NamedTuple):
     """A recording and its truth, limited to what both know.

@@ -19,6 +19,7 @@ from scipy import sparse
 
 from calib.effects.base import State
 from calib.effects.vibration import quiet_level
+from calib.mismatch.reference.colour import Colour
 from calib.mismatch.rows.rows import Component
 from calib.recording import Recording
 from calib.rotation import skew
@@ -33,24 +34,34 @@ FEWEST, LEAST = 3, 20
 tell how loud a sensor is to a tenth."""
 
 
-WANDERS, UNSURE = 0.1, 2.0
+UNSURE = 1.5
+"""Factor up to which a density at zero frequency is not known from what is above
+`calib.mismatch.reference.colour.SLOWEST`."""
+
+WANDERS, WIDE = 0.1, 2.0
 """Variance of an angle's slow errors as a share of what its noise leaves in the mean of a window,
 and the standard deviation of the logarithm of that: what captures a motion seldom says."""
 
 LEAST_ANGLE = 1e-5
 """rad that no capture is better than."""
 
+LEFT = 0.189
+"""Integral of x² times the fourth power of the response of `band.zero_phase`, x the frequency
+relative to its cut-off."""
+
 
 class Known(NamedTuple):
     """Densities of white noise: of the sensor's own triads, and of each angle (rad/√Hz).
 
-    ``interval`` (s) is that between the points that are compared.
+    ``interval`` (s) is that between the points that are compared, ``coning`` the density of the
+    rate that the angles make of themselves.
     """
 
     accel: float
     gyro: float
     angle: float
     interval: float
+    coning: float = 0.0
 
 
 def sensor_densities(recording: Recording, rests: IntArray) -> tuple[float, float] | None:
@@ -82,6 +93,49 @@ def sensor_densities(recording: Recording, rests: IntArray) -> tuple[float, floa
     return densities[0], densities[1]
 
 
+def known_noise(
+    own: tuple[float, float],
+    seen: tuple[float, float],
+    colour: Colour,
+    *,
+    interval: float,
+    cutoff: float,
+) -> Known:
+    """Return what is known of the noise of a sensor beside a captured motion.
+
+    Parameters
+    ----------
+    own, seen : two floats
+        Densities of both triads, of the sensor alone and of slow differences.
+    colour : Colour
+        Of the differences of rates.
+    interval, cutoff : float, s and Hz
+        Between the points that are compared, and of what the orientations have passed.
+    """
+    # A rate is 2 pi f times an angle.
+    angle = seen[1] * float(np.sqrt(colour.square)) / (2.0 * np.pi)
+    # The sensor alone is no louder than both: where it is, the body moves in its rests.
+    accel, gyro = (a if a < UNSURE * b else b for a, b in zip(own, seen, strict=True))
+    return Known(accel, gyro, angle, interval, coning(angle, cutoff))
+
+
+def coning(angle: float, cutoff: float) -> float:
+    """Return the density of the rate that the noise of angles makes of itself, (rad/s)/√Hz.
+
+    Errors phi of an orientation add ``phi x d(phi)/dt / 2`` to its rate besides ``d(phi)/dt``, and
+    that does not come back. At zero frequency its spectral density is the integral of the product
+    of those of an angle and of its derivative, ``(2 pi)² angle⁴ cutoff³ LEFT``.
+
+    Parameters
+    ----------
+    angle : float, rad/√Hz
+        Density of the noise of each angle.
+    cutoff : float, Hz
+        Of the low-pass that the orientations have passed.
+    """
+    return float(2.0 * np.pi * angle**2 * np.sqrt(LEFT * cutoff**3))
+
+
 def mean_covariance(
     functional: list[sparse.csr_matrix], channel: IntArray, state: State, known: Known
 ) -> FloatArray:
@@ -106,7 +160,8 @@ def mean_covariance(
         own = np.flatnonzero(channel == c)
         rows = weights[own]
         # Per point a variance is half a density over the interval.
-        total = rows @ rows.T * (known[c // 3] ** 2 / (2.0 * step))
+        density = known.accel if c < 3 else np.hypot(known.gyro, known.coning)
+        total = rows @ rows.T * (density**2 / (2.0 * step))
         for felt in _felt(rows, c, state, step):
             total += felt @ felt.T * (known.angle**2 / (2.0 * step))
         out[np.ix_(own, own)] = total.toarray()
@@ -140,7 +195,7 @@ def wobble(
     length = float(np.median(np.diff(nodes)))
     expected = WANDERS * max(known.angle**2 / (2.0 * length), LEAST_ANGLE**2)
     index, kernel = np.arange(len(channel)), np.eye(3 * len(nodes))
-    return Component("angles slow", index, response.tocsr(), kernel, expected, UNSURE)
+    return Component("angles slow", index, response.tocsr(), kernel, expected, WIDE)
 
 
 def _felt(

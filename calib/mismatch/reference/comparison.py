@@ -20,8 +20,8 @@ from calib.effects.observed import observed
 from calib.errors import NoCommonMotionError
 from calib.mismatch.reference.alignment import LEAST_OVERLAP, Alignment
 from calib.mismatch.reference.alike import check_motion, check_units
-from calib.mismatch.reference.band import FELT
-from calib.mismatch.reference.captured import Known, sensor_densities
+from calib.mismatch.reference.band import BEYOND, FELT
+from calib.mismatch.reference.captured import Known, known_noise, sensor_densities
 from calib.mismatch.reference.carried import (
     NAMES,
     SIZES,
@@ -49,9 +49,6 @@ from calib.types import BoolArray, FloatArray
 
 FAST = 0.98
 """Share of the samples that turn slower than the motion at its fastest."""
-
-UNSURE = 1.5
-"""Factor up to which a density at zero frequency is not known from what is above `SLOWEST`."""
 
 ACCEL_BASELINE = (
     *(f"accel.bias.{a}" for a in AXES),
@@ -309,16 +306,12 @@ class ComparisonProblem:
         """Return what is known of the noise of a captured motion once its colour is."""
         if self.densities is None or self.colours is None:
             return None
-        seen = np.median(shapes.noise, axis=0).reshape(2, 3).mean(axis=1)
-        accel, gyro = np.sqrt(2.0 * self.interval * seen)
-        # A rate is 2 pi f times an angle.
-        angle = gyro * np.sqrt(self.colours[1].square) / (2.0 * np.pi)
-        # The sensor alone is no louder than both: where it is, the body moves in its rests.
-        accel, gyro = (
-            own if own < UNSURE * both else both
-            for own, both in zip(self.densities, (accel, gyro), strict=True)
+        noise = np.median(shapes.noise, axis=0).reshape(2, 3).mean(axis=1)
+        accel, gyro = np.sqrt(2.0 * self.interval * noise).tolist()
+        cutoff = min(BEYOND * self.band, 0.5 / self.truth.recording.interval)
+        return known_noise(
+            self.densities, (accel, gyro), self.colours[1], interval=self.interval, cutoff=cutoff
         )
-        return Known(accel, gyro, angle, self.interval)
 
     def residual(self, state: State) -> FloatArray:
         """Return recording minus model, (n, 6)."""

@@ -22,7 +22,7 @@ from calib.mismatch.reference.against import (
     unfit,
 )
 from calib.mismatch.reference.alignment import Alignment, align
-from calib.mismatch.reference.band import Matched, limited, low_passed, matched, smoothed
+from calib.mismatch.reference.band import BEYOND, Matched, limited, low_passed, matched, smoothed
 from calib.mismatch.reference.comparison import ComparisonProblem
 from calib.mismatch.reference.swaps import swapped
 from calib.mismatch.reference.truths import DEGREE, RecordingTruth
@@ -43,11 +43,6 @@ UNTURNED = 1e-3
 
 ROUGH = 20.0
 """Hz up to which a captured motion is aligned and its frame is found, noisy as its rates are."""
-
-BEYOND = 4.0
-"""Cut-off of the first low-pass of a captured motion relative to that of what is compared, of which
-it takes 2e-5. A rate is a product of orientations, and a force of one and an acceleration: the
-noise of one times that of the other would be noise at any frequency."""
 
 EXACT = 1e-4
 """Of a quaternion that no system sees, but that rounding to four digits leaves: a motion captured

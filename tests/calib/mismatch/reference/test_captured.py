@@ -5,10 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy import sparse
+from scipy.spatial.transform import Rotation
 
 from calib.effects.base import State
+from calib.mismatch.reference.band import zero_phase
 from calib.mismatch.reference.captured import (
     Known,
+    coning,
     mean_covariance,
     sensor_densities,
     wobble,
@@ -81,6 +84,25 @@ def test_means_err_as_angles_say():
     scale = np.sqrt(np.diag(expected))
     assert np.allclose(np.diag(found) / np.diag(expected), 1.0, atol=0.2)
     assert np.abs((found - expected) / np.outer(scale, scale)).max() < 0.15
+
+
+def test_what_angles_make_of_themselves_does_not_come_back():
+    n, cutoff, density = 100_000, 4.0, 0.01
+    rng = np.random.default_rng(4)
+    white = rng.normal(0.0, density / np.sqrt(2.0 * STEP), (n, 3))
+    angle = zero_phase(white, cutoff * STEP)
+    # From the orientations themselves: what they turn by, without what the angles do.
+    step = rotvec_between(angle[:-1], angle[1:])
+    rate = (step - np.diff(angle, axis=0)) / STEP
+    means = rate[: n // WINDOW * WINDOW - WINDOW].reshape(-1, WINDOW, 3).mean(axis=1)
+    expected = coning(density, cutoff) ** 2 / (2.0 * WINDOW * STEP)
+    assert means.var() == pytest.approx(expected, rel=0.2)
+
+
+def rotvec_between(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Return the rotation vectors (n, 3) from one orientation to the next."""
+    turned = Rotation.from_rotvec(first).inv() * Rotation.from_rotvec(second)
+    return np.asarray(turned.as_rotvec())
 
 
 def test_angles_that_wander_are_felt_as_they_are_and_come_back():

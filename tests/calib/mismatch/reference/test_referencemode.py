@@ -9,8 +9,7 @@ import pytest
 from calib.effects.base import Term
 from calib.errors import NoCommonMotionError
 from calib.mismatch import ReferenceMotion, diagnose_reference
-from calib.mismatch.reference.band import limited
-from calib.mismatch.reference.referencemode import BEYOND
+from calib.mismatch.reference.band import BEYOND, limited
 from calib.model import SensorModel, Triad
 from calib.recording import Recording
 from calib.rotation import mat_from_rotvec, quat_from_rotvec, quat_multiply
