@@ -18,14 +18,16 @@ from functools import cached_property
 import numpy as np
 
 from calib.closure import TurnSteps, closure_residual
-from calib.errors import UnitError
+from calib.errors import NoCommonMotionError, UnitError
 from calib.faults import FASTEST
 from calib.poses import Poses
 from calib.recording import Recording
 from calib.rotation import cumulative_quat_segments, mat_from_quat, quat_from_rotvec
 from calib.statics import find_poses
+from calib.synchrony import gyro_delay
 from calib.turns import find_turns
 from calib.types import FloatArray, IntArray
+from calib.unit_switch import Switch, unit_switches
 
 G = 9.80665
 DEGREE = np.pi / 180
@@ -102,17 +104,19 @@ ROUND = 0.1
 class UnitFault:
     """One sensor that is not in its unit: ``measured = factor * true``.
 
-    ``channel`` (0 to 2) is its only axis that is not; None if all are not.
+    ``channel`` (0 to 2) is its only axis that is not, ``interval`` (s) the only part; None if all
+    are not.
     """
 
     triad: str
     factor: float
     message: str
     channel: int | None = None
+    interval: tuple[float, float] | None = None
 
 
 def check_units(recording: Recording, poses: Poses | None = None) -> None:
-    """Refuse a recording whose values are not in m/s² and rad/s.
+    """Refuse a recording whose values are not in m/s² and rad/s, or not of one time.
 
     Parameters
     ----------
@@ -124,6 +128,8 @@ def check_units(recording: Recording, poses: Poses | None = None) -> None:
     ------
     UnitError
         With the factor that was found, and the unit that explains it.
+    NoCommonMotionError
+        If gyroscope and accelerometer do not show turns at the same time.
     """
     poses = find_poses(recording) if poses is None else poses
     faults = unit_faults(recording, poses, Closure.of(recording, poses))
@@ -132,6 +138,13 @@ def check_units(recording: Recording, poses: Poses | None = None) -> None:
             "; ".join(fault.message for fault in faults)
             + ". Give the import profile that states the unit (--profile), or convert the values"
         )
+    late = gyro_delay(recording)
+    if late is not None:
+        raise NoCommonMotionError(
+            f"the gyroscope is {abs(late):.2f} s {'late' if late > 0 else 'early'} against the "
+            "accelerometer: turns must be at the same time in both. Give both the stamps of one "
+            "clock, or shift one"
+        )
 
 
 def unit_faults(recording: Recording, poses: Poses, closure: Closure | None) -> list[UnitFault]:
@@ -139,8 +152,26 @@ def unit_faults(recording: Recording, poses: Poses, closure: Closure | None) -> 
 
     `closure` is that of its turns, as `Closure.of` returns it.
     """
+    switched = [_switched(switch) for switch in unit_switches(recording)]
+    if switched:
+        # Of parts in unlike units the whole tells nothing.
+        return switched
     found = [_accel_fault(recording, poses), _gyro_fault(recording, closure)]
     return [fault for fault in found if fault is not None]
+
+
+def _switched(switch: Switch) -> UnitFault:
+    triad, factor, (start, stop) = switch
+    known, name = (
+        (ACCEL_FACTORS, "accelerometer") if triad == "accel" else (GYRO_FACTORS, "gyroscope")
+    )
+    return UnitFault(
+        triad,
+        factor,
+        f"from {start:.1f} to {stop:.1f} s the {name} is {factor:.4g} times as large as in the "
+        f"rest of the recording{_name(factor, known)} there",
+        interval=switch.interval,
+    )
 
 
 def _accel_fault(recording: Recording, poses: Poses) -> UnitFault | None:

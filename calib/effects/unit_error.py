@@ -1,29 +1,12 @@
-"""Values in another unit than the one declared."""
+"""Values in another unit than the one declared; `calib.units` knows the usual ones."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 
-import numpy as np
-
-from calib.effects.base import Column, G, Parameter, Signals, State, TransformEffect
+from calib.effects.base import Column, Parameter, Signals, State, TransformEffect
 from calib.effects.resampling import triad_column
 from calib.types import FloatArray
-
-FACTORS = {
-    "g declared as m/s²": 1 / G,
-    "m/s² declared as g": G,
-    "mg declared as m/s²": 1000 / G,
-    "deg/s declared as rad/s": 180 / np.pi,
-    "rad/s declared as deg/s": np.pi / 180,
-    "half the full scale assumed": 0.5,
-    "twice the full scale assumed": 2.0,
-    "a quarter of the full scale assumed": 0.25,
-    "four times the full scale assumed": 4.0,
-    "an eighth of the full scale assumed": 0.125,
-    "eight times the full scale assumed": 8.0,
-}
-"""What was seen over what is true, for the usual mistakes."""
 
 
 class UnitError(TransformEffect):
@@ -76,12 +59,6 @@ class UnitError(TransformEffect):
             signals.accel / (1 + parameters.get("accel", 0.0)),
             signals.gyro / (1 + parameters.get("gyro", 0.0)),
         )
-
-
-def nearest_mistake(factor: float, *, tolerance: float = 0.15) -> str | None:
-    """Return the usual mistake whose factor is within `tolerance` (relative), or None."""
-    name = min(FACTORS, key=lambda item: abs(np.log(factor / FACTORS[item])))
-    return name if abs(factor / FACTORS[name] - 1) <= tolerance else None
 
 
 EFFECT = UnitError()

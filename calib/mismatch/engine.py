@@ -95,6 +95,8 @@ def diagnose_thinned(
     missing = _missing(recording, poses)
     if seen.fatal:
         need = "right units and axes"
+        if any(f.effect == "time_offset" for f in seen.findings):
+            need = "a gyroscope and an accelerometer on one clock"
         if seen.unexplained:
             need = NEEDED.get(seen.unexplained[-1].follows, "channels that move: one is stuck")
         return _unfit(thinned, missing, f"{need}: mend that and diagnose again", "explained")

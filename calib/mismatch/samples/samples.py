@@ -22,6 +22,7 @@ from calib.mismatch.noise.hush import silent
 from calib.mismatch.samples.losses import Loss
 from calib.poses import Poses
 from calib.recording import CHANNELS, Recording
+from calib.synchrony import STEP, gyro_delay
 from calib.types import BoolArray, FloatArray, IntArray
 from calib.units import FEWEST, Closure, unit_faults
 
@@ -39,6 +40,8 @@ CERTAIN = 0.1
 
 MANY = 100_000
 """Samples that are looked at for whether they step in counts."""
+
+GYRO = CHANNELS[3:]
 
 BEYOND = "nothing: no gyroscope reads that at rest"
 
@@ -95,6 +98,11 @@ def look_at_units(
 ) -> tuple[tuple[Finding, ...], tuple[Unexplained, ...]]:
     """Look for wrong units and axes; and for turns that no unit and no axes make agree."""
     closure = Closure.of(recording, poses) if len(poses) else None
+    late = gyro_delay(recording)
+    if late is not None:
+        # Turns that are compared with others than themselves tell nothing of units and axes.
+        found = {"gyro_delay": late}
+        return (_finding("time_offset", recording, GYRO, found, spread={"gyro_delay": STEP}),), ()
     wrong = (*_units(recording, poses, closure), *_axes(recording, closure))
     if wrong or not len(poses):
         return wrong, ()
@@ -225,7 +233,8 @@ def _units(recording: Recording, poses: Poses, closure: Closure | None) -> list[
         own = "" if fault.channel is None else f".{'xyz'[fault.channel]}"
         channels = tuple(c for c in CHANNELS if c.startswith(fault.triad + own))
         values = {fault.triad: fault.factor - 1.0}
-        out.append(_finding("unit_error", recording, channels, values, fault.message))
+        where = () if fault.interval is None else (fault.interval,)
+        out.append(_finding("unit_error", recording, channels, values, fault.message, where))
     return out
 
 

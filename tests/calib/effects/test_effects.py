@@ -412,12 +412,7 @@ def test_axis_orders_are_all_different_and_named() -> None:
         SensorModel(terms=(Term("axis_error", {"gyro_axes": 48}),))
 
 
-def test_unit_mistakes_are_named() -> None:
-    from calib.effects.unit_error import nearest_mistake
-
-    assert nearest_mistake(57.0) == "deg/s declared as rad/s"
-    assert nearest_mistake(2.1) == "twice the full scale assumed"
-    assert nearest_mistake(1.0) is None
+def test_a_unit_is_no_factor_of_zero() -> None:
     with pytest.raises(ValueError, match="`accel` of unit_error"):
         SensorModel(terms=(Term("unit_error", {"accel": -1.0}),))
 

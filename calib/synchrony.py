@@ -1,0 +1,85 @@
+"""Whether gyroscope and accelerometer see a turn at the same time.
+
+How fast a sensor turns, and how fast gravity turns in it, rise and fall together. Which part of a
+turn gravity does not show (about the vertical) changes their sizes, not when they are.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.ndimage import uniform_filter1d
+
+from calib.recording import Recording
+from calib.types import FloatArray
+
+STEP = 0.02
+"""s between what is compared: a fifth of the least delay that is said."""
+
+SMOOTH = 0.2
+"""s over which both are averaged: a hand's tremor is none of a turn."""
+
+LEAST = 0.1
+"""s: a low-pass of 3 Hz delays by 0.075 s, and what is below is told from one by what it leaves."""
+
+MOST = 20.0
+"""s up to which a delay is looked for."""
+
+ALIKE = 0.6
+"""Correlation of the two where they belong together: a hand that moves besides leaves 0.8."""
+
+BETTER = 1.5
+"""Times by which the variance that is left must be larger without the delay."""
+
+
+def gyro_delay(recording: Recording) -> float | None:
+    """Return by how much the gyroscope is late against the accelerometer, s; None if it is not.
+
+    Less than `LEAST` is not looked for, nor what one half of the recording does not show.
+    """
+    if recording.clock == "invalid" or recording.duration < 20.0 * SMOOTH:
+        return None
+    turning, tilting = _speeds(recording)
+    lag, value = _correlation(tilting, turning)
+    best = int(np.argmax(value))
+    together = float(value[np.abs(lag) < 0.5 * LEAST].max())
+    left, otherwise = 1.0 - value[best] ** 2, 1.0 - max(together, 0.0) ** 2
+    if value[best] < ALIKE or abs(lag[best]) < LEAST or otherwise < BETTER * left:
+        return None
+    delay = float(lag[best])
+    half = len(turning) // 2
+    for own in (slice(0, half), slice(half, None)):
+        lag, value = _correlation(tilting[own], turning[own])
+        if abs(lag[int(np.argmax(value))] - delay) > LEAST:
+            return None
+    return delay
+
+
+def _speeds(recording: Recording) -> tuple[FloatArray, FloatArray]:
+    """Return how fast the sensor turns by either of its triads, at even times."""
+    at = np.arange(recording.time[0], recording.time[-1], STEP)
+    width = max(1, round(SMOOTH / STEP))
+
+    def even(values: FloatArray) -> FloatArray:
+        columns = [np.interp(at, recording.time, column) for column in values.T]
+        return np.asarray(uniform_filter1d(np.stack(columns, axis=1), width, axis=0))
+
+    rate: FloatArray = np.linalg.norm(
+        even(recording.gyro - np.median(recording.gyro, axis=0)), axis=1
+    )
+    force = even(recording.accel)
+    up = force / np.maximum(np.linalg.norm(force, axis=1, keepdims=True), 1e-12)
+    tilt = np.linalg.norm(np.gradient(up, STEP, axis=0), axis=1)
+    return rate, np.asarray(tilt, np.float64)
+
+
+def _correlation(first: FloatArray, second: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return delays of the second, s, and its correlation with the first at each of them."""
+    from scipy import fft
+
+    a, b = first - first.mean(), second - second.mean()
+    scale = float(np.sqrt((a @ a) * (b @ b))) or 1.0
+    most = min(round(MOST / STEP), len(a) // 2)
+    size = fft.next_fast_len(2 * len(a))
+    product = fft.irfft(np.conj(fft.rfft(a, size)) * fft.rfft(b, size), size) / scale
+    lag = np.arange(-most, most + 1)
+    return np.asarray(STEP * lag, np.float64), np.asarray(product[lag], np.float64)
