@@ -42,6 +42,10 @@ ROBUST = 1.4826
 """Standard deviation of a Gaussian over its median absolute deviation."""
 
 
+JUMP = 5.0
+"""Times the steps that follow, by which what is no longer stuck jumps to where it is by then."""
+
+
 class Gaps(NamedTuple):
     """Samples after which time is missing: index of the sample after each gap, and how many."""
 
@@ -158,6 +162,8 @@ def _plateaus(channel: FloatArray, scale: float) -> IntArray:
     start, stop = start[inside], stop[inside]
     share, blocks = _equal_share(channel), np.unique(np.flatnonzero(top) // BLOCK)
     share = np.delete(share, blocks[blocks < len(share)])
+    if len(start) == 1 and _released(channel, int(stop[0]), scale):
+        return np.zeros(0, np.int64)
     if share.size and (stop - start).max(initial=0) > _longest(share, len(channel)):
         return np.flatnonzero(top)
     drop = 2 * channel.max() - channel[start - 1] - channel[np.minimum(stop, len(channel) - 1)]
@@ -166,6 +172,15 @@ def _plateaus(channel: FloatArray, scale: float) -> IntArray:
     if not ((length >= 3).any() or (len(length) >= 2 and length.sum() >= 4)):
         return np.zeros(0, np.int64)
     return np.flatnonzero(top)
+
+
+def _released(channel: FloatArray, stop: int, scale: float) -> bool:
+    """Return whether a channel jumps from a plateau that ends before `stop`: it was stuck there.
+
+    What is clipped comes back through its limit, no faster than it goes on.
+    """
+    steps = np.abs(np.diff(channel[stop - 1 : stop + 4]))
+    return bool(len(steps) > 2 and steps[0] > JUMP * steps[1:].max() + 10.0 * scale)
 
 
 def find_stuck(

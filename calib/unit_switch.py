@@ -60,9 +60,12 @@ def unit_switches(recording: Recording) -> list[Switch]:
     out = []
     force = np.linalg.norm(accel.mean(axis=1), axis=1)
     at = _jump(force)
-    first, last = np.median(force[:at]), np.median(force[at:])
+    parts = force[:at], force[at:]
+    first, last = (float(np.median(v)) for v in parts)
     ratio = max(first, last) / max(min(first, last), 1e-12)
-    if any(abs(ratio / change - 1) < NEAR for change in GRAVITY):
+    # One axis alone in another unit makes |a| another one in each pose.
+    even = all(np.diff(np.quantile(v, (0.25, 0.75)))[0] < NEAR * np.median(v) for v in parts)
+    if even and any(abs(ratio / change - 1) < NEAR for change in GRAVITY):
         out.append(_switch("accel", recording, at * size, first / G, last / G, 1.0))
     noise = np.diff(gyro, axis=1).std(axis=1) / np.sqrt(2.0)
     at = _jump(noise.mean(axis=1))

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 
 import numpy as np
 
 from calib.calibration import Quantity
 from calib.effects import effects
-from calib.effects.base import TransformEffect
+from calib.effects.base import Effect, TransformEffect
 from calib.mismatch.findings.aliases import find_aliases
 from calib.mismatch.findings.diagnosis import Diagnosis, Finding, Verdict, summarise
 from calib.mismatch.hypotheses.places import gathered, joined
@@ -30,7 +31,7 @@ from calib.mismatch.samples.thin import Thinned, thin
 from calib.mismatch.samples.within import look_within
 from calib.mismatch.search.explain import changes, explain, verdict
 from calib.mismatch.search.search import Outcome, search
-from calib.mismatch.twin.selfmode import SelfProblem
+from calib.mismatch.twin.selfmode import SelfProblem, rounded_mean_variance
 from calib.model import SensorModel
 from calib.poses import Poses
 from calib.recording import CHANNELS, Recording
@@ -57,6 +58,8 @@ NEEDED = {
     BEYOND: "a gyroscope that reads less at rest",
 }
 """What a recording lacks that ends with its samples, by what they are off by."""
+
+TRIADS = {"accel": "accelerometer", "gyro": "gyroscope"}
 
 LEAST_TURNS = 3
 """Turns below which nothing that shows in motion alone is named."""
@@ -123,7 +126,16 @@ def diagnose_thinned(
         if f.effect == "quantization":
             (lsb,) = (q.value for name, q in f.parameters.items() if name.endswith("_lsb"))
             problem.coarse = {**problem.coarse, **{CHANNELS.index(c): lsb for c in f.channels}}
-    losses = [] if timeless else find_losses(problem)
+    unhidden = _unhidden(recording, poses, problem.coarse)
+    missing += tuple(
+        f"finer counts of the {TRIADS[t]}: rounding them is no longer hidden by its noise, and "
+        "nothing else can be told of it"
+        for t in unhidden
+    )
+    if "accel" in unhidden:
+        # Nor of the gyroscope, whose turns begin and end at its poses.
+        return _unfit(thinned, missing[:-1], missing[-1], "explained")
+    losses = [] if timeless or unhidden else find_losses(problem)
     problem.leave_out([loss.segment for loss in losses])
     skip: tuple[str, ...] = ("gyro_misalignment",) if full else ()
     if timeless:
@@ -131,6 +143,7 @@ def diagnose_thinned(
     if (~grid.is_rest).sum() < LEAST_TURNS:
         # Delays and filters show in motion only.
         skip += tuple(k for k, e in effects().items() if isinstance(e, TransformEffect))
+    skip += tuple(k for k, e in effects().items() if _acts_on(e, unhidden))
     outcome = search(problem, skip=skip)
     names = problem.twin.names
     directions = distinct_directions(poses.accel)
@@ -149,6 +162,8 @@ def diagnose_thinned(
         # What shook the sensor is the cause of the noise, too.
         noisy = tuple(item for item in noisy if item.follows != LOUDER_THERE)
     unexplained = [*seen.unexplained, *gathered(joined([*unexplained, *noisy]))]
+    # What such counts leave follows where between two of them a signal is, and so whatever it does.
+    unexplained = [u for u in unexplained if u in seen.unexplained or not _in(u.channels, unhidden)]
     change, likelihood = changes(outcome)
     aliases = find_aliases(final, model or SensorModel(), known, covariance, gravity=gravity)
     return Diagnosis(
@@ -169,6 +184,37 @@ def diagnose_thinned(
         summary=_summary(thinned, poses),
         aliases=aliases,
     )
+
+
+def _unhidden(recording: Recording, poses: Poses, coarse: Mapping[int, float]) -> tuple[str, ...]:
+    """Return the triads whose means err through rounding by half of a sample's noise and more.
+
+    Of noise that is rounded the size of changes is right on average over where between two counts
+    a signal is; where a pose is is chance.
+    """
+    out = []
+    for triad in TRIADS:
+        own = {c: lsb for c, lsb in coarse.items() if CHANNELS[c].startswith(triad)}
+        if not own:
+            continue
+        change = [
+            np.abs(np.diff(recording.channel(CHANNELS[c])[a:b])).mean() / lsb
+            for a, b in zip(poses.start, poses.stop, strict=True)
+            for c, lsb in own.items()
+            if b - a > 1
+        ]
+        sigma = 0.5 * np.sqrt(np.pi) * float(np.mean(change)) if change else 0.0
+        if rounded_mean_variance(1.0, sigma) > (0.5 * sigma) ** 2:
+            out.append(triad)
+    return tuple(out)
+
+
+def _acts_on(effect: Effect, triads: tuple[str, ...]) -> bool:
+    return any(_in(p.channels, triads) for p in effect.parameters)
+
+
+def _in(channels: Collection[str], triads: tuple[str, ...]) -> bool:
+    return any(c.startswith(triads) for c in channels) if triads else False
 
 
 def _is_rate(slug: str) -> bool:

@@ -32,4 +32,8 @@ def plot(
         write_picture(content, picture)
     except ValueError as error:
         raise typer.BadParameter(str(error)) from error
+    except OSError as error:
+        raise typer.BadParameter(
+            f"{picture}: cannot write it: {error.strerror}", param_hint="--output"
+        ) from error
     output.messages().print(f"wrote {picture}", soft_wrap=True)

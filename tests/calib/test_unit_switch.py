@@ -73,6 +73,12 @@ def test_the_part_in_another_unit_is_found(
     assert found.interval == pytest.approx(span, abs=3.0)
 
 
+def test_one_axis_in_another_unit_is_no_switch() -> None:
+    made = recorded(seed=57)
+    for factor in (4.0, 1e3 / GRAVITY, 1 / GRAVITY):
+        assert not unit_switches(replace(made, accel=made.accel * [1.0, 1.0, factor]))
+
+
 def test_it_is_named_with_its_part_and_not_calibrated() -> None:
     bad = switched(recorded(seed=56), "gyro", DEGREES, 80.0, 120.0)
     found = diagnose_recording(bad, gravity=GRAVITY)

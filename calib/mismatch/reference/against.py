@@ -14,6 +14,7 @@ from calib.mismatch.findings.heldout import HeldOut, held_out
 from calib.mismatch.hypotheses.families import PHYSICAL
 from calib.mismatch.hypotheses.score import SCALES, SHARES
 from calib.mismatch.reference.alignment import LEAST_OVERLAP, Alignment, align
+from calib.mismatch.reference.alike import check_apart
 from calib.mismatch.reference.band import follows_noise, matched, too_few
 from calib.mismatch.reference.comparison import ComparisonProblem
 from calib.mismatch.reference.truths import RecordingTruth
@@ -71,6 +72,7 @@ def diagnose_against(
     NoCommonMotionError
         If the simulation is of another motion.
     """
+    check_apart(real, simulated)
     real, simulated = evened(real), evened(simulated)
     seen = look_at_samples(real, find_poses(real))
     summary = summarise(real)

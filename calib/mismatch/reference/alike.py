@@ -6,6 +6,7 @@ import numpy as np
 
 from calib.effects.base import State
 from calib.errors import NoCommonMotionError
+from calib.recording import Recording
 from calib.types import FloatArray
 
 UNLIKE = 0.3
@@ -15,6 +16,30 @@ two are two motions."""
 UNIT = 10.0
 """Factor beyond which rates or forces are of other units, not of another scale. What a sensor feels
 far from the axis of a fast table, and the reference does not, may be more: the square of it."""
+
+
+LOOKED = 200
+"""Samples in motion that tell whether two recordings are one."""
+
+
+def check_apart(real: Recording, other: Recording) -> None:
+    """Refuse a recording beside itself, or a copy or a part of it: nothing differs.
+
+    Raises
+    ------
+    NoCommonMotionError
+    """
+    speed = np.linalg.norm(real.gyro - np.median(real.gyro, axis=0), axis=1)
+    fast = np.argsort(speed)[-LOOKED:]
+    own, known = (
+        {row.tobytes() for row in np.hstack((r.accel[at], r.gyro[at]))}
+        for r, at in ((real, fast), (other, slice(None)))
+    )
+    if len(own & known) > 0.5 * len(own):
+        raise NoCommonMotionError(
+            "the two are one recording: their samples are the same, and there is nothing to "
+            "compare; give a simulation, or what else saw the motion"
+        )
 
 
 def check_motion(state: State, measured: FloatArray, left: FloatArray) -> None:

@@ -22,6 +22,7 @@ from calib.mismatch.reference.against import (
     unfit,
 )
 from calib.mismatch.reference.alignment import Alignment, align
+from calib.mismatch.reference.alike import check_apart
 from calib.mismatch.reference.band import BEYOND, Matched, limited, low_passed, matched, smoothed
 from calib.mismatch.reference.comparison import ComparisonProblem
 from calib.mismatch.reference.swaps import swapped
@@ -190,6 +191,8 @@ def diagnose_reference(
     NoCommonMotionError
         If the two do not show the same motion.
     """
+    if isinstance(reference, Recording):
+        check_apart(real, reference)
     real = evened(real)
     reference = evened(reference) if isinstance(reference, Recording) else reference.evened()
     seen = look_at_samples(real, find_poses(real))

@@ -8,7 +8,7 @@ import pytest
 
 from calib.effects.base import Term
 from calib.errors import NoCommonMotionError
-from calib.mismatch import diagnose_against
+from calib.mismatch import diagnose_against, diagnose_reference
 from calib.mismatch.noise.noise import expected_levels
 from calib.mismatch.reference.against import compare_simulation
 from calib.mismatch.reference.alignment import Alignment, align
@@ -226,3 +226,13 @@ def test_a_simulation_of_few_samples_is_compared_up_to_what_it_resolves():
     worst = np.sqrt(np.mean(np.square(error), axis=0).max())
     assert 0.5 * worst < between(few)[1]
     assert (between(simulation()) < between(few)).all()
+
+
+@pytest.mark.parametrize("part", [slice(None), slice(100, 900)])
+def test_a_recording_beside_itself_is_no_comparison(part: slice):
+    """Nothing differs, not even noise."""
+    real = recorded()
+    with pytest.raises(NoCommonMotionError, match="one recording"):
+        diagnose_against(real, real.slice(*part.indices(len(real))[:2]), gravity=GRAVITY)
+    with pytest.raises(NoCommonMotionError, match="one recording"):
+        diagnose_reference(real, real, gravity=GRAVITY)

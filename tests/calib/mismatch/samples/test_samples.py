@@ -195,11 +195,9 @@ def test_time_in_another_unit_is_named(factor: float, what: str) -> None:
 
 def test_turns_that_nothing_makes_agree_are_said_and_nothing_else() -> None:
     recording = simulated()
-    copied, half, backwards = (recording.gyro.copy() for _ in range(3))
+    copied = recording.gyro.copy()
     copied[:, 1] = copied[:, 0]
-    half[len(half) // 2 :] *= 57.3
-    backwards = backwards[::-1]
-    for gyro in (copied, half, backwards):
+    for gyro in (copied, recording.gyro[::-1]):
         found = diagnose_recording(replace(recording, gyro=gyro), gravity=GRAVITY)
         assert found.verdict == "unexplained"
         assert not found.findings

@@ -1,0 +1,71 @@
+"""Counts that are coarse beside the noise: rounding is said, and nothing that it mimics."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from calib.mismatch import diagnose_recording
+from calib.model import SensorModel, Triad
+from calib.recording import Recording
+from calib.simulate import simulate
+from calib.simulation.library import make_motion
+from calib.simulation.noise import CONSUMER
+
+NOISE = {"accel": CONSUMER.accel_noise_density * 5.0, "gyro": CONSUMER.gyro_noise_density * 5.0}
+"""Of one sample at 50 Hz."""
+
+
+@cache
+def recorded(seed: int) -> Recording:
+    rng = np.random.default_rng(seed)
+    motion = make_motion("bench", rng=rng, duration=120.0, gravity=9.80665)
+    model = SensorModel(Triad(rng.normal(0, 0.2, 3)), Triad(rng.normal(0, 0.01, 3)))
+    return simulate(motion, model, CONSUMER, rng=rng, rate=50.0)
+
+
+@pytest.mark.parametrize("seed", [131, 132, 133])
+@pytest.mark.parametrize(("triad", "times"), [("gyro", 12.0), ("gyro", 25.0), ("accel", 25.0)])
+def test_counts_of_many_times_the_noise_leave_nothing_else_to_say(
+    seed: int, triad: str, times: float
+) -> None:
+    made = recorded(seed)
+    lsb = times * NOISE[triad]
+    coarse = replace(made, **{triad: np.round(getattr(made, triad) / lsb) * lsb})
+    found = diagnose_recording(coarse, gravity=9.80665)
+    assert [f.effect for f in found.findings] == ["quantization"]
+    assert found.findings[0].parameters[f"{triad}_lsb"].value == pytest.approx(lsb, rel=1e-3)
+    assert not found.unexplained
+    assert any("finer counts" in text for text in found.missing)
+
+
+def test_counts_that_noise_hides_are_no_matter() -> None:
+    made = recorded(134)
+    lsb = 0.5 * NOISE["gyro"]
+    found = diagnose_recording(replace(made, gyro=np.round(made.gyro / lsb) * lsb), gravity=9.80665)
+    assert found.verdict == "consistent"
+    assert not any("finer counts" in text for text in found.missing)
+
+
+@pytest.mark.parametrize("seed", [135, 136])
+def test_an_extreme_value_that_is_stuck_once_is_no_full_scale(seed: int) -> None:
+    made = recorded(seed)
+    gyro = made.gyro.copy()
+    at = int(np.argmax(np.abs(gyro[:, 2])))
+    gyro[at : at + 30, 2] = gyro[at, 2] * 1.02
+    found = diagnose_recording(replace(made, gyro=gyro), gravity=9.80665)
+    assert not found.findings
+    (item,) = found.unexplained
+    assert item.channels == ("gyro.z",)
+    assert "stuck" in item.follows
+    assert item.intervals[0][0] == pytest.approx(made.time[at], abs=0.1)
+
+
+@pytest.mark.parametrize("share", [0.8, 0.94])
+def test_a_full_scale_is_one_if_it_is_reached_but_once(share: float) -> None:
+    made = recorded(137)
+    limit = share * float(np.abs(made.gyro).max())
+    found = diagnose_recording(replace(made, gyro=np.clip(made.gyro, -limit, limit)), gravity=9.8)
+    assert found.findings[0].effect == "saturation"
+    assert found.findings[0].parameters["gyro_full_scale"].value == pytest.approx(limit)
