@@ -184,12 +184,13 @@ def window_columns(rows: Rows, candidate: Candidate) -> FloatArray:
         parts = segment_columns(rows, replace(candidate, shape={}))[:, inside]
         return np.asarray(parts.reshape(len(parts), -1))
     state, size = rows.state, typical_size(candidate.channels[0].split(".")[0])
-    inside = (state.time >= start) & (state.time <= stop)
-    shape = size * inside[:, None] * _function(candidate.shape, state.time, start, stop)
+    first = np.searchsorted(state.time, start)
+    within = slice(first, np.searchsorted(state.time, stop, side="right"))
+    shape = size * _function(candidate.shape, state.time[within], start, stop)
     out = []
     for c in map(CHANNELS.index, candidate.channels):
-        own = own_signal(state, c)[:, None] if candidate.name == "gain in a window" else 1.0
-        out.append(rows.columns(c, shape * own))
+        own = own_signal(state, c)[within, None] if candidate.name == "gain in a window" else 1.0
+        out.append(np.asarray(rows.functional[c][:, within] @ (shape * own)))
     return np.asarray(sum(out)) if _is_one(candidate) else np.hstack(out)
 
 

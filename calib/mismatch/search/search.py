@@ -381,10 +381,11 @@ def _posterior(
             if g == own.candidate.group or not few or out.get(g, 0.0) >= 2 * TWIN:
                 continue
             columns = stack.of(candidate)
-            if _left(whitener.project(columns), explained) > 4.0 * MIMICKED:
-                continue
-            _, columns = refined(rows, candidate, columns, whitener, y, reference=reference)
-            if _left(whitener.project(columns), explained) < MIMICKED:
+            left = _left(whitener.project(columns), explained)
+            if MIMICKED <= left <= 4.0 * MIMICKED:
+                _, columns = refined(rows, candidate, columns, whitener, y, reference=reference)
+                left = _left(whitener.project(columns), explained)
+            if left < MIMICKED:
                 out[g] = 2 * TWIN
     return out
 
