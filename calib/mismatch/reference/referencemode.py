@@ -42,8 +42,10 @@ BRISK = 2.0
 UNTURNED = 1e-3
 """Weight of no rotation in a mounting, relative to what was measured."""
 
-ROUGH = 20.0
-"""Hz up to which a captured motion is aligned and its frame is found, noisy as its rates are."""
+ROUGH, SLOW = 20.0, 5.0
+"""Hz up to which a captured motion is aligned and its frame is found, noisy as its rates are; the
+second where the first shows nothing in common. A hand turns slowly, and the noise of rates that
+angles make grows with frequency."""
 
 EXACT = 1e-4
 """Of a quaternion that no system sees, but that rounding to four digits leaves: a motion captured
@@ -305,8 +307,17 @@ def _left_out(
 
 
 def _placed(real: Recording, reference: ReferenceMotion, gravity: float) -> _Placed:
+    try:
+        return _placed_below(ROUGH, real, reference, gravity)
+    except NoCommonMotionError:
+        return _placed_below(SLOW, real, reference, gravity)
+
+
+def _placed_below(
+    bandwidth: float, real: Recording, reference: ReferenceMotion, gravity: float
+) -> _Placed:
     truth = reference.truth(gravity=gravity)
-    rough = replace(truth, recording=low_passed(truth.recording, ROUGH))
+    rough = replace(truth, recording=low_passed(truth.recording, bandwidth))
     known = rough.recording.time[truth.covers(truth.recording.time)]
     rate = rough.state(known).rate
     # Faster than the sensor ever turned: markers that were taken for one another.

@@ -49,7 +49,7 @@ def names(found: Diagnosis) -> set[str]:
     return {f.effect for f in found.findings} - SETUPS
 
 
-@pytest.mark.parametrize("degrees", [0.0, 0.3])
+@pytest.mark.parametrize("degrees", [0.0, 0.3, 2.0])
 def test_a_body_that_is_carried_about_gives_the_accelerometer_no_false_name(degrees):
     found = diagnose_reference(recorded(), captured(degrees=degrees), gravity=GRAVITY)
     assert not names(found)
