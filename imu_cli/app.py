@@ -117,6 +117,11 @@ def main() -> NoReturn:
         app()
     except KeyboardInterrupt:
         sys.exit(130)
+    except SystemExit as end:
+        # Rich and click end with 1, which says a bug, when the reader of our output went away.
+        if not isinstance(end.__context__, BrokenPipeError):
+            raise
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     except BrokenPipeError:
         # The reader of our output went away (`| head`): end without a traceback at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
