@@ -16,13 +16,22 @@ import numpy as np
 from scipy import sparse
 
 from calib.effects import effects
-from calib.effects.base import State
 from calib.mismatch.hypotheses.candidates import Bank, Candidate
+from calib.mismatch.hypotheses.followed import (
+    OWN_RIPPLES,
+    RIPPLES,
+    axes,
+    history,
+    own_rate,
+    ripples,
+    scaled_rates,
+    smooth,
+    wave,
+)
 from calib.mismatch.hypotheses.score import Stack
 from calib.mismatch.hypotheses.windows import (
     APART,
     CORNERS,
-    FAST,
     FLUCTUATION,
     MIDDLE,
     THROUGHOUT,
@@ -72,25 +81,12 @@ _OF_TRIADS = {
 }
 """The same for what three channels have at once: their supply, cable or package."""
 
-RIPPLES = (2.0, 3.0, 4.0, 5.0)
-"""How fast a function of one component of gravity's direction varies, rad per unit."""
-
 FADING = np.geomspace(1.0, 16.0, 7)
 """s in which what disturbed the first rest fades: a hand has let go, a cable or a stand gives way.
 That is what warming up looks like; only it takes longer, and shows in other rests too."""
 
 FADED = 3.0
 """Time constants after which it is gone."""
-
-MEMORIES = np.array([0.5, 2.0, 8.0])
-"""How long what creeps remembers poses, in times from one to the next."""
-
-OWN_RIPPLES = np.arange(6.0, 21.0)
-"""The same for an accelerometer's own axis, whose converter may have steps of uneven height."""
-
-CAP = 6.0
-"""How steeply what acts near one direction only falls off: to a half at 28 degrees."""
-
 
 _Place = tuple[str, int, int]
 """What a rival follows, and its columns ``[first, stop)`` in the stack."""
@@ -114,22 +110,22 @@ def add_rivals(stack: Stack, rows: Rows, *, skip: tuple[str, ...] = ()) -> None:
     if "direction of gravity" in skip:
         return
     up = _up(rows, slots)
-    ripples = list(_ripples(up))
+    every = list(ripples(up))
     for c, (channel, places) in enumerate(zip(CHANNELS, layout, strict=True)):
         (parts,) = (np.arange(a, b) for name, a, b in places if name == "slots")
-        own = [(ripple, _wave(ripple * up[:, c])) for ripple in OWN_RIPPLES.tolist() if c < 3]
+        own = [(ripple, wave(ripple * up[:, c])) for ripple in OWN_RIPPLES.tolist() if c < 3]
         stack.candidates += [
             Candidate(
                 "direction of gravity", parts, weights[ripple], False, (channel,), mixing=mixing
             )
-            for ripple, mixing in [*ripples, *own]
+            for ripple, mixing in [*every, *own]
         ]
 
 
 def _add_columns(stack: Stack, rows: Rows, slots: Slots) -> tuple[tuple[_Place, ...], ...]:
     """Add the columns of all rivals, and return where those of each channel are."""
     state, layout = rows.state, []
-    smooth = [*_smooth(state), *_history(rows)]
+    followed = [*smooth(state), *history(rows)]
     for c, name in enumerate(CHANNELS):
         size, own = typical_size(name.split(".")[0]), own_signal(state, c)
         at = (np.arange(len(own)), rows.point_segment)
@@ -137,12 +133,12 @@ def _add_columns(stack: Stack, rows: Rows, slots: Slots) -> tuple[tuple[_Place, 
         parts = [
             ("slots", (rows.functional[c] @ slots.member).toarray()),
             ("segments", (rows.functional[c] @ member).toarray()),
-            *((n, rows.columns(c, values)) for n, values in smooth),
-            ("its own rate", rows.columns(c, _own_rate(state, c))),
+            *((n, rows.columns(c, values)) for n, values in followed),
+            ("its own rate", rows.columns(c, own_rate(state, c))),
         ]
         if c < 3:
             # What a gyroscope sees of the other axes is its misalignment.
-            other = np.delete(_scaled_rates(state), c, axis=1)
+            other = np.delete(scaled_rates(state), c, axis=1)
             parts.append(("rate about the other axes", rows.columns(c, other)))
         places = []
         for label, columns in parts:
@@ -198,7 +194,7 @@ def _sorted(
     number = Counter((name, len(channels), part) for part, name, channels, *_ in found)
     if "direction of gravity" not in skip:
         for ripple in (0.0, *RIPPLES):
-            count = len(CHANNELS) * len(_axes(ripple))
+            count = len(CHANNELS) * len(axes(ripple))
             number["direction of gravity", 1, f"ripple {ripple}"] = count
         number["direction of gravity", 1, "own ripples"] = 3 * len(OWN_RIPPLES)
     lengths = Counter((name, many) for name, many, _ in number)
@@ -307,118 +303,3 @@ def _up(rows: Rows, slots: Slots) -> FloatArray:
     """Return the mean direction of gravity in each slot, (n, 3)."""
     count = np.maximum(slots.member.sum(axis=0).A1, 1.0)
     return np.asarray((slots.member.T @ rows.state.gravity_direction) / count[:, None])
-
-
-def _ripples(up: FloatArray) -> Iterator[tuple[float, FloatArray]]:
-    """Yield how fast a function of gravity's direction varies, and what each slot has of it.
-
-    Waves over one component of the direction; and what acts near one direction only (0).
-    """
-    for ripple in RIPPLES:
-        for phase in ripple * (_axes(ripple) @ up.T):
-            yield ripple, _wave(phase)
-    for near in _axes(0.0) @ up.T:
-        yield 0.0, np.exp(CAP * (near - 1.0))[:, None]
-
-
-def _wave(phase: FloatArray) -> FloatArray:
-    return np.stack((np.cos(phase), np.sin(phase)), axis=1)
-
-
-def _axes(ripple: float) -> FloatArray:
-    """Return the unit vectors along which a ripple is tried, (n, 3)."""
-    if not ripple:
-        return _spiral(64)
-    # Half a sphere of directions: close enough for half a radian of phase.
-    axes = _spiral(int(np.ceil(16.0 * ripple**2)))
-    return np.asarray(axes[axes[:, 2] > 0])
-
-
-def _spiral(number: int) -> FloatArray:
-    """Return unit vectors (n, 3) that cover the sphere evenly: a Fibonacci spiral."""
-    turn = np.pi * (3.0 - np.sqrt(5.0)) * np.arange(number)
-    z = (2.0 * np.arange(number) + 1.0) / number - 1.0
-    flat = np.sqrt(1 - z**2)
-    return np.stack((flat * np.cos(turn), flat * np.sin(turn), z), axis=1)
-
-
-def _smooth(state: State) -> Iterator[tuple[str, FloatArray]]:
-    """Yield bases of smooth functions; coefficients fall with order, so that they are smooth."""
-    span = max(float(np.ptp(state.time)), 1e-9)
-    order = np.arange(1, 9)
-    yield "time", np.cos(np.pi * (state.time - state.time[0])[:, None] / span * order) / order
-    warmth = state.warmth
-    if warmth is not None and np.ptp(warmth) > 0:
-        scaled = (warmth - warmth.min()) / np.ptp(warmth)
-        yield "temperature", np.cos(np.pi * scaled[:, None] * order[:5]) / order[:5]
-    # Of unit length where it shakes, too: powers of 16 g would take the place of any physics.
-    yield "direction of gravity", _harmonics(state.gravity_direction)
-    if state.mat_ns is not None:
-        # A field that is fixed to the room, as the sensor sees it: linear in the attitude.
-        yield "orientation", state.mat_ns.reshape(-1, 9)
-    speed = np.linalg.norm(_scaled_rates(state), axis=1)
-    yield "speed of rotation", np.stack((speed, speed**2, speed**3, np.sqrt(speed)), axis=1)
-
-
-def _history(rows: Rows) -> Iterator[tuple[str, FloatArray]]:
-    """Yield what came before: the direction of gravity in the last poses, and the last turn.
-
-    What has play or sticks remembers the last one, what creeps forgets it slowly. A turn belongs to
-    the rest before it.
-    """
-    rests = np.flatnonzero(rows.is_rest)
-    if len(rests) < 2:
-        return
-    state, segment, number = rows.state, rows.point_segment, len(rows.interval)
-    count = np.maximum(np.bincount(segment, minlength=number), 1)[:, None]
-    up, rate = (
-        np.stack([np.bincount(segment, v, number) for v in signal.T], axis=1) / count
-        for signal in (state.gravity_direction, state.rate)
-    )
-    turn = rate * np.ptp(rows.interval, axis=1)[:, None]
-    turn /= np.maximum(np.linalg.norm(turn, axis=1, keepdims=True), 1.0)
-    pose = np.cumsum(rows.is_rest)[segment] - 1
-    for name, what, last in (
-        ("the pose before", up, rests[:-1]),
-        ("the turn before", turn, rests[1:] - 1),
-    ):
-        # Nothing was before the first rest, and nothing is after the last.
-        before = np.zeros((len(rests) + 1, 3))
-        before[1:-1] = what[last]
-        yield name, before[pose]
-    start = rows.interval[:, 0]
-    for memory in MEMORIES * float(np.median(np.diff(rows.interval[rests].mean(axis=1)))):
-        known = up.copy()
-        for k in range(1, number):
-            kept = np.exp(-(start[k] - start[k - 1]) / memory)
-            known[k] = up[k - 1] + kept * (known[k - 1] - up[k - 1])
-        kept = np.exp(-(state.time - start[segment]) / memory)[:, None]
-        yield "the pose before", up[segment] + kept * (known - up)[segment]
-
-
-def _own_rate(state: State, c: int) -> FloatArray:
-    """Return the basis of smooth functions of the rate about a channel's axis, (n, 7)."""
-    rate = _scaled_rates(state)[:, c % 3]
-    size, square = np.abs(rate), np.square(rate)
-    odd = (rate, size, rate * size, square, square * rate, square**2, np.tanh(5 * rate))
-    return np.stack(odd, axis=1)
-
-
-def _scaled_rates(state: State) -> FloatArray:
-    """Return rates in brisk turns; where one is brisker, in units of that."""
-    return state.rate / max(FAST, float(np.abs(state.rate).max()))
-
-
-def _harmonics(direction: FloatArray) -> FloatArray:
-    """Return products of a direction's components, degrees 1 to 4, falling with degree."""
-    power = np.ones((5, *direction.T.shape))
-    power[1:] = np.cumprod(np.broadcast_to(direction.T, power[1:].shape), axis=0)
-    powers = [
-        (i, j, k)
-        for degree in range(1, 5)
-        for i in range(degree + 1)
-        for j in range(degree + 1 - i)
-        for k in (degree - i - j,)
-    ]
-    each = [power[i, 0] * power[j, 1] * power[k, 2] / (i + j + k) for i, j, k in powers]
-    return np.stack(each, axis=1)

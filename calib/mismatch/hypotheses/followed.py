@@ -1,0 +1,144 @@
+"""What a disturbance may follow: time, temperature, direction, rate, and what came before.
+
+Each basis is (n, k) values at the points of a recording, with coefficients that a prior of unit
+variance makes as smooth as nature is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from calib.effects.base import State
+from calib.mismatch.hypotheses.windows import FAST
+from calib.mismatch.rows.rows import Rows
+from calib.types import FloatArray
+
+RIPPLES = (2.0, 3.0, 4.0, 5.0)
+"""How fast a function of one component of gravity's direction varies, rad per unit."""
+
+OWN_RIPPLES = np.arange(6.0, 21.0)
+"""The same for an accelerometer's own axis, whose converter may have steps of uneven height."""
+
+MEMORIES = np.array([0.5, 2.0, 8.0])
+"""How long what creeps remembers poses, in times from one to the next."""
+
+CAP = 6.0
+"""How steeply what acts near one direction only falls off: to a half at 28 degrees."""
+
+
+def ripples(up: FloatArray) -> Iterator[tuple[float, FloatArray]]:
+    """Yield how fast a function of gravity's direction varies, and what each slot has of it.
+
+    Waves over one component of the direction; and what acts near one direction only (0).
+    """
+    for ripple in RIPPLES:
+        for phase in ripple * (axes(ripple) @ up.T):
+            yield ripple, wave(phase)
+    for near in axes(0.0) @ up.T:
+        yield 0.0, np.exp(CAP * (near - 1.0))[:, None]
+
+
+def wave(phase: FloatArray) -> FloatArray:
+    """Return a wave of any phase over (n,) phases, (n, 2)."""
+    return np.stack((np.cos(phase), np.sin(phase)), axis=1)
+
+
+def axes(ripple: float) -> FloatArray:
+    """Return the unit vectors along which a ripple is tried, (n, 3)."""
+    if not ripple:
+        return _spiral(64)
+    # Half a sphere of directions: close enough for half a radian of phase.
+    sphere = _spiral(int(np.ceil(16.0 * ripple**2)))
+    return np.asarray(sphere[sphere[:, 2] > 0])
+
+
+def _spiral(number: int) -> FloatArray:
+    """Return unit vectors (n, 3) that cover the sphere evenly: a Fibonacci spiral."""
+    turn = np.pi * (3.0 - np.sqrt(5.0)) * np.arange(number)
+    z = (2.0 * np.arange(number) + 1.0) / number - 1.0
+    flat = np.sqrt(1 - z**2)
+    return np.stack((flat * np.cos(turn), flat * np.sin(turn), z), axis=1)
+
+
+def smooth(state: State) -> Iterator[tuple[str, FloatArray]]:
+    """Yield bases of smooth functions; coefficients fall with order, so that they are smooth."""
+    span = max(float(np.ptp(state.time)), 1e-9)
+    order = np.arange(1, 9)
+    yield "time", np.cos(np.pi * (state.time - state.time[0])[:, None] / span * order) / order
+    warmth = state.warmth
+    if warmth is not None and np.ptp(warmth) > 0:
+        scaled = (warmth - warmth.min()) / np.ptp(warmth)
+        yield "temperature", np.cos(np.pi * scaled[:, None] * order[:5]) / order[:5]
+    # Of unit length where it shakes, too: powers of 16 g would take the place of any physics.
+    yield "direction of gravity", _harmonics(state.gravity_direction)
+    if state.mat_ns is not None:
+        # A field that is fixed to the room, as the sensor sees it: linear in the attitude.
+        yield "orientation", state.mat_ns.reshape(-1, 9)
+    speed = np.linalg.norm(scaled_rates(state), axis=1)
+    yield "speed of rotation", np.stack((speed, speed**2, speed**3, np.sqrt(speed)), axis=1)
+
+
+def history(rows: Rows) -> Iterator[tuple[str, FloatArray]]:
+    """Yield what came before: the direction of gravity in the last poses, and the last turn.
+
+    What has play or sticks remembers the last one, what creeps forgets it slowly. A turn belongs to
+    the rest before it.
+    """
+    rests = np.flatnonzero(rows.is_rest)
+    if len(rests) < 2:
+        return
+    state, segment, number = rows.state, rows.point_segment, len(rows.interval)
+    count = np.maximum(np.bincount(segment, minlength=number), 1)[:, None]
+    up, rate = (
+        np.stack([np.bincount(segment, v, number) for v in signal.T], axis=1) / count
+        for signal in (state.gravity_direction, state.rate)
+    )
+    turn = rate * np.ptp(rows.interval, axis=1)[:, None]
+    turn /= np.maximum(np.linalg.norm(turn, axis=1, keepdims=True), 1.0)
+    pose = np.cumsum(rows.is_rest)[segment] - 1
+    for name, what, last in (
+        ("the pose before", up, rests[:-1]),
+        ("the turn before", turn, rests[1:] - 1),
+    ):
+        # Nothing was before the first rest, and nothing is after the last.
+        before = np.zeros((len(rests) + 1, 3))
+        before[1:-1] = what[last]
+        yield name, before[pose]
+    start = rows.interval[:, 0]
+    for memory in MEMORIES * float(np.median(np.diff(rows.interval[rests].mean(axis=1)))):
+        known = up.copy()
+        for k in range(1, number):
+            kept = np.exp(-(start[k] - start[k - 1]) / memory)
+            known[k] = up[k - 1] + kept * (known[k - 1] - up[k - 1])
+        kept = np.exp(-(state.time - start[segment]) / memory)[:, None]
+        yield "the pose before", up[segment] + kept * (known - up)[segment]
+
+
+def own_rate(state: State, c: int) -> FloatArray:
+    """Return the basis of smooth functions of the rate about a channel's axis, (n, 7)."""
+    rate = scaled_rates(state)[:, c % 3]
+    size, square = np.abs(rate), np.square(rate)
+    odd = (rate, size, rate * size, square, square * rate, square**2, np.tanh(5 * rate))
+    return np.stack(odd, axis=1)
+
+
+def scaled_rates(state: State) -> FloatArray:
+    """Return rates in brisk turns; where one is brisker, in units of that."""
+    return state.rate / max(FAST, float(np.abs(state.rate).max()))
+
+
+def _harmonics(direction: FloatArray) -> FloatArray:
+    """Return products of a direction's components, degrees 1 to 4, falling with degree."""
+    power = np.ones((5, *direction.T.shape))
+    power[1:] = np.cumprod(np.broadcast_to(direction.T, power[1:].shape), axis=0)
+    powers = [
+        (i, j, k)
+        for degree in range(1, 5)
+        for i in range(degree + 1)
+        for j in range(degree + 1 - i)
+        for k in (degree - i - j,)
+    ]
+    each = [power[i, 0] * power[j, 1] * power[k, 2] / (i + j + k) for i, j, k in powers]
+    return np.stack(each, axis=1)
