@@ -21,8 +21,12 @@ from calib.recording import CHANNELS
 from calib.types import FloatArray
 
 PASSES = 8
-"""How often columns and variance are fitted in turn: what scatters most is reached from what is at
-rest by a factor of `KNOCK` each."""
+"""How often columns and variance are fitted in turn, at most: what scatters most is reached from
+what is at rest by a factor of `KNOCK` each."""
+
+SETTLED = 1e-3
+"""By how much of itself the variance of a sample may still change: ten thousand samples tell it to
+a hundredth."""
 
 KNOCK = 9.0
 """Square of a difference, relative to its variance, from which on it is a knock of its own."""
@@ -144,7 +148,9 @@ def _of_parts(parts: FloatArray, y: FloatArray, design: FloatArray, power: float
     for _ in range(PASSES):
         square = np.minimum(np.square(left), KNOCK * variance)
         share = nnls(parts / variance[:, None], square / variance)[0]
-        variance = np.maximum(parts @ share, least)
+        before, variance = variance, np.maximum(parts @ share, least)
+        if np.abs(variance / before - 1.0).max() < SETTLED:
+            break
         # Neighbours are alike by the blur: so many of them are worth one.
         weighted = design * (power / variance)[:, None]
         factor = linalg.cho_factor(design.T @ weighted + ridge)
