@@ -88,7 +88,7 @@ def foretold(rows: Rows, levels: FloatArray) -> tuple[Foretold, ...]:
         means = drift.white + np.tensordot(size, drift.means, 1)
         means[np.diag_indices_from(means)] += level.get(f"{name} jitter", 0.0)
         crossed = np.tensordot(size, drift.crossed, 1)
-        weight = linalg.solve(means, crossed.T, assume_a="pos", check_finite=False).T
+        weight = linalg.cho_solve(linalg.cho_factor(means), crossed.T).T
         left = np.tensordot(size, drift.own, 1) - weight @ crossed.T
         left[np.diag_indices_from(left)] += drift.noise
         scale = np.sqrt(np.diag(left))

@@ -81,10 +81,15 @@ def refit(
         levels = estimate_levels(rows, fitted(rows, accepted)[: rows.n_dense], levels).values
     steps, off = 0, np.inf
     while off >= BENT and steps < STEPS:
-        expected = rows.residual
-        rows, accepted, change = _step(problem, rows, accepted, levels, contrast)
         variance = np.concatenate((rows.variance(levels), contrast))
-        off = float((np.square(rows.residual - (expected - change)) / variance).sum())
+        with np.errstate(over="ignore", invalid="ignore"):
+            there = _step(problem, rows, accepted, levels, contrast)
+            bent = there[0].residual - (rows.residual - there[2])
+            off = float((np.square(bent) / variance).sum())
+        if not off < float((np.square(rows.residual) / variance).sum()):
+            # Farther off than all there was to explain: what no sensor puts out leads nowhere.
+            break
+        rows, accepted, _ = there
         steps += 1
     return Refit(rows, accepted, levels, straight=steps == 1 and off < BENT)
 

@@ -11,6 +11,7 @@ from calib.mismatch.hypotheses.score import SCALES, SHARES, Stack
 from calib.mismatch.noise.contrast import contrast_likelihood, contrast_variance
 from calib.mismatch.noise.noise import (
     NEAR,
+    _restricted,
     covariance,
     estimate_levels,
     expected_levels,
@@ -207,3 +208,20 @@ def test_levels_of_loud_rests_are_drawn_to_what_they_share_and_no_further():
     unlike = np.geomspace(10.0, 1e4, 40)
     ratio = np.array([shrunk(seen(unlike), error) / unlike for _ in range(50)])
     assert np.exp(np.log(ratio).mean(axis=0)) == pytest.approx(1.0, abs=0.5)
+
+
+def test_columns_that_noise_makes_alike_have_a_likelihood():
+    """Whitened they differ by 1e-10: squared, by nothing that a double holds."""
+
+    class Drowned:
+        log_det = 0.0
+
+        def solve(self, values):
+            return values * np.array([1.0, 1e-10, 1.0]).reshape(-1, *[1] * (values.ndim - 1))
+
+    basis = np.array([[1.0, 1.0], [1.0, -1.0], [0.0, 0.0]]) / np.sqrt(2.0)
+    likelihood, mean, left = _restricted(Drowned(), basis, np.array([3.0, 0.0, 2.0]))
+    assert np.allclose(mean.T @ mean, np.eye(2))
+    assert np.allclose(left, [0.0, 0.0, 2.0])
+    # The determinant of the whitened columns is 1e-10.
+    assert likelihood == pytest.approx(-0.5 * (2 * np.log(1e-10) + 4.0))

@@ -1,6 +1,9 @@
 """The joint fit: what no physics explains does not move the model far."""
 
+from dataclasses import replace
+
 import numpy as np
+import pytest
 
 from calib.effects.base import Term
 from calib.mismatch import diagnose_recording
@@ -69,3 +72,16 @@ def test_what_turns_by_a_tenth_is_fitted_as_well_as_what_turns_by_a_thousandth()
     for name, true in size.items():
         found = finding.parameters[name]
         assert abs(found.value - true) < 3.5 * found.sigma
+
+
+@pytest.mark.parametrize(("seed", "size"), [(3, 100.0), (5, 1000.0)])
+def test_what_no_sensor_puts_out_has_a_diagnosis(seed: int, size: float) -> None:
+    """A step that leads nowhere is not taken: the next ones would go on to numbers that overflow.
+
+    It adds up to 500 g to an axis in every turn.
+    """
+    real = recording(seed=seed)
+    accel, speed = real.accel.copy(), np.linalg.norm(real.gyro, axis=1)
+    accel[:, 0] += size * speed * (speed > 0.1)
+    found = diagnose_recording(replace(real, accel=accel), gravity=GRAVITY)
+    assert found.verdict != "consistent"
