@@ -135,14 +135,23 @@ def find_repeats(values: FloatArray, moving: BoolArray) -> IntArray:
     return np.flatnonzero(whole) + 1
 
 
+STEEP = 10.0
+"""How far a signal falls on both sides of where it was at its limit, in noise."""
+
+LEVEL = 3.0
+"""How far a parabola may fall, in noise, over n samples that noise leaves equal. On both sides of
+them it is ``2 LEVEL ((n + 1) / (n - 1))²`` lower."""
+
+
 def find_clipping(
     channel: FloatArray, *, full_scale: float | None, lsb: float | None, noise: float
 ) -> IntArray:
     """Return the samples of one channel at which the sensor, or its logger, was at its limit.
 
     With a known full scale: what reaches it. Otherwise a plateau: the extreme value of the
-    recording, held for longer than chance explains; or held for three samples or met in two peaks,
-    and left by a step that no smooth peak makes (more than 10 times the noise or the resolution).
+    recording, held for longer than chance explains; or held for three samples, or met in two peaks,
+    and left by a step that no smooth peak makes: `STEEP` times the noise or the resolution, and if
+    it is one peak, more than a parabola falls that noise leaves level for so long.
     """
     if full_scale is not None:
         limit = 0.9995 * full_scale
@@ -167,9 +176,11 @@ def _plateaus(channel: FloatArray, scale: float) -> IntArray:
     if share.size and (stop - start).max(initial=0) > _longest(share, len(channel)):
         return np.flatnonzero(top)
     drop = 2 * channel.max() - channel[start - 1] - channel[np.minimum(stop, len(channel) - 1)]
-    steep = drop > 10 * scale
-    length = (stop - start)[steep]
-    if not ((length >= 3).any() or (len(length) >= 2 and length.sum() >= 4)):
+    length = stop - start
+    steep = drop > STEEP * scale
+    smooth = 2.0 * LEVEL * np.square((length + 1) / np.maximum(length - 1, 1))
+    alone = (length >= 3) & (drop > np.maximum(STEEP, smooth) * scale)
+    if not (alone.any() or (steep.sum() >= 2 and length[steep].sum() >= 4)):
         return np.zeros(0, np.int64)
     return np.flatnonzero(top)
 

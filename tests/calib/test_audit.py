@@ -163,6 +163,23 @@ def test_clipping_at_known_full_scale_and_by_its_plateaus() -> None:
     assert at.tolist() == [3, 5]
 
 
+def test_the_top_of_a_brisk_turn_is_no_clipping() -> None:
+    """Noise makes three samples of a smooth peak equal in one of some tens of recordings."""
+    found, clipped = 0, 0
+    time = np.arange(-30.0, 30.0)
+    for seed in range(400):
+        noise = RNG(seed).normal(size=(20, len(time)))
+        peak = 500.0 - 0.5 * RNG(seed).uniform(1.0, 6.0) * np.square(time)
+        size = RNG(seed).uniform(0.3, 0.9, 20) * (-1.0) ** np.arange(20)
+        size[10] = 1.0
+        turns = np.round(size[:, None] * np.maximum(peak, 0.0) + noise).ravel()
+        found += bool(find_clipping(turns, full_scale=None, lsb=1.0, noise=1.0).size)
+        cut = np.minimum(turns, 470.0)
+        clipped += bool(find_clipping(cut, full_scale=None, lsb=1.0, noise=1.0).size)
+    assert found <= 1
+    assert clipped > 310
+
+
 def test_a_dead_and_a_stuck_channel() -> None:
     finding = the_finding(changed(2, slice(None), lambda v: v * 0))
     assert (finding.kind, finding.channels) == ("stuck", ("accel.z",))
