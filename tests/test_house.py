@@ -1,6 +1,8 @@
 """The house rules that a machine can hold."""
 
 import ast
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -33,8 +35,6 @@ def test_imports_run_one_way(path: Path) -> None:
     names = imported(path)
     assert names & OURS <= ALLOWED[package]
     if package == "calib":
-        import sys
-
         assert names <= ALLOWED["calib"] | set(sys.stdlib_module_names)
 
 
@@ -49,6 +49,16 @@ def test_layers_of_the_diagnosis_import_downwards(layer: str) -> None:
                 assert not (node.module or "").startswith(
                     tuple(f"calib.mismatch.{name}" for name in above)
                 ), f"{path} imports from above it"
+
+
+def test_a_diagnosis_starts_without_what_only_few_need() -> None:
+    """Each of these is a tenth of a second to half a second, and tens of megabytes."""
+    few = ("scipy.interpolate", "scipy.optimize", "scipy.signal", "scipy.spatial", "scipy.stats")
+    code = f"import sys, calib.mismatch; print([m for m in {few} if m in sys.modules])"
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT
+    )
+    assert done.stdout.strip() == "[]"
 
 
 def test_only_output_prints() -> None:

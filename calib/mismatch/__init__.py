@@ -19,12 +19,10 @@ Each package imports from those before it in this list, and from none after it:
 from calib.mismatch.engine import diagnose_recording, diagnose_thinned
 from calib.mismatch.findings.diagnosis import Diagnosis, Finding, Unexplained
 from calib.mismatch.reference.against import diagnose_against
-from calib.mismatch.reference.beside import Beside, motion_beside
 from calib.mismatch.reference.referencemode import ReferenceMotion, diagnose_reference
 from calib.mismatch.samples.thin import Thinned, thin
 
 __all__ = [
-    "Beside",
     "Diagnosis",
     "Finding",
     "ReferenceMotion",
@@ -34,6 +32,5 @@ __all__ = [
     "diagnose_recording",
     "diagnose_reference",
     "diagnose_thinned",
-    "motion_beside",
     "thin",
 ]

@@ -5,8 +5,8 @@ import pytest
 
 from calib.effects.base import Term
 from calib.errors import NoCommonMotionError
-from calib.mismatch import ReferenceMotion, motion_beside
-from calib.mismatch.reference.beside import without_alignment
+from calib.mismatch import ReferenceMotion
+from calib.mismatch.reference.beside import motion_beside, without_alignment
 from calib.model import SensorModel, Triad
 from calib.rotation import quat_from_rotvec, quat_multiply
 from calib.simulate import Sampling, simulate
