@@ -16,6 +16,14 @@ ProfileOption = Annotated[
 ]
 ImuOption = Annotated[int | None, typer.Option(help="Which sensor of a board, from 1.")]
 DropInvalidOption = Annotated[bool, typer.Option(help="Turn rows that are not finite into gaps.")]
+FixedPointOption = Annotated[
+    bool,
+    typer.Option(
+        "--fixed-point",
+        help="REF has orientations only, and the body turned about a fixed point: a table of "
+        "several axes. (One axis, angles and rates are known to.)",
+    ),
+]
 GravityOption = Annotated[
     float | None, typer.Option(help="Local gravity, m/s²  [default: 9.80665]")
 ]

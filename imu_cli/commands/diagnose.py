@@ -7,7 +7,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from imu_cli.options import HeightOption, ImuOption, LatitudeOption, ProfileOption, choose_gravity
+from imu_cli.options import (
+    FixedPointOption,
+    HeightOption,
+    ImuOption,
+    LatitudeOption,
+    ProfileOption,
+    choose_gravity,
+)
 
 if TYPE_CHECKING:
     from calib.calibration import Calibration
@@ -38,14 +45,7 @@ def diagnose(
     reference_imu: Annotated[
         int | None, typer.Option(help="Which sensor of the reference's board, from 1.")
     ] = None,
-    fixed_point: Annotated[
-        bool,
-        typer.Option(
-            "--fixed-point",
-            help="REF has orientations only, and the body turned about a fixed point: a table of "
-            "several axes. (One axis, angles and rates are known to.)",
-        ),
-    ] = False,
+    fixed_point: FixedPointOption = False,
     other_profile: Annotated[
         str | None,
         typer.Option(help="Import profile of SIM or REF, where that is a foreign log."),

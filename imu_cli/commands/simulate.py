@@ -7,6 +7,8 @@ from typing import Annotated
 
 import typer
 
+from imu_cli.options import FixedPointOption, parse_duration
+
 MOTION_HELP = (
     "bench, hand-held, vibrating, paper, rate-table, record-player, pendulum or thermal. "
     "[default: bench]"
@@ -28,14 +30,7 @@ def simulate(
             "in the frame of that recording.",
         ),
     ] = None,
-    fixed_point: Annotated[
-        bool,
-        typer.Option(
-            "--fixed-point",
-            help="REF has orientations only, and the body turned about a fixed point: a table of "
-            "several axes. (One axis, angles and rates are known to.)",
-        ),
-    ] = False,
+    fixed_point: FixedPointOption = False,
     bandwidth: Annotated[
         float | None,
         typer.Option(
@@ -100,7 +95,6 @@ def simulate(
     from drivers.formats import open_writer
     from drivers.reference_file import read_motion
     from imu_cli import output as out
-    from imu_cli.options import parse_duration
     from imu_cli.simulation import Plan, describe, run
 
     if motion is not None and motion not in MOTIONS:
