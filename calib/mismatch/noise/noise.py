@@ -26,6 +26,10 @@ WITHIN = 0.7
 """How much levels of one group differ among each other: standard deviation of the logarithm of a
 level (a variance)."""
 
+WALKS = 1.4
+"""The same for a walk beside jitter and flicker: the minutes to hours after which a bias walks
+further than it flickers (where an Allan plot begins to rise) differ from part to part by more."""
+
 INDEPENDENT = 1e-5
 """Share of a column's length that those before it must leave for it to be clearly independent."""
 
@@ -67,13 +71,14 @@ def prior_precision(rows: Rows) -> FloatArray:
     """Return the precision of the logarithms of the levels.
 
     Each is uncertain by its ``spread``; components of one group (the drift of one triad) share most
-    of that, and differ among each other by `WITHIN` only.
+    of that, and differ among each other by `WITHIN` only, walks by `WALKS`.
     """
     spread = np.array([c.spread for c in rows.components])
     group = np.array([c.group for c in rows.components])
     same = (group[:, None] == group) & (group != "")
     shared = np.where(same, np.outer(spread, spread) - WITHIN**2, 0.0)
-    own = np.where(group != "", WITHIN**2, np.square(spread))
+    walks = np.array([c.name.endswith(" walk") for c in rows.components])
+    own = np.where(group != "", np.where(walks, WALKS, WITHIN) ** 2, np.square(spread))
     return np.asarray(np.linalg.inv(shared + np.diag(own)))
 
 

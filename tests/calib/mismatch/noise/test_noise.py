@@ -11,6 +11,7 @@ from calib.mismatch.hypotheses.score import SCALES, SHARES, Stack
 from calib.mismatch.noise.contrast import contrast_likelihood, contrast_variance
 from calib.mismatch.noise.noise import (
     NEAR,
+    WITHIN,
     _restricted,
     covariance,
     estimate_levels,
@@ -18,6 +19,7 @@ from calib.mismatch.noise.noise import (
     find_levels,
     level_likelihood,
     make_whitener,
+    prior_precision,
     range_basis,
     spread_of_variance,
 )
@@ -225,3 +227,19 @@ def test_columns_that_noise_makes_alike_have_a_likelihood():
     assert np.allclose(left, [0.0, 0.0, 2.0])
     # The determinant of the whitened columns is 1e-10.
     assert likelihood == pytest.approx(-0.5 * (2 * np.log(1e-10) + 4.0))
+
+
+def test_a_walk_is_told_less_by_flicker_than_flicker_of_another_axis():
+    """Where an Allan plot begins to rise differs between parts by a factor of ten in time."""
+    rows = problem()[1].rows()
+    place = {c.name: i for i, c in enumerate(rows.components)}
+    prior = np.linalg.inv(prior_precision(rows))
+
+    def apart(one: str, other: str) -> float:
+        step = np.zeros(len(prior))
+        step[place[one]], step[place[other]] = 1.0, -1.0
+        return float(np.sqrt(step @ prior @ step))
+
+    alike = apart("gyro.x flicker", "gyro.y flicker")
+    assert alike == pytest.approx(np.sqrt(2) * WITHIN)
+    assert np.exp(2 * apart("gyro.x walk", "gyro.x flicker")) > 10 > np.exp(2 * alike)
