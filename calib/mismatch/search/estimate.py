@@ -48,6 +48,9 @@ NODES, HALVINGS = 40, 20
 SWEEPS = 2
 """Each shape is settled so often, given the others."""
 
+RANK = 1e-9
+"""Singular value, of the largest, up to which a direction is not determined."""
+
 
 @dataclass(frozen=True, eq=False)
 class Estimate:
@@ -212,10 +215,10 @@ def _fit(
     design, y = triangle[:, :-1], triangle[:, -1]
     aside = cut(rows, accepted)
     inverse = np.zeros(design.T.shape)
-    inverse[~aside] = _inverse(design[:, ~aside])
+    inverse[~aside] = pseudo_inverse(design[:, ~aside])
     step = inverse @ y
     if aside.any():
-        inverse[aside] = _inverse(design[:, aside])
+        inverse[aside] = pseudo_inverse(design[:, aside])
         step[aside] = inverse[aside] @ (y - design @ step)
     covariance = inverse @ inverse.T
     if aside.any():
@@ -226,9 +229,10 @@ def _fit(
     return step / scale, covariance / np.outer(scale, scale)
 
 
-def _inverse(design: FloatArray) -> FloatArray:
+def pseudo_inverse(design: FloatArray) -> FloatArray:
+    """Return what makes of data the shortest of all least-squares solutions."""
     u, s, vt = np.linalg.svd(design, full_matrices=False)
-    good = s > 1e-9 * s[0]
+    good = s > RANK * s[0]
     return np.asarray((vt[good].T / s[good]) @ u[:, good].T)
 
 

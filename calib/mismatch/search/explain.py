@@ -25,17 +25,14 @@ from calib.mismatch.hypotheses.families import is_moment
 from calib.mismatch.hypotheses.places import joined
 from calib.mismatch.noise.noise import make_whitener, range_basis
 from calib.mismatch.rows.rows import Kind, Rows
-from calib.mismatch.search.estimate import Estimate
+from calib.mismatch.search.estimate import Estimate, pseudo_inverse
 from calib.mismatch.search.ranking import Accepted, chance, fitted
 from calib.mismatch.search.search import TIE, TWIN, Outcome
 from calib.recording import CHANNELS
 from calib.types import BoolArray, FloatArray
 
-RANK = 1e-9
-"""Singular value, of the largest, up to which a direction is not determined."""
-
 UNIQUE = 1e-6
-"""Share of a parameter that may lie in such directions where it is determined all the same."""
+"""Share of a parameter that may lie in directions that are not, where it is determined."""
 
 COUNTED = 0.3
 """Standard error of a count of samples above which it is not known to be whole."""
@@ -224,10 +221,8 @@ def _proof(
 
 def _least_squares(design: FloatArray, y: FloatArray) -> tuple[FloatArray, BoolArray]:
     """Return the shortest solution, and which of its elements are the same in all of them."""
-    u, size, vt = np.linalg.svd(design, full_matrices=False)
-    good = size > RANK * size[0]
-    kept = vt[good]
-    return kept.T @ ((u[:, good].T @ y) / size[good]), np.square(kept).sum(axis=0) > 1.0 - UNIQUE
+    inverse = pseudo_inverse(design)
+    return inverse @ y, np.einsum("pm,mp->p", inverse, design) > 1.0 - UNIQUE
 
 
 _CLOCK_LIKE = ("warm_up", "bias_step")
