@@ -73,10 +73,7 @@ def sampling_components(
     """
     if not len(rows):
         return []
-    parts = _parts(closed, force, rate, noise, spans)
-    by_rate, by_force = (np.einsum("kii->ki", part) for part in parts)
-    square, both = np.square(left), by_rate + by_force
-    shares = [_shares(square[:, own], both[:, own], white[:, own]) for own in (_TILT, _SPEED)]
+    parts, shares = _jolts(closed, left, force, rate, noise, spans, white)
     out = []
     for signal, part, share, own in (
         ("rate", parts[0], shares[0], slice(0, 5)),
@@ -102,9 +99,6 @@ def unresolved(
     spans: Spans,
 ) -> FloatArray:
     """Return the variance (k, 5) of closures by jolts, as `sampling_components` expect it."""
-    by_rate, by_force = (
-        np.einsum("kii->ki", part) for part in _parts(closed, force, rate, noise, spans)
-    )
     white = np.zeros_like(left)
     for weights, own in (
         (closed.gyro_weights, noise[:, 3:]),
@@ -112,32 +106,42 @@ def unresolved(
     ):
         each = np.einsum("rnc,nc->nr", np.square(weights), own)
         white += np.add.reduceat(each, spans.start)
-    square, both, out = np.square(left), by_rate + by_force, np.empty_like(left)
-    for some in (_TILT, _SPEED):
-        share = _shares(square[:, some], both[:, some], white[:, some])[:, None]
-        jolts = HALVED["rate"] * by_rate[:, some] + HALVED["force"] * by_force[:, some]
-        out[:, some] = share * jolts
-    return out
+    (by_rate, by_force), shares = _jolts(closed, left, force, rate, noise, spans, white)
+    out = np.einsum("kii->ki", HALVED["rate"] * by_rate + HALVED["force"] * by_force)
+    for some, share in zip((_TILT, _SPEED), shares, strict=True):
+        out[:, some] *= share[:, None]
+    return np.asarray(out)
 
 
-def _parts(
-    closed: Closures, force: FloatArray, rate: FloatArray, noise: FloatArray, spans: Spans
-) -> tuple[FloatArray, FloatArray]:
-    """Return the covariances (k, 5, 5) of closures by what samples of rate and force are off."""
-    by_rate = _added(
-        unforetold(rate, spans.first), closed.gyro_weights, UNFORETOLD * noise[:, 3:], spans
+def _jolts(
+    closed: Closures,
+    left: FloatArray,
+    force: FloatArray,
+    rate: FloatArray,
+    noise: FloatArray,
+    spans: Spans,
+    white: FloatArray,
+) -> tuple[tuple[FloatArray, FloatArray], list[FloatArray]]:
+    """Return what jolts add to closures, and how much of it counts.
+
+    The one is covariances (k, 5, 5) by what samples are off, of the rate and of the force; the
+    other shares (k,) of them that show in what every second sample changes, of angles and of
+    velocities.
+    """
+    parts = (
+        _added(unforetold(rate, spans.first), closed.gyro_weights, noise[:, 3:], spans),
+        _added(unforetold(force, spans.first), closed.accel_weights, noise[:, :3], spans),
     )
-    by_force = _added(
-        unforetold(force, spans.first), closed.accel_weights, UNFORETOLD * noise[:, :3], spans
-    )
-    return by_rate, by_force
+    square, both = np.square(left), np.einsum("kii->ki", parts[0] + parts[1])
+    shares = [_shares(square[:, own], both[:, own], white[:, own]) for own in (_TILT, _SPEED)]
+    return parts, shares
 
 
 def _added(off: FloatArray, weights: FloatArray, noise: FloatArray, spans: Spans) -> FloatArray:
     """Return the covariance (k, 5, 5) of closures whose points err by `off` (n, 3), noise apart."""
     square = np.square(off)
     total = np.add.reduceat(square, spans.start)
-    share = 1.0 - np.add.reduceat(noise, spans.start) / np.maximum(total, 1e-300)
+    share = 1.0 - np.add.reduceat(UNFORETOLD * noise, spans.start) / np.maximum(total, 1e-300)
     square *= np.maximum(share, 0.0)[spans.turn]
     return covariance_of_turns(weights, square, spans)
 
