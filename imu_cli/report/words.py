@@ -22,12 +22,11 @@ def chance(p_value: float) -> str:
     return "< 1e-6" if p_value < 1e-6 else f"{p_value:.2g}"
 
 
-def spans(intervals: Sequence[Sequence[float]], separator: str = ", ") -> str:
+def spans(intervals: Sequence[Sequence[float]], separator: str = ", ", *, digits: int = 1) -> str:
     """Write intervals in the recording's seconds."""
     # Adding 0 makes a plain zero of what rounds to minus zero.
-    return separator.join(
-        f"{round(start, 1) + 0.0:.1f} to {round(stop, 1) + 0.0:.1f} s" for start, stop in intervals
-    )
+    ends = [[f"{round(t, digits) + 0.0:.{digits}f}" for t in interval] for interval in intervals]
+    return separator.join(f"{start} to {stop} s" for start, stop in ends)
 
 
 def where(finding: Mapping[str, Any]) -> str:
@@ -67,10 +66,9 @@ def notes(document: Mapping[str, Any]) -> list[str]:
         )
     if "swapped_markers" in recording:
         left = recording["swapped_markers"]
-        when = ", ".join(f"{start:.2f} to {stop:.2f} s" for start, stop in left["intervals"])
         out.append(
             f"{left['samples']} samples of the reference were left out: one marker was taken for "
-            f"another at {when}."
+            f"another at {spans(left['intervals'], digits=2)}."
         )
     if "silent" in recording:
         out.append(

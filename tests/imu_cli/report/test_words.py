@@ -2,7 +2,7 @@
 
 from imu_cli.report.diagnosis import diagnosis_report
 from imu_cli.report.model import Paragraph
-from imu_cli.report.words import chance, likelihood, notes, where
+from imu_cli.report.words import chance, likelihood, notes, spans, where
 
 DOCUMENT = {
     "verdict": "consistent",
@@ -40,6 +40,11 @@ def test_where_a_finding_is() -> None:
     }
     assert where(finding) == "gyro.x, gyro.y; 0.0 to 5.0 s, 7.0 to 9.0 s; follows |w|"
     assert where({**finding, "intervals": []}) == "gyro.x, gyro.y; follows |w|"
+
+
+def test_intervals_are_said_to_as_many_digits_as_asked_for() -> None:
+    assert spans([[-0.001, 1.0], [7, 9.046]], digits=2) == "0.00 to 1.00 s, 7.00 to 9.05 s"
+    assert spans([[-0.001, 1.0], [7, 9.046]], " and ") == "0.0 to 1.0 s and 7.0 to 9.0 s"
 
 
 def test_a_chance_is_not_said_beyond_what_the_noise_model_knows() -> None:
