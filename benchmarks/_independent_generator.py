@@ -17,7 +17,6 @@ from pathlib import Path
 import numpy as np
 
 AXES = "xyz"
-CHANNELS = tuple(f"{t}.{a}" for t in ("accel", "gyro") for a in AXES)
 G0 = 9.80665
 DPS = np.pi / 180
 EARTH = 7.292115e-5

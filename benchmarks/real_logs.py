@@ -29,6 +29,7 @@ from pathlib import Path
 
 import numpy as np
 
+from calib.crossvalidation import leave_one_out
 from calib.directions import closure_errors
 from calib.errors import ImuError
 from calib.model import Triad
@@ -137,16 +138,6 @@ def sampling_error(values: np.ndarray) -> float:
     return float(np.sqrt(np.mean(drawn**2, axis=1)).std())
 
 
-def leave_one_out(poses: Poses) -> np.ndarray:
-    """Return ``|a| - g`` of each pose, m/s², from a fit of all the others."""
-    solve = accel_solvers()[ACCEL].solve
-    errors = np.empty(len(poses))
-    for k in range(len(poses)):
-        fit = solve(poses.select(np.arange(len(poses)) != k), gravity=GRAVITY)
-        errors[k] = np.linalg.norm(fit.triad.correct(poses.accel[[k]])) - GRAVITY
-    return errors
-
-
 def alternate_turns(
     recording: Recording, poses: Poses, turns: Turns, accel: Triad, method: str
 ) -> np.ndarray:
@@ -177,11 +168,12 @@ def measure(recording: Recording) -> Row:
     turns = find_turns(recording, poses)
     nan = float("nan")
     try:
-        fit = accel_solvers()[ACCEL].solve(poses, gravity=GRAVITY)
+        solver = accel_solvers()[ACCEL]
+        fit = solver.solve(poses, gravity=GRAVITY)
         if fit.undetermined:
             note = f"accelerometer not determined: {', '.join(fit.undetermined)}"
             return Row(len(poses), len(turns), nan, nan, nan, nan, nan, note=note)
-        accel = leave_one_out(poses)
+        accel = leave_one_out(poses, solver, gravity=GRAVITY)
         full = np.degrees(alternate_turns(recording, poses, turns, fit.triad, GYRO))
         diagonal = np.degrees(alternate_turns(recording, poses, turns, fit.triad, DIAGONAL))
     except ImuError as error:

@@ -83,8 +83,6 @@ class Story:
     diagnosis: Diagnosis
     flashed: Result
     verification: Verification
-    rest_before: float
-    rest_after: float
 
 
 def tell(folder: Path, say: Say) -> Story:
@@ -132,7 +130,7 @@ def tell(folder: Path, say: Say) -> Story:
         say(f"   {'right' if verification.right else 'not right'} within its standard errors.")
     say("7. Report.")
     write_report(better, diagnosis, files.report)
-    return Story(files, better, diagnosis, flashed, verification, before, after)
+    return Story(files, better, diagnosis, flashed, verification)
 
 
 @contextmanager

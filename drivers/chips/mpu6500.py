@@ -24,7 +24,6 @@ from drivers.chips.base import (
     sensitivities,
 )
 
-XG_OFFSET_H = Register("XG_OFFSET_H", 0x13)
 SMPLRT_DIV = Register("SMPLRT_DIV", 0x19)
 CONFIG = Register("CONFIG", 0x1A)
 GYRO_CONFIG = Register("GYRO_CONFIG", 0x1B)

@@ -74,7 +74,7 @@ class Paragraph:
     sentences: tuple[str, ...]
 
 
-Block = Table | Paragraph | Plot | Sphere | HeatMap
+Block = Table | Paragraph | Chart
 
 
 @dataclass(frozen=True)

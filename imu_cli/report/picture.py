@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from imu_cli.report.model import HeatMap, Plot, Report, Sphere
+from imu_cli.report.model import Chart, HeatMap, Plot, Report, Sphere
 from imu_cli.report.page import COLOURS
 
 SUFFIXES = (".png", ".svg")
@@ -25,7 +25,7 @@ def write_picture(report: Report, path: Path) -> None:
     """
     if path.suffix.lower() not in SUFFIXES:
         raise ValueError(f"`path` must end in {' or '.join(SUFFIXES)}, got {path.name!r}")
-    charts = [block for block in report.blocks if isinstance(block, Plot | Sphere | HeatMap)]
+    charts = [block for block in report.blocks if isinstance(block, Chart)]
     if not charts:
         raise ValueError("`report` has no chart to draw")
     figure = Figure(figsize=(9, sum(_height(chart) for chart in charts)), layout="constrained")
