@@ -99,7 +99,7 @@ def look_at_spectrum(recording: Recording, poses: Poses) -> tuple[Unexplained, .
         own, rest = own[:, noisy], pose[noisy]
         line = _lines(recording, poses, own, rest, channel, held)
         narrow = not line and not held.any()
-        bursts = _bursts(recording, poses, own, rest, channel, narrow=narrow)
+        bursts = _bursts(poses, own, rest, channel, narrow=narrow)
         out += line + (bursts or _changes(recording, poses, own, rest, channel))
     return tuple(_merged(out))
 
@@ -225,7 +225,6 @@ def _lines(
 
 
 def _bursts(
-    recording: Recording,
     poses: Poses,
     power: FloatArray,
     pose: IntArray,

@@ -89,7 +89,7 @@ def look_within(recording: Recording, poses: Poses) -> tuple[Unexplained, ...]:
     if not looks:
         return tuple(spikes)
     pulses = spikes + _pulses(looks, recording)
-    return tuple(pulses + _stretches(looks, recording, poses, {u.channels for u in pulses}))
+    return tuple(pulses + _stretches(looks, poses, {u.channels for u in pulses}))
 
 
 def _widths(recording: Recording, poses: Poses) -> list[int]:
@@ -250,9 +250,7 @@ def _own_scale(look: _Look) -> FloatArray:
     return out
 
 
-def _stretches(
-    looks: list[_Look], recording: Recording, poses: Poses, known: set[tuple[str, ...]]
-) -> list[Unexplained]:
+def _stretches(looks: list[_Look], poses: Poses, known: set[tuple[str, ...]]) -> list[Unexplained]:
     """Return stretches of rests in which a channel is restless, and neither before nor after."""
     rests = np.unique(looks[0].rest)
     some = [w for w in windows(len(rests)) if w[1] - w[0] >= 2]
