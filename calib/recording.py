@@ -14,7 +14,8 @@ from calib.errors import EmptyRecordingError, InvalidSampleError
 from calib.types import FloatArray, IntArray
 
 AXES = ("x", "y", "z")
-CHANNELS = tuple(f"{triad}.{axis}" for triad in ("accel", "gyro") for axis in AXES)
+TRIADS = {"accel": "accelerometer", "gyro": "gyroscope"}
+CHANNELS = tuple(f"{triad}.{axis}" for triad in TRIADS for axis in AXES)
 
 Clock = Literal["device", "host", "nominal", "invalid"]
 """Where ``time`` comes from: the device's own clock; the host's arrival times regressed to a steady

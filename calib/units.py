@@ -21,7 +21,7 @@ from calib.closure import TurnSteps, closure_residual
 from calib.errors import NoCommonMotionError, UnitError
 from calib.faults import FASTEST
 from calib.poses import Poses
-from calib.recording import Recording
+from calib.recording import TRIADS, Recording
 from calib.rotation import cumulative_quat_segments, mat_from_quat, quat_from_rotvec
 from calib.statics import find_poses
 from calib.synchrony import gyro_delay
@@ -162,14 +162,12 @@ def unit_faults(recording: Recording, poses: Poses, closure: Closure | None) -> 
 
 def _switched(switch: Switch) -> UnitFault:
     triad, factor, (start, stop) = switch
-    known, name = (
-        (ACCEL_FACTORS, "accelerometer") if triad == "accel" else (GYRO_FACTORS, "gyroscope")
-    )
+    known = ACCEL_FACTORS if triad == "accel" else GYRO_FACTORS
     return UnitFault(
         triad,
         factor,
-        f"from {start:.1f} to {stop:.1f} s the {name} is {factor:.4g} times as large as in the "
-        f"rest of the recording{_name(factor, known)} there",
+        f"from {start:.1f} to {stop:.1f} s the {TRIADS[triad]} is {factor:.4g} times as large as "
+        f"in the rest of the recording{_name(factor, known)} there",
         interval=switch.interval,
     )
 

@@ -34,7 +34,7 @@ from calib.mismatch.search.search import Outcome, search
 from calib.mismatch.twin.selfmode import SelfProblem, rounded_mean_variance
 from calib.model import SensorModel
 from calib.poses import Poses
-from calib.recording import CHANNELS, Recording
+from calib.recording import CHANNELS, TRIADS, Recording
 from calib.threads import one_thread
 from calib.types import BoolArray, FloatArray
 
@@ -58,8 +58,6 @@ NEEDED = {
     BEYOND: "a gyroscope that reads less at rest",
 }
 """What a recording lacks that ends with its samples, by what they are off by."""
-
-TRIADS = {"accel": "accelerometer", "gyro": "gyroscope"}
 
 LEAST_TURNS = 3
 """Turns below which nothing that shows in motion alone is named."""
