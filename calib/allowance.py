@@ -10,12 +10,10 @@ import numpy as np
 
 from calib.calibration import Calibration
 from calib.effects import get_effect
+from calib.effects.earth_rate import RATE as EARTH_RATE
 from calib.poses import Poses
 from calib.recording import AXES
 from calib.types import FloatArray
-
-EARTH_RATE = 7.292115e-5
-"""rad/s (IERS Conventions 2010, table 1.2)."""
 
 THERMAL = {
     "accel.bias": "accel_bias_temperature",

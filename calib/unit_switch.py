@@ -11,10 +11,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from calib.gravity import STANDARD_GRAVITY as G
 from calib.recording import Recording
 from calib.types import FloatArray
 
-G = 9.80665
 BLOCK = 0.5
 """s over which noise and speed are judged."""
 

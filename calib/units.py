@@ -20,6 +20,7 @@ import numpy as np
 from calib.closure import TurnSteps, closure_residual
 from calib.errors import NoCommonMotionError, UnitError
 from calib.faults import FASTEST
+from calib.gravity import STANDARD_GRAVITY as G
 from calib.poses import Poses
 from calib.recording import TRIADS, Recording
 from calib.rotation import cumulative_quat_segments, mat_from_quat, quat_from_rotvec
@@ -29,7 +30,6 @@ from calib.turns import find_turns
 from calib.types import FloatArray, IntArray
 from calib.unit_switch import Switch, unit_switches
 
-G = 9.80665
 DEGREE = np.pi / 180
 
 ACCEL_FACTORS = {

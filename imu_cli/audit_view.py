@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from calib.audit import Audit
+from calib.gravity import STANDARD_GRAVITY as G
 from calib.recording import CHANNELS, Recording
-from calib.units import G
 
 if TYPE_CHECKING:
     from rich.table import Table

@@ -13,6 +13,7 @@ from calib.calibration import Calibration
 from calib.effects import effects
 from calib.effects.base import Term
 from calib.effects.text import parse_term
+from calib.gravity import STANDARD_GRAVITY as G
 from calib.mismatch.reference.beside import motion_beside, without_alignment
 from calib.mismatch.reference.referencemode import ReferenceMotion
 from calib.model import SensorModel
@@ -27,7 +28,6 @@ from calib.statics import find_poses
 from drivers.calibration_file import describe_input, load_calibration
 from drivers.formats import read_recording
 
-G = 9.80665
 MOST_SAMPLES = 5e7
 """About 24 h at 500 Hz, and 20 GB of memory."""
 

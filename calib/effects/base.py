@@ -22,6 +22,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
+from calib.gravity import STANDARD_GRAVITY
 from calib.recording import AXES
 from calib.rotation import skew
 from calib.spline import spline_slopes
@@ -36,7 +37,7 @@ Column = Mapping[str, FloatArray]
 """What one unit of a parameter adds, by channel (``accel.x`` ... ``gyro.z``): (n,) arrays in m/s²
 and rad/s. A channel that is not there is untouched."""
 
-G = 9.80665
+G = STANDARD_GRAVITY
 """Standard gravity, m/s²: what data sheets mean by g."""
 
 PRESENCE = "presence"
@@ -151,7 +152,7 @@ class State:
     vibration: FloatArray | None = None
     angular_acceleration: FloatArray | None = None
     temperature_slope: FloatArray | None = None
-    gravity: float = 9.80665
+    gravity: float = G
     known_gradient: FloatArray | None = None
 
     def derivative(self, values: FloatArray) -> FloatArray:

@@ -10,7 +10,7 @@ from calib.effects.base import Column, Effect, Parameter, State
 from calib.recording import AXES
 
 RATE = 7.2921150e-5
-"""rad/s, relative to the stars."""
+"""rad/s, relative to the stars (IERS Conventions 2010, table 1.2)."""
 
 
 class EarthRate(Effect):

@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import DriverTimeoutError
+from calib.gravity import STANDARD_GRAVITY
 
-STANDARD_GRAVITY = 9.80665
 """m/s² in 1 g: the definition that every accelerometer's sensitivity is stated in."""
 
 Counts = NDArray[np.int16]

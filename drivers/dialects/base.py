@@ -17,7 +17,6 @@ import numpy as np
 from calib.recording import DeviceInfo
 from calib.types import BoolArray, FloatArray, IntArray
 
-STANDARD_GRAVITY = 9.80665
 DEGREE = np.pi / 180.0
 
 

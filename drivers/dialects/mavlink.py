@@ -21,9 +21,10 @@ from typing import ClassVar
 import numpy as np
 
 from calib.errors import AddressError, BadFrameError
+from calib.gravity import STANDARD_GRAVITY
 from calib.recording import DeviceInfo
 from calib.types import BoolArray, FloatArray, IntArray
-from drivers.dialects.base import STANDARD_GRAVITY, Dialect, Parser, Reply, Samples
+from drivers.dialects.base import Dialect, Parser, Reply, Samples
 from drivers.dialects.framing import Bytes, as_bytes, crc16_mcrf4xx, in_order, windows
 
 V1, V2 = 0xFE, 0xFD

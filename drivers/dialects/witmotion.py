@@ -14,9 +14,10 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from calib.gravity import STANDARD_GRAVITY
 from calib.recording import DeviceInfo
 from calib.types import FloatArray, IntArray
-from drivers.dialects.base import DEGREE, STANDARD_GRAVITY, Dialect, Parser, Reply, Samples
+from drivers.dialects.base import DEGREE, Dialect, Parser, Reply, Samples
 from drivers.dialects.framing import Bytes, as_bytes, in_order, windows
 
 LENGTH = 11

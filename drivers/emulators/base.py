@@ -16,13 +16,13 @@ import numpy as np
 
 from calib.effects.base import Signals, State
 from calib.effects.text import parse_term
+from calib.gravity import STANDARD_GRAVITY
 from calib.model import SensorModel, Triad
 from calib.simulation.bench import bench_protocol
 from calib.types import FloatArray
 from drivers.address import Address
 from drivers.driver import Driver
 
-STANDARD_GRAVITY = 9.80665
 DEGREE = np.pi / 180.0
 BLOCK = 4096
 

@@ -6,6 +6,7 @@ import struct
 
 import numpy as np
 
+from calib.gravity import STANDARD_GRAVITY
 from drivers.dialects.witmotion import (
     ACCEL,
     ACCEL_LSB,
@@ -15,7 +16,7 @@ from drivers.dialects.witmotion import (
     TEMPERATURE_LSB,
     frame,
 )
-from drivers.emulators.base import DEGREE, STANDARD_GRAVITY, EmulatedSensor
+from drivers.emulators.base import DEGREE, EmulatedSensor
 from drivers.emulators.serial_device import SerialDevice, serial_emulator
 
 SAVE_REGISTER, READ_REGISTER, KEY_REGISTER = 0x00, 0x27, 0x69

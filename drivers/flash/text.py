@@ -35,6 +35,7 @@ import numpy as np
 
 from calib.calibration import Calibration
 from calib.errors import DriverTimeoutError, RecordingFormatError
+from calib.gravity import STANDARD_GRAVITY as G
 from drivers.flash.stream import StreamTarget
 from drivers.flash.target import Action, Native, Plan, Row, determined_bias, not_held
 from drivers.stream import StreamDriver
@@ -42,7 +43,7 @@ from drivers.stream import StreamDriver
 NAMES = ("ax", "ay", "az", "gx", "gy", "gz")
 PARAMETERS = [f"{triad}.bias.{axis}" for triad in ("accel", "gyro") for axis in "xyz"]
 FACTORS = {
-    "accel": {"m/s^2": 1.0, "g": 9.80665, "mg": 9.80665e-3},
+    "accel": {"m/s^2": 1.0, "g": G, "mg": G / 1000},
     "gyro": {"rad/s": 1.0, "deg/s": np.pi / 180},
 }
 NUMBER = r"([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)"

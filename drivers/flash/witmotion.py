@@ -12,6 +12,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from calib.calibration import Calibration
+from calib.gravity import STANDARD_GRAVITY as G
 from calib.types import FloatArray
 from drivers.dialects.witmotion import RESTART, SAVE, UNLOCK, read_register, write_register
 from drivers.flash.stream import StreamTarget
@@ -26,7 +27,7 @@ REGISTERS = {
     "GZOFFSET": 0x0A,
 }
 PARAMETERS = [f"{triad}.bias.{axis}" for triad in ("accel", "gyro") for axis in "xyz"]
-UNITS = np.repeat([9.80665 / 10000, np.deg2rad(1) / 10000], 3)
+UNITS = np.repeat([G / 10000, np.deg2rad(1) / 10000], 3)
 LIMIT = 32767
 ANSWER = 1.0
 PAUSE = 0.05

@@ -60,12 +60,11 @@ from typing import Any, get_args
 import numpy as np
 
 from calib.errors import RecordingFormatError
+from calib.gravity import STANDARD_GRAVITY as G
 from calib.recording import AXES, Clock, DeviceInfo
 from calib.types import FloatArray
 
 SHIPPED = Path(__file__).parent / "profiles"
-G = 9.80665
-"""Standard gravity, m/s²: what a count per g, or a value in g, refers to."""
 
 ACCEL_UNITS = {"m/s^2": 1.0, "m/s²": 1.0, "g": G, "mg": G / 1000, "LSB": G}
 GYRO_UNITS = {

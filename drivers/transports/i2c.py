@@ -27,10 +27,11 @@ from calib.errors import (
     DriverError,
     WrongDeviceError,
 )
+from calib.gravity import STANDARD_GRAVITY
 from calib.recording import Clock, DeviceInfo, Recording, join
 from drivers.address import Address
 from drivers.chips import chips, get_chip, normal_name
-from drivers.chips.base import NO_SAMPLES, STANDARD_GRAVITY, Bus, Chip, Device, Samples, Setup
+from drivers.chips.base import NO_SAMPLES, Bus, Chip, Device, Samples, Setup
 from drivers.driver import Driver
 from drivers.i2c_scan import ask_identity, identify
 from drivers.sample_times import DeviceTimes, SampleTimes

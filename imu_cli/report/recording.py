@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from calib.gravity import STANDARD_GRAVITY as G
 from calib.recording import AXES, Recording
 from calib.statics import find_poses
 from calib.types import FloatArray, IntArray
@@ -79,7 +80,7 @@ def _device(recording: Recording) -> Table:
         ("serial number", device.serial_number or "unknown"),
     ]
     if device.accel_full_scale is not None:
-        rows.append(("accelerometer full scale", f"{device.accel_full_scale / 9.80665:.4g} g"))
+        rows.append(("accelerometer full scale", f"{device.accel_full_scale / G:.4g} g"))
     if device.gyro_full_scale is not None:
         rows.append(("gyroscope full scale", f"{np.degrees(device.gyro_full_scale):.5g} °/s"))
     rows += list(recording.notes.items())

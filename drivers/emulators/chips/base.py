@@ -15,9 +15,10 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.gravity import STANDARD_GRAVITY
 from calib.types import FloatArray
 from drivers.chips import get_chip
-from drivers.chips.base import STANDARD_GRAVITY, BiasField, Field, Register
+from drivers.chips.base import BiasField, Field, Register
 from drivers.emulators.base import EmulatedSensor
 
 MOST_AT_ONCE = 8192

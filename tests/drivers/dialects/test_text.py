@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 
 from calib.errors import AddressError, BadFrameError
-from drivers.dialects.base import DEGREE, STANDARD_GRAVITY
+from calib.gravity import STANDARD_GRAVITY
+from drivers.dialects.base import DEGREE
 from drivers.dialects.text import DIALECT, TextParser
 
 OPTIONS = {

@@ -9,8 +9,9 @@ from hypothesis import strategies as st
 
 from calib import Recording
 from calib.errors import InvalidSampleError, RecordingError, RecordingFormatError
+from calib.gravity import STANDARD_GRAVITY as G
 from drivers.formats import open_batches, read_recording
-from drivers.formats.profile import G, get_profile, parse_profile, shipped_profiles
+from drivers.formats.profile import get_profile, parse_profile, shipped_profiles
 
 RNG = np.random.default_rng
 DEG = np.pi / 180
