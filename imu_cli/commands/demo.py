@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Annotated
 
@@ -16,9 +17,6 @@ def demo(
     The sensor has an effect that the usual model leaves out; the diagnosis names it. Files go to
     DIR as demo.arrow, demo.cal.json, demo.diagnosis.json and demo.html; a rerun overwrites them.
     """
-    import os
-
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from calib.errors import DriverError
     from imu_cli import output
     from imu_cli.calibration_view import parameter_table

@@ -74,10 +74,6 @@ def diagnose(
     (or the one given) fitted to it. With --against it is your own simulation, whose motion is taken
     as the truth; with --reference what moved with the sensor. Every verdict ends with exit code 0.
     """
-    import os
-
-    # Matrices of a few hundred rows: more threads only cost CPU.
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from calib.mismatch import diagnose_against, diagnose_reference
     from drivers.calibration_file import load_calibration, save_calibration
     from drivers.formats import read_recording
