@@ -11,8 +11,9 @@ from calib.gravity import STANDARD_GRAVITY as G
 from calib.poses import Poses
 from calib.recording import CHANNELS, Clock, Recording
 from calib.statics import find_poses
+from calib.tilts import Closure
 from calib.types import BoolArray, FloatArray
-from calib.units import Closure, check_units, unit_faults
+from calib.units import check_units, unit_faults
 
 __all__ = ["Audit", "Finding", "audit", "check_units"]
 

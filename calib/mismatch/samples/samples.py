@@ -23,8 +23,9 @@ from calib.mismatch.samples.losses import Loss
 from calib.poses import Poses
 from calib.recording import CHANNELS, Recording
 from calib.synchrony import STEP, gyro_delay
+from calib.tilts import FEWEST, Closure
 from calib.types import BoolArray, FloatArray, IntArray
-from calib.units import FEWEST, Closure, unit_faults
+from calib.units import unit_faults
 
 _JOIN = 1.0
 """Places closer than this are one interval, s."""
