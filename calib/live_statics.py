@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.recording import Recording, join
-from calib.statics import DRIFT, LASTING, NORM, Limits, find_limits, stillest_rate
+from calib.rests import DRIFT, LASTING, NORM
+from calib.statics import Limits, find_limits, stillest_rate
 from calib.stillness import (
     WIDTH,
     Blocks,

@@ -1,26 +1,20 @@
 """Find the static poses of a recording, or of a live stream, without a threshold from the user.
 
-1. What a rest looks like is learnt from the recording: the levels of its stillest windows. A window
-   is a candidate if rate and change of specific force are below a multiple of those, or of what a
-   hand that holds still or a machine that shakes does, and below what no rest has.
-2. Each run of candidates is judged by its own noise, the scatter from block to block: blocks and
-   longer stretches that are off the gyroscope's rate at rest, or where the specific force moves,
-   are taken out. That finds slow turns and bumps, and lets a hand tremble.
-3. The ends move inwards to where the turn began: from the times at which its rate passes two
-   levels with a ratio of four, as it grows with the square of time in a smooth turn.
+What a rest looks like is learnt from the recording: the levels of its stillest windows. A window is
+a candidate if rate and change of specific force are below a multiple of those, or of what a hand
+that holds still or a machine that shakes does, and below what no rest has. What of the candidates
+is a rest, and where it ends, is found by `calib.rests`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
-from itertools import pairwise
 
 import numpy as np
 
 from calib.poses import Poses, average_poses, resolution
 from calib.recording import Recording, join
+from calib.rests import refine
 from calib.stillness import (
     FACTOR,
     MOST_FORCE,
@@ -38,8 +32,6 @@ from calib.stillness import (
     find_units,
     join_blocks,
     moving_mean,
-    moving_median,
-    runs,
     slide,
     spill,
 )
@@ -47,31 +39,6 @@ from calib.types import BoolArray, FloatArray, IntArray
 
 SCALES: tuple[int, ...] = (1, 5, 10, 20)
 """Lengths over which a run is compared with rest, in blocks."""
-NORM = 7.0
-"""FACTOR for the length of a vector of three, in standard deviations of one of them."""
-LASTING = 3.0
-"""Mean over a long stretch, in standard deviations of a block: noise need not be white."""
-BUMP = 6.0
-"""Power inside a block, as a multiple of the run's median, that is a bump."""
-SAME = 0.02
-"""Angle by which a hand that holds still wanders, rad."""
-DRIFT = 0.003
-"""How far a gyroscope's rate at rest moves from pose to pose and within a minute, rad/s."""
-GROUP = 20
-"""Stretches of 1 s that share one estimate of the gyroscope's bias."""
-ONSET = 4.0
-"""Rate at which a turn is seen to begin, in standard deviations of a block on one axis."""
-RISE = 4.0
-"""Ratio of the two levels by which the beginning of a turn is found."""
-SHORTEST = 4
-"""Blocks that a pose has at least, once its ends have moved inwards."""
-REVERSAL = TREMOR_RATE / 4
-"""Change of the mean rate from the first half of a short rest to the second, and twice its mean,
-rad/s."""
-LONG_REST = 30
-"""Blocks from which on a rest cannot be the end of a swing."""
-LONGEST_RISE = 40
-"""Blocks by which an end may move inwards."""
 
 
 def find_poses(recording: Recording, *, minimum_duration: float = 1.0) -> Poses:
@@ -154,7 +121,7 @@ class RestFinder:
         windows = slide(blocks, bias)
         candidates = covered(windows, find_limits(windows, units), len(blocks)) & ~blocks.broken
         least = max(3, round(minimum_duration / blocks.duration) - 2)
-        found = _refine(blocks, candidates, least, self._steps, units, self.scales)
+        found = refine(blocks, candidates, least, self._steps, units, self.scales)
         segments = np.array(found, np.int64).reshape(-1, 2) * blocks.size
         return segments[:, 0], segments[:, 1]
 
@@ -217,232 +184,3 @@ def covered(windows: Windows, limits: Limits, n: int) -> BoolArray:
     mask = np.zeros(n, bool)
     spill(mask, still, WIDTH)
     return mask
-
-
-def _refine(
-    blocks: Blocks,
-    candidates: BoolArray,
-    least: int,
-    steps: tuple[float, float],
-    units: Units,
-    scales: tuple[int, ...],
-) -> list[tuple[int, int]]:
-    """Return the block ranges of the poses among the runs of candidates."""
-    start, stop = runs(candidates)
-    long = stop - start >= max(least, 3)
-    whole = list(zip(start[long].tolist(), stop[long].tolist(), strict=True))
-    if not whole:
-        return []
-    noise = [_scatter(blocks.gyro[a:b], steps[1]) for a, b in whole]
-    if units.rate is not None:  # a hand that shakes more than this is not at rest
-        most = max(TREMOR_RATE / 4 / units.rate, 2 * float(np.median(noise)))
-        noise = [min(n, most) for n in noise]
-    force = [_scatter(blocks.accel[a:b], steps[0]) for a, b in whole]
-    # First what the accelerometer sees, which needs no bias to be known.
-    pieces = []
-    for run, n_force in zip(whole, force, strict=True):
-        segments = [run]
-        for scale in scales:
-            moved = partial(_force_moved, blocks, units=units, scale=scale, noise=n_force)
-            segments = _split(segments, moved)
-        pieces.append(segments)
-    flat = [segment for segments in pieces for segment in segments]
-    if not flat:
-        return []
-    off = blocks.gyro - _rate_at_rest(blocks, flat, float(np.median(noise)), units)
-    # Poses differ in rate by g-sensitivity and drift.
-    centre = [np.linalg.norm(np.median(off[a:b], axis=0)) for a, b in flat]
-    spread = max(3.0 * float(np.median(centre)), DRIFT / units.rate if units.rate else 0.0)
-    found: list[tuple[int, int, float]] = []
-    for segments, n_rate, n_force in zip(pieces, noise, force, strict=True):
-        for scale in scales:
-            level = n_rate * max(NORM / np.sqrt(scale), LASTING) + spread
-            segments = _split(segments, partial(_rate_moved, off, scale=scale, level=level))
-        segments = _join(blocks, off, segments, (n_force, n_rate), units)
-        found += [(*segment, ONSET * n_rate) for segment in segments]
-    return _trim(off, found, least, units)
-
-
-def _rate_at_rest(
-    blocks: Blocks, segments: list[tuple[int, int]], noise: float, units: Units
-) -> FloatArray:
-    """Return the gyroscope's bias at each block, (n, 3): where most rates are, following drift.
-
-    Stretches of about 1 s of the segments give a median each. The bias is where they lie densest:
-    rests share one rate, slow turns do not. From there it is followed through its drift.
-    """
-    width = max(WIDTH, round(1.0 / blocks.duration))
-    middle, rates = [], []
-    for a, b in segments:
-        edges = np.linspace(a, b, max(1, (b - a) // width) + 1).astype(int).tolist()
-        for first, last in pairwise(edges):
-            middle.append(0.5 * (first + last - 1))
-            rates.append(np.median(blocks.gyro[first:last], axis=0))
-    rate, at = np.array(rates), np.array(middle)
-    few = rate[:: max(1, len(rate) // 500)]
-    density = (np.linalg.norm(few[:, None] - few[None], axis=2) < NORM * noise).sum(axis=1)
-    densest = int(np.argmin(np.linalg.norm(rate - few[np.argmax(density)], axis=1)))
-    reach = NORM * noise
-    if units.rate is not None:
-        reach = max(reach, DRIFT / units.rate)
-    # From the densest place outwards, in groups, each within reach of the one before it.
-    groups = [slice(k, k + GROUP) for k in range(0, len(rate), GROUP)]
-    centre = densest // GROUP
-    known: dict[int, tuple[FloatArray, FloatArray]] = {}
-    for path in (range(centre, len(groups)), range(centre, -1, -1)):
-        bias, since, slope, far = rate[densest], at[densest], np.zeros(3), 0.0
-        for g in path:
-            time, own = at[groups[g]], rate[groups[g]]
-            # A sensor that warms up leaves faster and faster, back in time.
-            off = own - bias - slope * np.clip(time - since, -far, far)[:, None]
-            near = np.linalg.norm(off, axis=1) <= reach
-            if not near.any():
-                continue
-            time, own, since = time[near], own[near], float(time[near].mean())
-            bias, slope = np.median(own, axis=0), np.zeros(3)
-            if len(time) >= GROUP // 2:
-                slope, far = np.polyfit(time - since, own, 1)[0], 2.0 * float(np.ptp(time))
-            ends = time[[0, -1]]
-            known[g] = ends, bias + slope * (ends - since)[:, None]
-    when = np.concatenate([known[g][0] for g in sorted(known)])
-    smooth = np.concatenate([known[g][1] for g in sorted(known)])
-    index = np.arange(len(blocks))
-    return np.column_stack([np.interp(index, when, smooth[:, k]) for k in range(3)])
-
-
-def _scatter(values: FloatArray, step: float) -> float:
-    """Return the standard deviation of one axis of the block means, from block to block."""
-    square = np.square(np.diff(values, axis=0)).sum(axis=1)
-    # 2.366 is the median of chi-square with three degrees of freedom.
-    return max(float(np.sqrt(np.median(square) / (2 * 2.366))), float(step / np.sqrt(12)))
-
-
-def _split(
-    segments: list[tuple[int, int]], moved: Callable[[int, int], BoolArray]
-) -> list[tuple[int, int]]:
-    """Return what is left of the segments when the blocks that moved are taken out."""
-    left = []
-    for a, b in segments:
-        start, stop = runs(~moved(a, b))
-        left += [(a + int(s), a + int(e)) for s, e in zip(start, stop, strict=True)]
-    return left
-
-
-def _force_moved(
-    blocks: Blocks, a: int, b: int, *, units: Units, scale: int, noise: float
-) -> BoolArray:
-    """Return which blocks are bumps (scale 1), or where means over `scale` blocks change."""
-    n = b - a
-    moved = np.zeros(n, bool)
-    accel = blocks.accel[a:b]
-    if scale == 1:
-        local = moving_median(accel, min(11, n))
-        moved |= np.linalg.norm(accel - local, axis=1) > (NORM + 1) * noise
-        if blocks.size > 1:
-            freedom = 3 * (blocks.size - 1)
-            limit = max(BUMP, 1 + 8 * np.sqrt(2 / freedom))
-            for power in (blocks.accel_power[a:b], blocks.gyro_power[a:b]):
-                moved |= power > limit * np.median(power)
-    elif n >= 2 * scale:
-        mean = moving_mean(accel, scale)
-        change = np.linalg.norm(mean[scale:] - mean[:-scale], axis=1)
-        usual = np.sqrt(2) * noise * max(NORM / np.sqrt(scale), LASTING)
-        spill(moved, change > usual + SAME * units.gravity, 2 * scale)
-    return moved
-
-
-def _rate_moved(off: FloatArray, a: int, b: int, *, scale: int, level: float) -> BoolArray:
-    """Return which blocks are in a stretch of `scale` whose mean rate is not that of rest."""
-    moved = np.zeros(b - a, bool)
-    if b - a >= scale:
-        spill(moved, np.linalg.norm(moving_mean(off[a:b], scale), axis=1) > level, scale)
-    return moved
-
-
-def _join(
-    blocks: Blocks,
-    off: FloatArray,
-    segments: list[tuple[int, int]],
-    noise: tuple[float, float],
-    units: Units,
-) -> list[tuple[int, int]]:
-    """Return the segments of one run, those joined between which nothing turned.
-
-    What stands between them is a tremble or a tap, as it is within the limits of a rest: it stays
-    in the pose if the rate over it has no integral and the force is the same on both sides.
-    """
-    joined: list[tuple[int, int]] = []
-    for segment in segments:
-        if joined:
-            (a, b), (c, d) = joined[-1], segment
-            turned = np.linalg.norm(off[b:c].sum(axis=0)) * blocks.duration * (units.rate or 1.0)
-            tilt = blocks.accel[max(a, b - 10) : b].mean(axis=0)
-            tilt = tilt - blocks.accel[c : min(d, c + 10)].mean(axis=0)
-            few = np.sqrt(1 / min(10, b - a) + 1 / min(10, d - c))
-            if turned <= SAME and np.linalg.norm(tilt) <= (
-                SAME * units.gravity + NORM * noise[0] * few
-            ):
-                joined[-1] = (a, d)
-                continue
-        joined.append(segment)
-    return joined
-
-
-def _trim(
-    off: FloatArray, segments: list[tuple[int, int, float]], least: int, units: Units
-) -> list[tuple[int, int]]:
-    """Return the segments with their ends moved to where the turns beside them began."""
-    found = []
-    edges = [0, *(e for segment in segments for e in segment[:2]), len(off)]
-    for k, (a, b, level) in enumerate(segments):
-        if b - a < least or _swings(off[a:b], units):
-            continue
-        rate = off[edges[2 * k] : edges[2 * k + 3]] - np.median(off[a:b], axis=0)
-        size = np.linalg.norm(rate, axis=1)
-        into, out = a - edges[2 * k], edges[2 * k + 3] - b
-        begin, early = _rise(size[::-1], out + b - a, level, (b - a) // 2)
-        end, late = _rise(size, into + b - a, level, (b - a) // 2)
-        spare = b - a - begin - end - SHORTEST
-        if spare >= 0:
-            # A short rest keeps its middle: there margins share what there is.
-            share = min(1.0, spare / max(early + late, 1))
-            found.append((a + begin + int(early * share), b - end - int(late * share)))
-    return found
-
-
-def _swings(off: FloatArray, units: Units) -> bool:
-    """Return whether the rate only passes through that of rest, or near it, as in a swing."""
-    if units.rate is None or len(off) > LONG_REST:
-        return False
-    half = len(off) // 2
-    change = off[-half:].mean(axis=0) - off[:half].mean(axis=0)
-    second = np.square(np.diff(off, 2, axis=0)).sum(axis=1)
-    noise = np.sqrt(np.median(second) / (6 * 2.366)) if len(second) else 0.0
-    usual = REVERSAL / units.rate + NORM * np.sqrt(2 / half) * noise
-    return bool(max(np.linalg.norm(change), 2 * np.linalg.norm(off.mean(axis=0))) > usual)
-
-
-def _rise(rate: FloatArray, end: int, level: float, inside: int) -> tuple[int, int]:
-    """Return by how many blocks the end of a segment must move inwards, and a margin to that.
-
-    A rate that grows as (t - t0)² passes `level` at t1 and four times it at t2 = 2 t1 - t0. The
-    level may have been passed for good up to `inside` blocks before the end.
-    """
-    begin = end - min(inside, LONGEST_RISE)
-    rate = rate[begin : end + 2 * LONGEST_RISE]
-    if end - begin >= len(rate):
-        return 0, 0
-    above = rate > level
-    outside = np.flatnonzero(above[end - begin :])
-    if not outside.size:
-        return 0, 1
-    below = np.flatnonzero(~above[: end - begin + int(outside[0])])
-    first = int(below[-1]) + 1 if below.size else 0
-    high = np.flatnonzero(rate[first:] > RISE * level)
-    rise = int(high[0]) if high.size else int(np.argmax(rate[first:]))
-    inwards = rise - (first - (end - begin))
-    # A quarter of the rise, and the two blocks in which the levels were passed.
-    margin = (rise + 3) // 4 + 2
-    if inwards < 0:
-        inwards, margin = 0, max(0, margin + inwards)
-    return min(inwards, LONGEST_RISE), margin
