@@ -28,8 +28,9 @@
             └── FlashStateError         the device's state is not what it was     exit 9
 
 Exit 0 is success, 1 a bug in imu-cal, 2 wrong usage, 5 a partial result, 6 a check that said no
-(``verify``, ``--strict``, a FAIL on the line), 130 an interruption. A bad argument of a library
-function is a `ValueError` that names the argument in backticks.
+(``verify``, ``--strict``, a FAIL on the line), 11 a run of the line that ended in ERROR, 130 an
+interruption. A bad argument of a library function is a `ValueError` that names the argument in
+backticks.
 
 A message says what was seen, what was expected, and what to do next.
 """
