@@ -7,13 +7,13 @@ does is found; of the signed permutations of the axes, likewise.
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from calib.closure import TurnSteps, closure_residual
+from calib.effects.axis_error import ORDERS, signed_permutation
 from calib.poses import Poses
 from calib.recording import Recording
 from calib.rotation import cumulative_quat_segments, mat_from_quat, quat_from_rotvec
@@ -61,17 +61,7 @@ MOST = 0.7
 """Of the turns must close: two axes swapped leave turns about the third as they are."""
 FEWEST = 6
 """Turns that are not all explained by chance if factors that nobody knows are tried."""
-
-
-def _signed_permutations() -> list[FloatArray]:
-    signs = itertools.product((1.0, -1.0), repeat=3)
-    orders = itertools.permutations(range(3))
-    return [
-        np.diag(sign) @ np.eye(3)[list(order)] for order, sign in itertools.product(orders, signs)
-    ]
-
-
-AXIS_MAPS = _signed_permutations()
+AXIS_MAPS = [signed_permutation(number) for number in range(len(ORDERS))]
 
 
 @dataclass(frozen=True, eq=False)
