@@ -429,6 +429,9 @@ def sized_term(
     weights = {n: typical[n] * rng.normal() for n in used}
     if single:
         weights = {n: typical[n] * float(rng.choice([-1.0, 1.0])) for n in used}
+    # Of what is never negative (no filter sharpens) there is no such case.
+    never = {p.name for p in effect.parameters if p.least >= 0.0}
+    weights = {n: abs(w) if n in never else w for n, w in weights.items()}
     total = sum(w * rows.column(columns[n]) for n, w in weights.items())
     scale = float(np.sqrt(power / np.square(whitener.project(total)).sum()))
     if any(p.unit == "samples" for p in effect.parameters):

@@ -138,6 +138,9 @@ class State:
     known_gradient : (n, 3, 3) array, 1/s², or None
         `gradient`, where it is known better than from the rate: that of signals that have passed a
         low-pass is not what a low-pass leaves of it, as it has products of the rate.
+    witnessed : Signals or None
+        Force and rate as nearly as truth and recording together tell, where the truth has noise of
+        its own: derivatives are made of these.
     """
 
     time: FloatArray
@@ -154,6 +157,7 @@ class State:
     temperature_slope: FloatArray | None = None
     gravity: float = G
     known_gradient: FloatArray | None = None
+    witnessed: Signals | None = None
 
     def derivative(self, values: FloatArray) -> FloatArray:
         """Return the time derivative of (n, ...) values, of their cubic spline through all times.

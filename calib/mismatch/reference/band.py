@@ -9,6 +9,7 @@ that a lever arm feels, is not known. There the differences are blurred.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -251,12 +252,32 @@ def low_passed(recording: Recording, bandwidth: float) -> Recording:
 
 def smoothed(time: FloatArray, values: FloatArray, bandwidth: float) -> FloatArray:
     """Return (n, k) values at (n,) times through `zero_phase`, gaps bridged by straight lines."""
-    cutoff = bandwidth * float(np.median(np.diff(time)))
-    at = _places(time, int(np.ceil(FELT / cutoff)))
+    return filtered(time, values, lambda f: 1.0 / (1.0 + (f / bandwidth) ** 8), bandwidth)
+
+
+def filtered(
+    time: FloatArray,
+    values: FloatArray,
+    response: Callable[[FloatArray], FloatArray],
+    slowest: float = NARROWEST,
+) -> FloatArray:
+    """Return (n, k) values at (n,) times through a filter without delay.
+
+    Parameters
+    ----------
+    time, values : (n,) and (n, k) arrays
+    response : function
+        Of frequencies, Hz.
+    slowest : float, Hz
+        What it changes lasts a few of its periods: longer gaps are cut to that, and all are bridged
+        by straight lines.
+    """
+    step = float(np.median(np.diff(time)))
+    at = _places(time, int(np.ceil(FELT / (slowest * step))))
     if at[-1] >= len(at):
         whole = np.arange(at[-1] + 1)
         values = np.stack([np.interp(whole, at, column) for column in values.T], axis=1)
-    return zero_phase(values, cutoff)[at]
+    return _passed(values, lambda f: response(f / step))[at]
 
 
 def zero_phase(values: FloatArray, cutoff: float) -> FloatArray:
@@ -265,12 +286,17 @@ def zero_phase(values: FloatArray, cutoff: float) -> FloatArray:
     That is a Butterworth low-pass of fourth order there and back, of the same response at any rate:
     a digital one is warped, and two sampled at unlike rates would differ by their filters.
     """
+    return _passed(values, lambda f: 1.0 / (1.0 + (f / cutoff) ** 8))
+
+
+def _passed(values: FloatArray, response: Callable[[FloatArray], FloatArray]) -> FloatArray:
+    """Return (n, k) values through a response to frequencies in cycles per sample."""
     from scipy.fft import dct, idct  # only comparisons need them
 
     # Mirrored at both ends: there noise makes no step, and what moves does not jump.
     spectrum = dct(values, axis=0)
     frequency = np.arange(len(values)) / (2 * len(values))
-    out: FloatArray = idct(spectrum / (1.0 + (frequency[:, None] / cutoff) ** 8), axis=0)
+    out: FloatArray = idct(spectrum * response(frequency)[:, None], axis=0)
     return out
 
 

@@ -38,6 +38,7 @@ from calib.mismatch.reference.stilled import gradient_in, resting, stilled
 from calib.mismatch.reference.truths import RecordingTruth
 from calib.mismatch.reference.visible import catalogue_shapes
 from calib.mismatch.reference.windowed import Shapes, find_shapes, make_rows, robust_step
+from calib.mismatch.reference.witnessed import witnessed
 from calib.mismatch.rows.rows import Rows
 from calib.mismatch.twin.twin import ACCEL_MISALIGNMENT, baseline_column
 from calib.model import SensorModel
@@ -269,6 +270,8 @@ class ComparisonProblem:
         """Return recording minus model of the truth."""
         state = self.state()
         left = self.residual(state)
+        if self.colours is not None and state.mat_ns is not None:
+            state = replace(state, witnessed=witnessed(state, left, self.colours))
         state = stilled(state, self.rests)
         # The sensor's errors act on what it feels where it is. Of a motion that is not resolved
         # that is not known: it would be noise, and the same in many columns.
