@@ -69,7 +69,7 @@ class Bandwidth(TransformEffect):
 
     def reach(self, parameters: Mapping[str, float], *, interval: float) -> int:
         both = present(parameters, "both", "both_cutoff")
-        late = 0.0 if both is None else _delay(both, 2)
+        late = 0.0 if both is None else group_delay(both, 2)
         return SPLINE_REACH + seconds_of_samples(late, interval)
 
     def columns(self, state: State, shape: Mapping[str, float]) -> dict[str, Column]:
@@ -110,7 +110,7 @@ class Bandwidth(TransformEffect):
         order = int(parameters.get("order", 1))
         both = present(parameters, "both", "both_cutoff")
         if both is not None:
-            before = time - _delay(both, order)
+            before = time - group_delay(both, order)
             signals = Signals(
                 *(resample(time, _sharpen(time, x, both, order=order), before) for x in signals)
             )
@@ -126,7 +126,7 @@ class Bandwidth(TransformEffect):
         def restore(parameters: Mapping[str, float]) -> Signals:
             order = int(parameters.get("order", 1))
             both = present(parameters, "both", "both_cutoff")
-            late = 0.0 if both is None else _delay(both, order)
+            late = 0.0 if both is None else group_delay(both, order)
             out = []
             for triad, values, spectrum in zip(("accel", "gyro"), signals, spectra, strict=True):
                 passed = [(both, late), (present(parameters, triad, f"{triad}_cutoff"), 0.0)]
@@ -142,10 +142,11 @@ def prompt_low_pass(
 ) -> FloatArray:
     """Return (n, k) values through the low-pass, its delay at low frequency taken off."""
     late = low_pass(time, values, cutoff, order=order)
-    return resample(time, late, time + _delay(cutoff, order))
+    return resample(time, late, time + group_delay(cutoff, order))
 
 
-def _delay(cutoff: float, order: int) -> float:
+def group_delay(cutoff: float, order: int) -> float:
+    """Return by how much slow signals come late, s; of a delay, the cut-off that makes it, Hz."""
     return (1.0, float(np.sqrt(2)))[order - 1] / (2 * np.pi * cutoff)
 
 

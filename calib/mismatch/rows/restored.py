@@ -19,43 +19,58 @@ from calib.mismatch.rows.rows import ClosedTurns, Rows
 from calib.types import FloatArray, IntArray
 
 STILL = 1 / 3
-"""s of rest that are put at either end of each turn, in which a low-pass of 3 Hz settles."""
+"""s of rest that are put at either end of each turn, in which a low-pass of 3 Hz settles, and as
+long as the longest delay."""
 
 
 def whole_changes(
     effect: TransformEffect, rows: Rows, shape: Mapping[str, float]
 ) -> dict[str, FloatArray]:
     """Return what each part of an effect, there in the recorded signals, did to the rows (m,)."""
-    turns = rows.turns
     out: dict[str, FloatArray] = {}
-    if not len(turns.index):
-        return out
-    recorded, place, restore = _settled(effect, turns)
     for p in effect.parameters:
         alone = {q.name: float(q is p) for q in effect.parameters}
-        before = restore({**alone, **shape})
-        if all(a is b for a, b in zip(before, recorded, strict=True)):
-            continue
-        frame = turns.frame
-        if before.gyro is not recorded.gyro:
-            frame = turned_frames(turns.spans, before.gyro[place])
-        ended = end_turns(turns.spans, before.accel[place], frame)
-        tilt = np.einsum("kij,kj->ki", turns.ended.frame - ended.frame, turns.up_after)
-        out[p.name] = np.zeros(len(rows.residual))
-        out[p.name][turns.index[:, :2]] = np.einsum("kij,ki->kj", across(turns.up_before), tilt)
-        out[p.name][turns.index[:, 2:]] = turns.ended.velocity - ended.velocity
+        change = whole_change(effect, rows, {**alone, **shape})
+        if change is not None:
+            out[p.name] = change
+    return out
+
+
+def whole_change(
+    effect: TransformEffect, rows: Rows, parameters: Mapping[str, float]
+) -> FloatArray | None:
+    """Return what an effect, there in the recorded signals, did to the rows (m,); None if nothing.
+
+    A delay is no longer than `STILL`.
+    """
+    turns = rows.turns
+    if not len(turns.index):
+        return None
+    recorded, place, restore = _settled(effect, turns, rows.state.gravity)
+    before = restore(parameters)
+    if all(a is b for a, b in zip(before, recorded, strict=True)):
+        return None
+    frame = turns.frame
+    if before.gyro is not recorded.gyro:
+        frame = turned_frames(turns.spans, before.gyro[place])
+    ended = end_turns(turns.spans, before.accel[place], frame)
+    tilt = np.einsum("kij,kj->ki", turns.ended.frame - ended.frame, turns.up_after)
+    out = np.zeros(len(rows.residual))
+    out[turns.index[:, :2]] = np.einsum("kij,ki->kj", across(turns.up_before), tilt)
+    out[turns.index[:, 2:]] = turns.ended.velocity - ended.velocity
     return out
 
 
 @lru_cache(maxsize=1)
 def _settled(
-    effect: TransformEffect, turns: ClosedTurns
+    effect: TransformEffect, turns: ClosedTurns, gravity: float
 ) -> tuple[Signals, IntArray, Callable[[Mapping[str, float]], Signals]]:
     """Return signals at rest before and after each turn, and what takes an effect out of them.
 
     Beside them the place of each of the turns' own points.
     """
-    # Signals rest before and after each turn; of that the grid keeps only a few points.
+    # Signals rest before and after each turn; of that the grid keeps only a few points. What they
+    # are there is known: one sample more of them would be its noise, held for that long.
     spans = turns.spans
     inside = np.ones(len(spans.time), bool)
     inside[spans.last] = False
@@ -67,4 +82,9 @@ def _settled(
     place = np.cumsum(count) - 1
     place[spans.last] -= still
     recorded = Signals(*(np.repeat(x, count, axis=0) for x in (turns.force, turns.rate)))
+    for off in range(1, still + 1):
+        before, after = place[spans.start] - off, place[spans.last] + off
+        recorded.accel[before] = gravity * turns.up_before
+        recorded.accel[after] = gravity * turns.up_after
+        recorded.gyro[before] = recorded.gyro[after] = 0.0
     return recorded, place, effect.restorer(recorded, interval=interval)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -115,8 +116,7 @@ def _step(
         if _movable(a.candidate, signals=problem.moves_signals):
             removed = removed + a.columns @ own
             a = replace(a, values=a.values + change, in_model=True)
-            values = dict(zip(a.candidate.parameters, a.values, strict=True))
-            terms.append(Term(a.candidate.name, {**values, **a.candidate.shape}))
+            terms.append(_term(a))
         moved.append(a)
     baseline = dict(zip(rows.names, step[:p], strict=True))
     problem.move(baseline, step[p : p + q], tuple(terms))
@@ -124,17 +124,31 @@ def _step(
     return rows, [_renew(a, rows, reference=problem.reference) for a in moved], removed
 
 
+def put_back(problem: Problem, rows: Rows, accepted: list[Accepted]) -> Rows:
+    """Return the rows of a model that has taken up what these findings say it has, no others."""
+    terms = tuple(_term(a) for a in accepted if a.in_model)
+    problem.move({}, np.zeros(rows.nuisance.shape[1]), terms)
+    return problem.rows()
+
+
+def _term(a: Accepted) -> Term:
+    values = dict(zip(a.candidate.parameters, a.values, strict=True))
+    return Term(a.candidate.name, {**values, **a.candidate.shape})
+
+
 def _movable(candidate: Candidate, *, signals: bool) -> bool:
     """Return whether a model can take up a finding.
 
-    What is added always; what acts on the signals where the model predicts them, in proportion.
+    What is added always, and what acts on the signals in proportion; but where the model does not
+    predict signals no event, which it takes out of the one turn that its moment is in.
     """
     if not candidate.physical:
         return False
     effect = get_effect(candidate.name)
     if not isinstance(effect, TransformEffect):
         return True
-    return signals and all(p.unit != PRESENCE for p in effect.parameters)
+    lasting = signals or effect.kind != "event"
+    return lasting and all(p.unit != PRESENCE for p in effect.parameters)
 
 
 def _renew(a: Accepted, rows: Rows, *, reference: bool) -> Accepted:
@@ -293,20 +307,27 @@ def refined(
         sizes = [i for i in effect.shape if i.spacing == "log" and i.name in candidate.shape]
         for shape in forms(effect, best[0].shape):
             for item in sizes:
-                _climb(try_shape, shape, item.name)
+                climb(partial(_try_size, try_shape, shape, item.name), shape[item.name])
     return best
 
 
-def _climb(gain: Callable[[dict[str, float]], float], shape: dict[str, float], name: str) -> None:
-    """Call `gain` with values of one shape parameter, closing in on its maximum."""
-    step, here, value = 0.08, shape[name], gain(shape)
+def _try_size(
+    gain: Callable[[dict[str, float]], float], shape: dict[str, float], name: str, size: float
+) -> float:
+    return gain({**shape, name: size})
+
+
+def climb(gain: Callable[[float], float], here: float) -> float:
+    """Return where a function of a size has its maximum, closing in on it from a size near it."""
+    step, value = 0.08, gain(here)
     while step > 1e-4:
         up, down = here * (1 + step), here / (1 + step)
-        new, at = max((gain({**shape, name: x}), x) for x in (up, down))
+        new, at = max((gain(x), x) for x in (up, down))
         if new > value:
             value, here = new, at
         else:
             step /= 3
+    return here
 
 
 def likelihood_gain(columns: FloatArray, y: FloatArray, *, present: bool = False) -> float:

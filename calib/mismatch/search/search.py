@@ -13,6 +13,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from calib.effects import get_effect
+from calib.effects.base import TransformEffect
 from calib.mismatch.hypotheses.answers import grouped, leading, nearby
 from calib.mismatch.hypotheses.candidates import Candidate
 from calib.mismatch.hypotheses.families import candidate_columns
@@ -34,7 +35,8 @@ from calib.mismatch.search.ranking import (
     make_stack,
     rank,
 )
-from calib.mismatch.search.refit import Problem, refined, refit
+from calib.mismatch.search.refit import Problem, put_back, refined, refit
+from calib.mismatch.search.whole import whole_instead, whole_odds
 from calib.types import FloatArray
 
 TIE = 0.05
@@ -110,12 +112,15 @@ def search(problem: Problem, *, skip: tuple[str, ...] = ()) -> Outcome:
         if chosen is None:
             break
         new = _accept(rows, stack, chosen, float(np.exp(min(ranking.worth, 700))))
+        rows, new = whole_instead(problem, rows, stack, accepted, new, ranking.levels_with(chosen))
         accepted = _with(rows, accepted, new, reference=problem.reference)
         fit = refit(problem, rows, accepted, ranking.levels_with(chosen))
         rows, accepted, levels, straight = fit
         extra = _superfluous(rows, accepted, levels)
         if extra is not None:
             accepted = [a for a in accepted if a is not extra]
+            if extra.in_model:
+                rows = put_back(problem, rows, accepted)
             rows, accepted, levels, again = refit(problem, rows, accepted, levels)
             straight &= again
         # Beside a reference columns change with the alignment, too.
@@ -132,6 +137,10 @@ def search(problem: Problem, *, skip: tuple[str, ...] = ()) -> Outcome:
             posterior=_posterior(rows, stack, accepted, i, levels, reference=problem.reference),
         )
         for i, a in enumerate(accepted)
+    ]
+    accepted = [
+        whole_odds(problem, rows, stack, accepted, i, levels, mimicked=MIMICKED, least=2 * TWIN)
+        for i in range(len(accepted))
     ]
     rows, accepted = settle(rows, accepted, levels, contrast, reference=problem.reference)
     return Outcome(rows, tuple(accepted), levels, contrast, ranking.total, tuple(stack.candidates))
@@ -319,7 +328,7 @@ def _accept(rows: Rows, stack: Stack, chosen: Candidate, e_value: float) -> Acce
 
 def _superfluous(rows: Rows, accepted: list[Accepted], levels: FloatArray) -> Accepted | None:
     """Return the rival or transform that later findings have made worthless, if there is one."""
-    earlier = [a for a in accepted[:-1] if not a.in_model]
+    earlier = [a for a in accepted[:-1] if not a.in_model or _undone(rows, a)]
     if not earlier:
         return None
     contrast = contrast_noise(rows, accepted)
@@ -332,11 +341,17 @@ def _superfluous(rows: Rows, accepted: list[Accepted], levels: FloatArray) -> Ac
         own = Stack(len(rows.residual))
         index = own.columns.add(a.columns)
         own.candidates.append(replace(a.candidate, index=index, summed=False, mixing=None))
-        value = own.log_bayes_factors(whitener, whitener.project(rows.residual))[0]
+        residual = rows.residual + a.columns @ (a.values / a.typical)
+        value = own.log_bayes_factors(whitener, whitener.project(residual))[0]
         value += np.log(a.candidate.weight)
         if value < worst[0]:
             worst = (float(value), a)
     return worst[1]
+
+
+def _undone(rows: Rows, a: Accepted) -> bool:
+    """Whether a finding was taken out of the signals, which rows of a twin alone have in them."""
+    return not rows.aligned and isinstance(get_effect(a.candidate.name), TransformEffect)
 
 
 def _posterior(

@@ -9,7 +9,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy import sparse
 
-from calib.effects.base import State
+from calib.effects import get_effect
+from calib.effects.base import State, TransformEffect
 from calib.mismatch.noise.coupling import PARTS
 from calib.mismatch.noise.sampling import sampling_components
 from calib.mismatch.noise.sensornoise import (
@@ -315,12 +316,16 @@ def between_samples(grid: Grid) -> FloatArray:
 
 
 def _explained(grid: Grid, twin: Twin, state: State) -> FloatArray:
-    """Return what the model's further terms add to the signals, (n, 6)."""
+    """Return what the model's further terms add to the signals at rest, (n, 6).
+
+    A delay or a filter changes nothing there. The grid thins rests, so that what spills into them
+    from a turn would not be to scale.
+    """
     model = twin.model
-    if not model.terms:
+    added = tuple(t for t in model.terms if not isinstance(get_effect(t.effect), TransformEffect))
+    if not added:
         return np.zeros((len(grid.time), 6))
-    plain = replace(model, terms=())
-    full, bare = model.distort(state), plain.distort(state)
+    full, bare = (replace(model, terms=terms).distort(state) for terms in (added, ()))
     return np.hstack((full.accel - bare.accel, full.gyro - bare.gyro))
 
 

@@ -4,14 +4,17 @@ import numpy as np
 import pytest
 
 from calib.effects import get_effect
-from calib.effects.base import Term
+from calib.effects.base import Term, TransformEffect
 from calib.mismatch.hypotheses.families import effect_columns
+from calib.mismatch.noise.sensornoise import sample_noise
 from calib.mismatch.rows.grid import make_grid
+from calib.mismatch.rows.restored import whole_change
 from calib.mismatch.rows.rows import Kind
 from calib.mismatch.twin.residuals import build_rows
+from calib.mismatch.twin.selfmode import SelfProblem
 from calib.statics import find_poses
 
-from ..bench import problem, recording
+from ..bench import GRAVITY, problem, recording
 
 
 @pytest.mark.parametrize(
@@ -40,6 +43,24 @@ def test_the_change_of_a_low_pass_is_the_difference_that_it_made(
         size = np.linalg.norm(made[rows.kind == kind])
         assert np.linalg.norm((found - made)[rows.kind == kind]) < share * size + 1e-3
     assert not found[rows.kind <= Kind.CONTRAST].any()
+
+
+@pytest.mark.parametrize("delay", [0.004, -0.03, 0.1])
+def test_the_change_of_a_delay_is_the_difference_that_it_made(delay: float) -> None:
+    clean = recording()
+    late = recording(Term("time_offset", {"gyro_delay": delay}))
+    poses = find_poses(late)
+    grids = [make_grid(real, poses) for real in (late, clean)]
+    twin = SelfProblem(grids[1], None, gravity=GRAVITY, full_gyro=False).twin
+    rows, plain = (build_rows(grid, twin, sample_noise(grid)) for grid in grids)
+    effect = get_effect("time_offset")
+    assert isinstance(effect, TransformEffect)
+    found = whole_change(effect, rows, {"gyro_delay": delay})
+    assert found is not None
+    turns = rows.kind >= Kind.ATTITUDE
+    made = (rows.residual - plain.residual)[turns]
+    assert np.linalg.norm(found[turns] - made) < 0.02 * np.linalg.norm(made) + 1e-3
+    assert not found[~turns].any()
 
 
 def test_each_part_of_a_low_pass_has_its_own_column() -> None:

@@ -5,6 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calib.effects import get_effect
+from calib.effects.base import Term
 from calib.mismatch.noise.noise import covariance, estimate_levels, expected_levels
 from calib.mismatch.rows import grid
 from calib.mismatch.rows.grid import make_grid
@@ -57,6 +59,20 @@ def test_nuisance_columns_are_derivatives_by_the_attitudes():
         seen = (build_rows(grid, twin, self_mode.noise).residual - rows.residual) / STEP
         scale = np.abs(rows.nuisance[:, j]).max()
         np.testing.assert_allclose(seen, -rows.nuisance[:, j], atol=1e-4 * scale)
+
+
+def test_a_delay_in_the_model_is_taken_out_of_turns_and_leaves_rests_alone() -> None:
+    grid, self_mode = problem()
+    rows, twin = self_mode.rows(), self_mode.twin
+    late = Term("time_offset", {"gyro_delay": 0.05})
+    moved = replace(twin, model=replace(twin.model, terms=(late,)))
+    change = build_rows(grid, moved, self_mode.noise).residual - rows.residual
+    rests = rows.kind <= Kind.CONTRAST
+    np.testing.assert_array_equal(change[rests], 0.0)
+    column = rows.column(get_effect("time_offset").columns(rows.state, {})["gyro_delay"])
+    # The first order of 50 ms is most of it.
+    left = change[~rests] + 0.05 * column[~rests]
+    assert np.linalg.norm(left) < 0.3 * np.linalg.norm(change[~rests])
 
 
 def test_rows_without_some_segments_keep_their_own():

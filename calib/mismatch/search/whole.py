@@ -1,0 +1,244 @@
+"""A delay against a low-pass, each as the whole change that it makes.
+
+A gyroscope that is late and one behind a low-pass of that group delay are the same to the first
+order; what tells them apart is of the third. So a delay must not be judged by how it begins: at
+20 ms it is off by more than the two differ. Where it is not straight, both are judged as the
+difference of the turns as they were recorded and as they were before (`rows.restored`), each with
+its size refined and under noise of its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.special import expit
+
+from calib.effects import get_effect
+from calib.effects.bandwidth import group_delay
+from calib.effects.base import TransformEffect
+from calib.mismatch.hypotheses.candidates import Candidate
+from calib.mismatch.hypotheses.families import candidate_columns
+from calib.mismatch.hypotheses.score import Stack
+from calib.mismatch.noise.noise import Levels, Whitener, find_levels, make_whitener
+from calib.mismatch.rows.restored import STILL, whole_change
+from calib.mismatch.rows.rows import Rows
+from calib.mismatch.search.ranking import Accepted, contrast_noise, fitted
+from calib.mismatch.search.refit import BENT, Problem, climb, likelihood_gain, put_back
+from calib.types import FloatArray
+
+DELAY, LOW_PASS = "time_offset", "bandwidth"
+
+DELAYS = np.geomspace(0.005, 0.32, 7)
+"""s, either way. From half of it one can climb to a delay: turns take a second and more."""
+
+
+@dataclass(frozen=True, eq=False)
+class Family:
+    """Changes of one size: a delay, or the low-passes of one order on one triad.
+
+    ``candidate`` is one of them in the stack, ``size`` the name of what is varied, within `within`.
+    """
+
+    candidate: Candidate
+    size: str
+    within: tuple[float, float]
+
+    @property
+    def is_delay(self) -> bool:
+        """Whether it is the delay, of which the size is in proportion."""
+        return self.candidate.name == DELAY
+
+    def parameters(self, size: float) -> Mapping[str, float]:
+        """Return the effect's parameters at a size."""
+        present = dict.fromkeys(self.candidate.parameters, 1.0)
+        return {**present, **self.candidate.shape, self.size: size}
+
+
+@dataclass(frozen=True, eq=False)
+class Whole:
+    """The best of one family: its size, and what it did to the rows."""
+
+    family: Family
+    size: float
+    column: FloatArray
+
+    @property
+    def name(self) -> str:
+        """The effect."""
+        return self.family.candidate.name
+
+
+class Judge:
+    """Log-likelihoods of whole changes beside what was accepted, under the noise of some levels."""
+
+    def __init__(self, rows: Rows, accepted: list[Accepted], levels: FloatArray) -> None:
+        self.rows, self.mean = rows, fitted(rows, accepted)
+        self.contrast = contrast_noise(rows, accepted)
+        self.settle(levels)
+
+    def settle(self, levels: FloatArray) -> None:
+        """Judge under the noise of these levels from now on."""
+        self.levels = levels
+        self.whitener: Whitener = make_whitener(self.rows, levels, self.contrast, self.mean)
+        self.y = self.whitener.project(self.rows.residual)
+
+    def gain(self, column: FloatArray) -> float:
+        """Return the log-likelihood that a change gains."""
+        white = self.whitener.project(column)
+        return likelihood_gain(white[:, None], self.y, present=True)
+
+    def power(self, column: FloatArray) -> float:
+        """Return the square of a column in units of the noise."""
+        return float(np.square(self.whitener.project(column)).sum())
+
+    def without(self, whole: Whole) -> Levels:
+        """Return the levels of the noise that an explanation leaves, and their log-likelihood."""
+        rows = replace(self.rows, residual=self.rows.residual - whole.column)
+        return find_levels(rows, self.mean[: rows.n_dense], self.levels)
+
+    def best(self, family: Family, starts: Iterable[float]) -> Whole:
+        """Return the member of a family that gains most, near the best of some sizes."""
+        effect = get_effect(family.candidate.name)
+        assert isinstance(effect, TransformEffect)
+        low, high = family.within
+        tried: dict[float, FloatArray] = {}
+
+        def gain(size: float) -> float:
+            if not low <= size <= high or not size:
+                return -np.inf
+            change = whole_change(effect, self.rows, family.parameters(size))
+            tried[size] = np.zeros(len(self.y)) if change is None else change
+            return self.gain(tried[size])
+
+        inside = [float(np.clip(size, low, high)) for size in starts]
+        size = climb(gain, max(inside, key=gain))
+        return Whole(family, size, tried[size])
+
+
+def whole_instead(
+    problem: Problem,
+    rows: Rows,
+    stack: Stack,
+    accepted: list[Accepted],
+    new: Accepted,
+    levels: FloatArray,
+) -> tuple[Rows, Accepted]:
+    """Return the better of a delay and a low-pass, as whole changes, in the place of either.
+
+    A delay is taken out of the rows. One that is straight stays as it is, and so does all else.
+
+    Parameters
+    ----------
+    problem, rows, stack, accepted : Problem, Rows, Stack, list of Accepted
+        Without the new one.
+    new : Accepted
+    levels : (c,) array
+        Of the noise beside it.
+    """
+    if problem.reference or not _alone(new, accepted):
+        return rows, new
+    judge = Judge(rows, accepted, levels)
+    found = _explanations(judge, stack, new.candidate)
+    if not found:
+        return rows, new
+    best = max(found, key=lambda whole: judge.without(whole).log_likelihood)
+    candidate = best.family.candidate
+    if not best.family.is_delay:
+        candidate = replace(candidate, shape={**candidate.shape, best.family.size: best.size})
+        column = best.column[:, None]
+        return rows, replace(
+            new, candidate=candidate, columns=column, typical=np.ones(1), values=np.zeros(1)
+        )
+    typical, size = np.array([_typical(candidate)]), np.array([best.size])
+    new = replace(new, candidate=candidate, typical=typical, values=size, in_model=True)
+    rows = put_back(problem, rows, [*accepted, new])
+    columns = candidate_columns(rows, candidate, {}, reference=False)
+    return rows, new if columns is None else replace(new, columns=columns)
+
+
+def whole_odds(
+    problem: Problem,
+    rows: Rows,
+    stack: Stack,
+    accepted: list[Accepted],
+    which: int,
+    levels: FloatArray,
+    *,
+    mimicked: float,
+    least: float,
+) -> Accepted:
+    """Return a finding, if it is a delay or a low-pass, with the odds of the other in its place.
+
+    One that is straight has them from its column. The other has a probability of ``least`` at least
+    if the power of what it does not mimic is below ``mimicked``.
+    """
+    own = accepted[which]
+    others = [a for i, a in enumerate(accepted) if i != which]
+    if problem.reference or not _alone(own, others):
+        return own
+    before = put_back(problem, rows, others) if own.in_model else rows
+    judge = Judge(before, others, levels)
+    found = _explanations(judge, stack, own.candidate)
+    if own.in_model:
+        put_back(problem, rows, accepted)
+    best: dict[str, Whole] = {}
+    for whole in sorted(found, key=lambda whole: judge.gain(whole.column)):
+        best[whole.name] = whole
+    if len(best) < 2:
+        return own
+    mine = best.pop(own.candidate.name)
+    (other,) = best.values()
+    share = float(expit(judge.gain(other.column) - judge.gain(mine.column)))
+    if judge.power(mine.column - other.column) < mimicked:
+        share = max(share, least)
+    odds = {mine.name: 1.0 - share, other.name: share}
+    both = sum(own.posterior.get(name, 0.0) for name in odds) or 1.0
+    return replace(own, posterior={**own.posterior, **{k: both * v for k, v in odds.items()}})
+
+
+def _alone(late: Accepted, others: list[Accepted]) -> bool:
+    """Whether it has one triad come late, and no other does; a low-pass of both triads does not."""
+    return (
+        late.candidate.name in (DELAY, LOW_PASS)
+        and late.candidate.parameters != ("both",)
+        and all(a.candidate.name not in (DELAY, LOW_PASS) for a in others)
+    )
+
+
+def _typical(delayed: Candidate) -> float:
+    (typical,) = (p.typical for p in get_effect(DELAY).parameters if p.name in delayed.parameters)
+    return typical
+
+
+def _explanations(judge: Judge, stack: Stack, chosen: Candidate) -> list[Whole]:
+    """Return the best delay, and low-passes of each order; nothing where a delay is straight."""
+    delayed = next((c for c in stack.candidates if c.name == DELAY), None)
+    if delayed is None:
+        return []
+    line = stack.of(delayed)[:, 0] / _typical(delayed)
+    white = judge.whitener.project(line)
+    straight = float(white @ judge.y) / max(float(white @ white), 1e-300)
+    family = Family(delayed, delayed.parameters[0], (-STILL, STILL))
+    delay = judge.best(family, [*-DELAYS, *DELAYS, straight])
+    if judge.power(delay.column - delay.size * line) < BENT:
+        return []
+    triads = {"gyro" if delay.size > 0 else "accel"}
+    if chosen.name == LOW_PASS:
+        triads |= set(chosen.parameters)
+    known = {
+        (c.parameters[0], c.shape["order"]): c
+        for c in stack.candidates
+        if c.name == LOW_PASS and len(c.parameters) == 1 and c.parameters[0] in triads
+    }
+    cutoff = {i.name: (i.low or 0.0, i.high or np.inf) for i in get_effect(LOW_PASS).shape}
+    found = [delay]
+    for (triad, order), c in known.items():
+        size = f"{triad}_cutoff"
+        starts = [group_delay(abs(delay.size), int(order)), c.shape[size]]
+        found.append(judge.best(Family(c, size, cutoff[size]), starts))
+    # Levels that had to make up for it leave sizes free that those beside the best do not.
+    first = max(found, key=lambda whole: judge.gain(whole.column))
+    judge.settle(judge.without(first).values)
+    return [judge.best(whole.family, [whole.size]) for whole in found]

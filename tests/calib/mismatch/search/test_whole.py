@@ -1,0 +1,131 @@
+"""A delay and a low-pass that come equally late, however late that is."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from calib.effects.base import Term
+from calib.mismatch import diagnose_recording
+from calib.mismatch.hypotheses.candidates import Candidate
+from calib.mismatch.hypotheses.score import Stack
+from calib.mismatch.noise.noise import expected_levels
+from calib.mismatch.rows.grid import make_grid
+from calib.mismatch.rows.rows import Kind, Rows
+from calib.mismatch.search.ranking import make_stack
+from calib.mismatch.search.search import _accept
+from calib.mismatch.search.whole import whole_instead, whole_odds
+from calib.mismatch.twin.selfmode import SelfProblem
+from calib.statics import find_poses
+
+from ..bench import GRAVITY, recording
+
+TIE = {"mimicked": 9.0, "least": 0.02}
+
+
+def late(delay: float) -> Term:
+    return Term("time_offset", {"gyro_delay": delay})
+
+
+def low_pass(triad: str, cutoff: float, order: int) -> Term:
+    return Term("bandwidth", {f"{triad}_cutoff": cutoff, "order": order})
+
+
+@cache
+def problem(effect: str, *values: float | str) -> tuple[SelfProblem, Rows, Stack]:
+    term = late(*values) if effect == "late" else low_pass(*values)
+    real = recording(term, rate=100.0)
+    grid = make_grid(real, find_poses(real))
+    self_mode = SelfProblem(grid, None, gravity=GRAVITY, full_gyro=False)
+    rows = self_mode.rows()
+    return self_mode, rows, make_stack(rows, skip=(), reference=False)
+
+
+def candidate(stack: Stack, name: str, parameter: str) -> Candidate:
+    return next(c for c in stack.candidates if c.name == name and c.parameters == (parameter,))
+
+
+@pytest.mark.parametrize("delay", [-0.05, 0.02, 0.08])
+def test_a_late_gyroscope_is_named_alone(delay: float) -> None:
+    found = diagnose_recording(recording(late(delay), seed=6), gravity=GRAVITY)
+    assert not found.unexplained
+    (finding,) = found.findings
+    assert finding.effect == "time_offset"
+    q = finding.parameters["gyro_delay"]
+    assert q.sigma is not None
+    assert q.sigma < 2e-4
+    assert q.value == pytest.approx(delay, abs=3 * q.sigma)
+
+
+@pytest.mark.parametrize(
+    ("truth", "guess"),
+    [
+        (("late", 0.03), ("bandwidth", "gyro")),
+        (("late", -0.03), ("time_offset", "gyro_delay")),
+        (("late", -0.03), ("bandwidth", "gyro")),
+    ],
+)
+def test_a_delay_is_found_whatever_was_guessed(
+    truth: tuple[str, float], guess: tuple[str, str]
+) -> None:
+    self_mode, rows, stack = problem(*truth)
+    start = _accept(rows, stack, candidate(stack, *guess), 100.0)
+    moved, found = whole_instead(self_mode, rows, stack, [], start, expected_levels(rows))
+    assert found.candidate.name == "time_offset"
+    assert found.in_model
+    np.testing.assert_allclose(found.values, truth[1], atol=1e-3)
+    # It is no longer in the rows, and its column is that of a little more of it.
+    turns = rows.kind >= Kind.ATTITUDE
+    assert np.linalg.norm(moved.residual[turns]) < 0.1 * np.linalg.norm(rows.residual[turns])
+    assert found.columns.shape == start.columns.shape
+    self_mode.move({}, np.zeros(rows.nuisance.shape[1]), ())
+
+
+@pytest.mark.parametrize("guess", [("time_offset", "gyro_delay"), ("bandwidth", "accel")])
+@pytest.mark.parametrize("order", [1, 2])
+def test_a_low_pass_is_found_whatever_was_guessed(order: int, guess: tuple[str, str]) -> None:
+    self_mode, rows, stack = problem("low-pass", "accel", 4.0, order)
+    start = _accept(rows, stack, candidate(stack, *guess), 100.0)
+    same, found = whole_instead(self_mode, rows, stack, [], start, expected_levels(rows))
+    assert same is rows
+    assert found.candidate.name == "bandwidth"
+    assert not found.in_model
+    assert found.candidate.shape["order"] == order
+    assert found.candidate.shape["accel_cutoff"] == pytest.approx(4.0, rel=0.01)
+
+
+def test_a_delay_that_is_straight_is_left_to_its_column() -> None:
+    self_mode, rows, stack = problem("late", 0.001)
+    start = _accept(rows, stack, candidate(stack, "time_offset", "gyro_delay"), 100.0)
+    same, found = whole_instead(self_mode, rows, stack, [], start, expected_levels(rows))
+    assert same is rows
+    assert found is start
+    assert whole_odds(self_mode, rows, stack, [start], 0, expected_levels(rows), **TIE) is start
+
+
+def test_nothing_else_is_taken_for_a_delay() -> None:
+    self_mode, rows, stack = problem("late", 0.03)
+    levels = expected_levels(rows)
+    own = candidate(stack, "time_offset", "gyro_delay")
+    skew = candidate(stack, "inter_axis_skew", "gyro_y")
+    first, start = (_accept(rows, stack, c, 100.0) for c in (own, skew))
+    assert whole_instead(self_mode, rows, stack, [], start, levels)[1] is start
+    # Nor is a second one looked for.
+    assert whole_instead(self_mode, rows, stack, [first], first, levels)[1] is first
+
+
+@pytest.mark.parametrize(("delay", "tied"), [(0.008, True), (0.06, False)])
+def test_a_low_pass_is_as_likely_as_a_short_delay(delay: float, tied: bool) -> None:
+    self_mode, rows, stack = problem("late", delay)
+    levels = expected_levels(rows)
+    start = _accept(rows, stack, candidate(stack, "time_offset", "gyro_delay"), 100.0)
+    moved, found = whole_instead(self_mode, rows, stack, [], start, levels)
+    if not found.in_model:
+        _, found = whole_instead(self_mode, rows, stack, [], found, levels)
+    odds = whole_odds(self_mode, moved, stack, [found], 0, levels, **TIE).posterior
+    assert set(odds) == {"time_offset", "bandwidth"}
+    assert sum(odds.values()) == pytest.approx(1.0)
+    assert (min(odds.values()) >= TIE["least"]) == tied
+    # The delay stays where it was taken out.
+    np.testing.assert_array_equal(self_mode.rows().residual, moved.residual)
+    self_mode.move({}, np.zeros(rows.nuisance.shape[1]), ())
