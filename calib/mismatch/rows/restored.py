@@ -10,11 +10,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
 from calib.effects.base import Signals, TransformEffect
-from calib.mismatch.rows.closure import across, end_turns, turned_frames
+from calib.mismatch.rows.closure import Spans, across, end_turns, turned_frames
 from calib.mismatch.rows.rows import ClosedTurns, Rows
 from calib.types import FloatArray, IntArray
 
@@ -61,6 +62,42 @@ def whole_change(
     return out
 
 
+class Settled(NamedTuple):
+    """The signals of turns, at rest before and after each: evenly spaced there, `STILL` long.
+
+    ``time`` is none of a recording's: rests are shorter, or longer, there. ``place`` is that of
+    each of the turns' own points.
+    """
+
+    time: FloatArray
+    signals: Signals
+    place: IntArray
+    interval: float
+
+
+def settle(spans: Spans, turning: Signals, before: Signals, after: Signals) -> Settled:
+    """Return signals (n, 3) of turns between what they are at rest before and after each (k, 3)."""
+    inside = np.ones(len(spans.time), bool)
+    inside[spans.start] = False
+    interval = float(np.median(spans.step[inside]))
+    still = int(np.ceil(STILL / interval))
+    count = np.ones(len(spans.time), np.int64)
+    count[spans.start] += still
+    count[spans.last] += still
+    place = np.cumsum(count) - 1
+    place[spans.last] -= still
+    step = np.full(int(count.sum()), interval)
+    step[place[inside]] = spans.step[inside]
+    near = np.arange(1, still + 1)[:, None]
+    out = []
+    for values, first, last in zip(turning, before, after, strict=True):
+        whole = np.repeat(values, count, axis=0)
+        whole[place[spans.start] - near] = first
+        whole[place[spans.last] + near] = last
+        out.append(whole)
+    return Settled(np.cumsum(step) - step[0], Signals(*out), place, interval)
+
+
 @lru_cache(maxsize=1)
 def _settled(
     effect: TransformEffect, turns: ClosedTurns, gravity: float
@@ -71,20 +108,8 @@ def _settled(
     """
     # Signals rest before and after each turn; of that the grid keeps only a few points. What they
     # are there is known: one sample more of them would be its noise, held for that long.
-    spans = turns.spans
-    inside = np.ones(len(spans.time), bool)
-    inside[spans.last] = False
-    interval = float(np.median(np.diff(spans.time)[inside[:-1]]))
-    still = int(np.ceil(STILL / interval))
-    count = np.ones(len(spans.time), np.int64)
-    count[spans.start] += still
-    count[spans.last] += still
-    place = np.cumsum(count) - 1
-    place[spans.last] -= still
-    recorded = Signals(*(np.repeat(x, count, axis=0) for x in (turns.force, turns.rate)))
-    for off in range(1, still + 1):
-        before, after = place[spans.start] - off, place[spans.last] + off
-        recorded.accel[before] = gravity * turns.up_before
-        recorded.accel[after] = gravity * turns.up_after
-        recorded.gyro[before] = recorded.gyro[after] = 0.0
-    return recorded, place, effect.restorer(recorded, interval=interval)
+    before, after = (
+        Signals(gravity * up, np.zeros_like(up)) for up in (turns.up_before, turns.up_after)
+    )
+    known = settle(turns.spans, Signals(turns.force, turns.rate), before, after)
+    return known.signals, known.place, effect.restorer(known.signals, interval=known.interval)

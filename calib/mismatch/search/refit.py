@@ -69,11 +69,17 @@ def refit(
     rows: Rows,
     accepted: list[Accepted],
     levels: FloatArray,
+    *,
+    refine: bool = True,
 ) -> Refit:
-    """Fit everything jointly, move the model there, and linearise anew."""
+    """Fit everything jointly, move the model there, and linearise anew.
+
+    ``refine`` is whether the shape of the last finding is one of the grid's, and yet to be refined.
+    """
     contrast = contrast_noise(rows, accepted)
     levels = find_levels(rows, fitted(rows, accepted)[: rows.n_dense], levels).values
-    for _ in range(REFINED if accepted and not accepted[-1].in_model else 0):
+    rough = refine and accepted and not accepted[-1].in_model
+    for _ in range(REFINED if rough else 0):
         before = accepted[-1].candidate
         accepted[-1] = _refine(problem, rows, accepted, levels, contrast)
         if accepted[-1].candidate is before or not before.physical:

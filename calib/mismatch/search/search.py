@@ -36,7 +36,7 @@ from calib.mismatch.search.ranking import (
     rank,
 )
 from calib.mismatch.search.refit import Problem, put_back, refined, refit
-from calib.mismatch.search.whole import whole_instead, whole_odds
+from calib.mismatch.search.whole import whole_fit, whole_odds
 from calib.types import FloatArray
 
 TIE = 0.05
@@ -112,9 +112,11 @@ def search(problem: Problem, *, skip: tuple[str, ...] = ()) -> Outcome:
         if chosen is None:
             break
         new = _accept(rows, stack, chosen, float(np.exp(min(ranking.worth, 700))))
-        rows, new = whole_instead(problem, rows, stack, accepted, new, ranking.levels_with(chosen))
-        accepted = _with(rows, accepted, new, reference=problem.reference)
-        fit = refit(problem, rows, accepted, ranking.levels_with(chosen))
+        beside = ranking.levels_with(chosen)
+        fit = whole_fit(problem, rows, stack, accepted, new, beside)
+        if fit is None:
+            accepted = _with(rows, accepted, new, reference=problem.reference)
+            fit = refit(problem, rows, accepted, beside)
         rows, accepted, levels, straight = fit
         extra = _superfluous(rows, accepted, levels)
         if extra is not None:

@@ -25,7 +25,15 @@ from calib.mismatch.noise.noise import Levels, Whitener, find_levels, make_white
 from calib.mismatch.rows.restored import STILL, whole_change
 from calib.mismatch.rows.rows import Rows
 from calib.mismatch.search.ranking import Accepted, contrast_noise, fitted
-from calib.mismatch.search.refit import BENT, Problem, climb, likelihood_gain, put_back
+from calib.mismatch.search.refit import (
+    BENT,
+    Problem,
+    Refit,
+    climb,
+    likelihood_gain,
+    put_back,
+    refit,
+)
 from calib.types import FloatArray
 
 DELAY, LOW_PASS = "time_offset", "bandwidth"
@@ -98,6 +106,10 @@ class Judge:
         rows = replace(self.rows, residual=self.rows.residual - whole.column)
         return find_levels(rows, self.mean[: rows.n_dense], self.levels)
 
+    def most_likely(self, found: Iterable[Whole]) -> Whole:
+        """Return the explanation that is most probable, each under noise of its own."""
+        return max(found, key=lambda whole: self.without(whole).log_likelihood)
+
     def best(self, family: Family, starts: Iterable[float]) -> Whole:
         """Return the member of a family that gains most, near the best of some sizes."""
         effect = get_effect(family.candidate.name)
@@ -117,17 +129,19 @@ class Judge:
         return Whole(family, size, tried[size])
 
 
-def whole_instead(
+def whole_fit(
     problem: Problem,
     rows: Rows,
     stack: Stack,
     accepted: list[Accepted],
     new: Accepted,
     levels: FloatArray,
-) -> tuple[Rows, Accepted]:
-    """Return the better of a delay and a low-pass, as whole changes, in the place of either.
+) -> Refit | None:
+    """Fit the better of a delay and a low-pass, as whole changes, in the place of either.
 
-    A delay is taken out of the rows. One that is straight stays as it is, and so does all else.
+    None of anything else, and of a delay that is straight: its column tells as much. The twin that
+    did not know of either is off by some of it. So they are judged again beside what was fitted
+    together with the first, and once more if that turned out to be the other.
 
     Parameters
     ----------
@@ -138,12 +152,35 @@ def whole_instead(
         Of the noise beside it.
     """
     if problem.reference or not _alone(new, accepted):
-        return rows, new
+        return None
     judge = Judge(rows, accepted, levels)
     found = _explanations(judge, stack, new.candidate)
     if not found:
-        return rows, new
-    best = max(found, key=lambda whole: judge.without(whole).log_likelihood)
+        return None
+    best = judge.most_likely(found)
+    for _ in range(2):
+        rows, own = _accepted(problem, rows, stack, accepted, new, best)
+        fit = refit(problem, rows, [*accepted, own], levels, refine=False)
+        rows, accepted, levels = fit.rows, fit.accepted[:-1], fit.levels
+        judge = Judge(put_back(problem, rows, accepted), accepted, levels)
+        found = [judge.best(whole.family, [whole.size]) for whole in found]
+        put_back(problem, rows, fit.accepted)
+        again = judge.most_likely(found)
+        if again.family is best.family:
+            break
+        best, rows = again, judge.rows
+    return fit._replace(straight=False)
+
+
+def _accepted(
+    problem: Problem,
+    rows: Rows,
+    stack: Stack,
+    accepted: list[Accepted],
+    new: Accepted,
+    best: Whole,
+) -> tuple[Rows, Accepted]:
+    """Return an explanation in the place of the new finding; a delay is taken out of the rows."""
     candidate = best.family.candidate
     if not best.family.is_delay:
         candidate = replace(candidate, shape={**candidate.shape, best.family.size: best.size})
@@ -155,7 +192,7 @@ def whole_instead(
     new = replace(new, candidate=candidate, typical=typical, values=size, in_model=True)
     rows = put_back(problem, rows, [*accepted, new])
     columns = candidate_columns(rows, candidate, {}, reference=False)
-    return rows, new if columns is None else replace(new, columns=columns)
+    return rows, replace(new, columns=stack.of(candidate) if columns is None else columns)
 
 
 def whole_odds(

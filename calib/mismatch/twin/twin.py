@@ -12,6 +12,7 @@ from calib.effects.base import State
 from calib.mismatch.rows.closure import across
 from calib.mismatch.rows.grid import Grid
 from calib.mismatch.twin.heading import orient
+from calib.mismatch.twin.undone import acts_on_turns, undone
 from calib.model import SensorModel
 from calib.recording import AXES
 from calib.types import FloatArray
@@ -58,10 +59,14 @@ def true_state(grid: Grid, twin: Twin, *, headed: bool = True) -> State:
 
     Its headings are left out unless they are wanted, or the model has terms that go with them.
     """
+    signals = undone(grid, twin.model.terms)
+    model = replace(
+        twin.model, terms=tuple(term for term in twin.model.terms if not acts_on_turns(term))
+    )
     measured = State(
         time=grid.time,
-        force=grid.accel,
-        rate=grid.gyro,
+        force=signals.accel,
+        rate=signals.gyro,
         temperature=grid.temperature,
         reference_temperature=twin.model.reference_temperature,
         power_on=grid.began,
@@ -71,12 +76,12 @@ def true_state(grid: Grid, twin: Twin, *, headed: bool = True) -> State:
         temperature_slope=grid.temperature_slope,
         gravity=twin.gravity,
     )
-    corrected = twin.model.correct(measured)
-    felt = any("mat_ns" in get_effect(term.effect).reads for term in twin.model.terms)
+    corrected = model.correct(measured)
+    felt = any("mat_ns" in get_effect(term.effect).reads for term in model.terms)
     if headed or felt:
         measured = replace(measured, mat_ns=orient(grid, twin.up, corrected.gyro))
     if felt:
-        corrected = twin.model.correct(measured)
+        corrected = model.correct(measured)
     pose = grid.pose
     rest = pose >= 0
     force, rate = corrected.accel.copy(), corrected.gyro.copy()
