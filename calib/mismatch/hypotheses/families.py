@@ -26,7 +26,7 @@ candidate: of an axis that never turns, rounding errors are all that there is to
 thing, an arm or a rotation, of which the open part is said too."""
 
 PHYSICAL = 0.6
-"""Prior probability of all physics together; the rivals share the rest."""
+"""Prior probability of all physics together that such rows may show; the rivals share the rest."""
 
 
 def add_catalogue(
@@ -43,14 +43,22 @@ def add_catalogue(
     reference : bool
         Whether the rows compare with a reference, which some parameters need.
     """
-    known = effects()
+    tried = tried_effects(skip=skip, reference=reference)
     noise = np.sqrt(np.concatenate((rows.expected_variance(), rows.white_diagonal)))
-    for slug, effect in known.items():
+    for effect in tried:
+        _add(stack, effect, rows, noise, reference=reference, weight=PHYSICAL / len(tried))
+
+
+def tried_effects(*, skip: tuple[str, ...] = (), reference: bool = False) -> list[Effect]:
+    """Return the effects that rows can show: not what only samples do, or only a reference."""
+    out = []
+    for slug, effect in effects().items():
         # What acts on the readout (clipping, rounding, a unit) shows in the samples, not in rows.
         readout = isinstance(effect, TransformEffect) and effect.stage == "readout"
-        if slug not in skip and (not readout or slug == "dropped_samples"):
-            weight = PHYSICAL / len(known)
-            _add(stack, effect, rows, noise, reference=reference, weight=weight)
+        unseen = not reference and all(p.reference_only for p in effect.parameters)
+        if slug not in skip and not unseen and (not readout or slug == "dropped_samples"):
+            out.append(effect)
+    return out
 
 
 def _add(

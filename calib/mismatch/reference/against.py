@@ -11,7 +11,7 @@ from calib.calibration import Quantity
 from calib.effects import effects, get_effect
 from calib.mismatch.findings.diagnosis import Diagnosis, Finding, summarise
 from calib.mismatch.findings.heldout import HeldOut, held_out
-from calib.mismatch.hypotheses.families import PHYSICAL
+from calib.mismatch.hypotheses.families import PHYSICAL, tried_effects
 from calib.mismatch.hypotheses.score import SCALES, SHARES
 from calib.mismatch.reference.alignment import LEAST_OVERLAP, Alignment, align
 from calib.mismatch.reference.alike import check_apart
@@ -282,6 +282,7 @@ def _setups(
     turn = _rotvec(mat)
     value = np.array([-alignment.offset, 1.0 / (1.0 + alignment.stretch) - 1.0, *(-turn)])
     value = value[: len(slugs)] + step
+    prior = PHYSICAL / len(tried_effects(reference=True))
     for slug in dict.fromkeys(slugs):
         if slug not in setups:
             continue
@@ -290,7 +291,7 @@ def _setups(
         sizes = {x.name: x.typical for x in get_effect(slug).parameters}
         typical = np.array([sizes[n] for n in names])
         covariance = fit.covariance[np.ix_(p + own, p + own)]
-        e_value = PHYSICAL / len(effects()) * bayes_factor(value[own], covariance, typical)
+        e_value = prior * bayes_factor(value[own], covariance, typical)
         if e_value >= CLAIM:
             out.append(_setup(outcome, problem, slug, names, own, value[own], covariance, e_value))
     return out

@@ -8,7 +8,7 @@ from calib.document import from_document, to_document
 from calib.effects import effects
 from calib.effects.base import Term
 from calib.mismatch import Diagnosis, diagnose_recording
-from calib.mismatch.hypotheses.families import PHYSICAL
+from calib.mismatch.hypotheses.families import PHYSICAL, tried_effects
 from calib.mismatch.rows.grid import make_grid
 from calib.mismatch.search.ranking import make_stack
 from calib.mismatch.twin.selfmode import SelfProblem
@@ -101,4 +101,4 @@ def test_a_cube_comes_only_with_all_lower_powers():
     cubes = [c for c in own if any(n.startswith("c") for n in c.parameters)]
     assert [len(c.parameters) for c in cubes] == [9]
     assert {len(c.parameters) for c in own} == {1, 3, 6, 9}
-    assert sum(c.weight for c in own) == pytest.approx(PHYSICAL / len(effects()))
+    assert sum(c.weight for c in own) == pytest.approx(PHYSICAL / len(tried_effects()))
