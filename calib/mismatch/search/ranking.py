@@ -32,15 +32,18 @@ from calib.mismatch.rows.rows import Rows
 from calib.recording import CHANNELS
 from calib.types import BoolArray, FloatArray
 
-CLAIM = 3.0
+CLAIM = 2.5
 """E-value at which something is claimed to be left. Markov's inequality bounds the share of clean
-recordings that reach it by a third, but only evidence that is all or nothing attains that: of
-normal errors under as many looks as here, ``benchmarks/evidence.py`` counts 1 in 330."""
+recordings that reach it by 40 %, but only evidence that is all or nothing attains that: of normal
+errors under as many looks as here, ``benchmarks/evidence.py`` counts 1 in 280."""
 
-DRIFTING = 0.2
+DRIFTING = 0.125
 """What evidence counts where a drift can mimic it and rests alone show that: it stands or falls
 with the slow end of the noise, of which a recording's rests show a few modes only. So it has to
-reach fifteen times what is as likely as not. Beside a truth every moment shows it."""
+reach twenty times what is as likely as not. Beside a truth every moment shows it."""
+
+COUNTS = 0.05
+"""E-value from which a group counts in what is left altogether."""
 
 SLOW_MODES = 8
 """Half waves over the recording in the fastest drift that is meant by that."""
@@ -175,7 +178,8 @@ def rank(rows: Rows, stack: Stack, accepted: list[Accepted], start: FloatArray) 
         evidence = np.maximum(evidence, scored)
     best, groups = grouped(stack, evidence)
     whitener = scores.whitener(base.values, scores.contrast)
-    drifting = _drifting(rows, stack, whitener, [best[g] for g, v in groups.items() if v > 0])
+    counted = [best[g] for g, v in groups.items() if v > np.log(COUNTS)]
+    drifting = _drifting(rows, stack, whitener, counted)
     ranking = Ranking(stack, evidence, best, groups, base.values, drifting, beside=beside)
     if accepted or ranking.claims:
         return ranking

@@ -5,7 +5,6 @@ import pytest
 
 from calib.calibration import Gravity
 from calib.document import from_document, to_document
-from calib.effects import effects
 from calib.effects.base import Term
 from calib.mismatch import Diagnosis, diagnose_recording
 from calib.mismatch.hypotheses.families import PHYSICAL, tried_effects

@@ -94,7 +94,7 @@ def test_what_a_drift_can_mimic_is_not_passed_over_for_a_poorer_rival(stacked):
     assert chosen(1.5, 1.5) is wave
     assert chosen(6.0, 2.0) is step
     # Both together are enough, but neither is by itself.
-    assert chosen(1.9, 0.9) is None
+    assert chosen(1.9, 0.5) is None
 
 
 def test_a_name_that_is_less_probable_than_rivals_needs_the_claim_by_itself(stacked):
@@ -106,8 +106,8 @@ def test_a_name_that_is_less_probable_than_rivals_needs_the_claim_by_itself(stac
         return choose(rows, ranked(stacked, {effect: physics, wave: rival}), [])
 
     assert chosen(1.5, 2.0) is effect
-    assert chosen(0.9, 0.8) is effect
-    assert chosen(0.9, 1.4) is wave
+    assert chosen(0.6, 0.5) is effect
+    assert chosen(0.6, 1.1) is wave
 
 
 def test_causes_on_other_channels_lend_no_weight(stacked):
@@ -121,9 +121,9 @@ def test_causes_on_other_channels_lend_no_weight(stacked):
         assert ranking.claims
         return choose(rows, ranking, [])
 
-    assert chosen({gyro: 1.0, accel: 0.5}) is None
-    assert chosen({gyro: 1.0, wave: 0.5}) is gyro
-    assert chosen({gyro: 1.2, accel: 0.5}) is gyro
+    assert chosen({gyro: 0.6, accel: 0.5}) is None
+    assert chosen({gyro: 0.6, wave: 0.5}) is gyro
+    assert chosen({gyro: 1.0, accel: 0.5}) is gyro
 
 
 def test_low_passes_of_unlike_channels_stay_apart(stacked):
@@ -150,8 +150,8 @@ def test_what_an_exponential_leaves_is_not_named_after_it_again():
 
 
 def test_a_p_value_is_no_less_rare_than_evidence_of_noise():
-    # Of 9000 draws of noise 27 reach the claim (`benchmarks/evidence.py`, seeds 9 to 11).
-    assert 27 / 9000 < chance(CLAIM) < 0.01
+    # Of 9000 draws of noise 48 reach the claim (`benchmarks/evidence.py`, seeds 9 to 11).
+    assert 48 / 9000 < chance(CLAIM) < 0.01
     assert chance(1e-3) == 1.0
 
 
