@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from functools import partial
 from typing import NamedTuple, Protocol
 
 import numpy as np
@@ -313,27 +312,20 @@ def refined(
         sizes = [i for i in effect.shape if i.spacing == "log" and i.name in candidate.shape]
         for shape in forms(effect, best[0].shape):
             for item in sizes:
-                climb(partial(_try_size, try_shape, shape, item.name), shape[item.name])
+                _climb(try_shape, shape, item.name)
     return best
 
 
-def _try_size(
-    gain: Callable[[dict[str, float]], float], shape: dict[str, float], name: str, size: float
-) -> float:
-    return gain({**shape, name: size})
-
-
-def climb(gain: Callable[[float], float], here: float) -> float:
-    """Return where a function of a size has its maximum, closing in on it from a size near it."""
-    step, value = 0.08, gain(here)
+def _climb(gain: Callable[[dict[str, float]], float], shape: dict[str, float], name: str) -> None:
+    """Call `gain` with values of one shape parameter, closing in on its maximum."""
+    step, here, value = 0.08, shape[name], gain(shape)
     while step > 1e-4:
         up, down = here * (1 + step), here / (1 + step)
-        new, at = max((gain(x), x) for x in (up, down))
+        new, at = max((gain({**shape, name: x}), x) for x in (up, down))
         if new > value:
             value, here = new, at
         else:
             step /= 3
-    return here
 
 
 def likelihood_gain(columns: FloatArray, y: FloatArray, *, present: bool = False) -> float:

@@ -29,7 +29,6 @@ from calib.mismatch.search.refit import (
     BENT,
     Problem,
     Refit,
-    climb,
     likelihood_gain,
     put_back,
     refit,
@@ -40,6 +39,12 @@ DELAY, LOW_PASS = "time_offset", "bandwidth"
 
 DELAYS = np.geomspace(0.005, 0.32, 7)
 """s, either way. From half of it one can climb to a delay: turns take a second and more."""
+
+STEPS, SETTLED = 8, 1e-3
+"""Steps to the best size, at most, and the square of one, in standard errors, that ends them."""
+
+NEAR = 1e-3
+"""How far from a size, relative to it, another shows where a change goes from there."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,21 +117,33 @@ class Judge:
 
     def best(self, family: Family, starts: Iterable[float]) -> Whole:
         """Return the member of a family that gains most, near the best of some sizes."""
+        low, high = family.within
+        tried = [self._tried(family, float(np.clip(size, low, high))) for size in starts if size]
+        found, white = max(tried, key=lambda each: likelihood_gain(each[1], self.y, present=True))
+        for _ in range(STEPS):
+            # What is left is fitted by how the change goes on from here (Gauss-Newton).
+            near = found.size * (1.0 + NEAR if found.size * (1.0 + NEAR) < high else 1.0 - NEAR)
+            slope = (self._tried(family, near)[1] - white)[:, 0] / (near - found.size)
+            power = float(slope @ slope)
+            step = float(slope @ (self.y - white[:, 0])) / max(power, 1e-300)
+            size = float(np.clip(found.size + step, low, high))
+            if (size - found.size) ** 2 * power < SETTLED or not size:
+                break
+            there = self._tried(family, size)
+            if likelihood_gain(there[1], self.y, present=True) <= likelihood_gain(
+                white, self.y, present=True
+            ):
+                break
+            found, white = there
+        return found
+
+    def _tried(self, family: Family, size: float) -> tuple[Whole, FloatArray]:
+        """Return a member of a family, and its whitened column (m, 1)."""
         effect = get_effect(family.candidate.name)
         assert isinstance(effect, TransformEffect)
-        low, high = family.within
-        tried: dict[float, FloatArray] = {}
-
-        def gain(size: float) -> float:
-            if not low <= size <= high or not size:
-                return -np.inf
-            change = whole_change(effect, self.rows, family.parameters(size))
-            tried[size] = np.zeros(len(self.y)) if change is None else change
-            return self.gain(tried[size])
-
-        inside = [float(np.clip(size, low, high)) for size in starts]
-        size = climb(gain, max(inside, key=gain))
-        return Whole(family, size, tried[size])
+        change = whole_change(effect, self.rows, family.parameters(size))
+        column = np.zeros(len(self.y)) if change is None else change
+        return Whole(family, size, column), self.whitener.project(column)[:, None]
 
 
 def whole_fit(
