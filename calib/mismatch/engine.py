@@ -13,6 +13,7 @@ from calib.effects.base import Effect, TransformEffect
 from calib.mismatch.findings.aliases import find_aliases
 from calib.mismatch.findings.diagnosis import Diagnosis, Finding, Verdict, summarise
 from calib.mismatch.hypotheses.places import gathered, joined
+from calib.mismatch.realigned import coarse_delay, mostly_prompt, with_all
 from calib.mismatch.rows.choice import choose_poses, distinct_directions
 from calib.mismatch.rows.grid import (
     SHORTEST_CELL,
@@ -90,6 +91,19 @@ def diagnose_thinned(
     thinned: Thinned, *, gravity: float, model: SensorModel | None = None
 ) -> Diagnosis:
     """Do what `diagnose_recording` does, to a recording that `samples.thin` has read."""
+    found = _diagnose(thinned, gravity=gravity, model=model)
+    recording, delay = thinned.recording, coarse_delay(thinned.seen.findings)
+    if delay is None or len(recording) < thinned.samples:
+        return found
+    prompt, undone = mostly_prompt(recording, delay)
+    whole = with_all(_diagnose(thin(lambda: (prompt,)), gravity=gravity, model=model), undone)
+    if whole is None:
+        return found
+    length = {name: found.summary[name] for name in ("duration", "samples")}
+    return replace(whole, summary={**whole.summary, **length})
+
+
+def _diagnose(thinned: Thinned, *, gravity: float, model: SensorModel | None) -> Diagnosis:
     recording, poses, seen = thinned.recording, thinned.poses, thinned.seen
     if not len(poses):
         return _unfit(thinned, (), RESTLESS, "undetermined")
