@@ -65,6 +65,11 @@ MIMICKED = 9.0
 """Power of a finding, in units of the noise, that a twin does not mimic, below which the two are a
 tie: the likelihood then favours the wrong one in 1 of 15."""
 
+BLURRED = 0.0025
+"""The same as a share of the finding's power, however strong it is: columns are made of measured
+signals, of which the slow part that is left beside drift and baseline errs by 5 % (a thermometer is
+not where the sensor is, and a rate of its temperature is a derivative)."""
+
 SURE = 3.0
 """Standard errors by which an effect must be beyond what is physical to be none."""
 
@@ -392,6 +397,7 @@ def _posterior(
     out = {g: float(np.exp(v - total)) for g, v in groups.items() if v - total > np.log(SHOWN)}
     if own.candidate.physical:
         explained = _fit(whitener.project(own.columns), y)
+        mimicked = max(MIMICKED, BLURRED * float(np.square(explained).sum()))
         for g, candidate in best.items():
             # A twin fits as well with no more parameters, whatever size it then has.
             few = candidate.physical and len(candidate.index) <= own.columns.shape[1]
@@ -399,10 +405,10 @@ def _posterior(
                 continue
             columns = stack.of(candidate)
             left = _left(whitener.project(columns), explained)
-            if MIMICKED <= left <= 4.0 * MIMICKED:
+            if mimicked <= left <= 4.0 * mimicked:
                 _, columns = refined(rows, candidate, columns, whitener, y, reference=reference)
                 left = _left(whitener.project(columns), explained)
-            if left < MIMICKED:
+            if left < mimicked:
                 out[g] = 2 * TWIN
     return out
 

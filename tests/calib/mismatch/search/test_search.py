@@ -195,3 +195,17 @@ def test_a_fit_starts_from_levels_that_were_found_beside_what_is_fitted():
     assert behind
     for other in behind:
         assert ranking.levels_with(other) is ranking.levels
+
+
+def test_a_twin_of_a_strong_effect_is_a_rival_though_its_column_is_a_derivative(monkeypatch):
+    # While the temperature goes as an exponential, it and its rate differ by a constant only.
+    sizes = {"kx": 10.0, "ky": -10.0, "kz": 20.0}
+    real = recording(Term("accel_temperature_rate", sizes), poses=24)
+
+    def named():
+        (found,) = diagnose_recording(real, gravity=GRAVITY).findings
+        return {found.effect, *(r.effect for r in found.rivals)}
+
+    assert "accel_temperature_rate" in named()
+    monkeypatch.setattr("calib.mismatch.search.search.BLURRED", 0.0)
+    assert "accel_temperature_rate" not in named()
