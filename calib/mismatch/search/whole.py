@@ -38,7 +38,7 @@ from calib.types import FloatArray
 DELAY, LOW_PASS = "time_offset", "bandwidth"
 
 DELAYS = np.geomspace(0.005, 0.32, 7)
-"""s, either way. From half of it one can climb to a delay: turns take a second and more."""
+"""s, either way. Steps lead from half a delay to all of it: turns take a second and more."""
 
 STEPS, SETTLED = 8, 1e-3
 """Steps to the best size, at most, and the square of one, in standard errors, that ends them."""
