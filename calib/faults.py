@@ -11,7 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import ndtr, pdtrc
 
-from calib.recording import Recording
+from calib.errors import RecordingError
+from calib.recording import CHANNELS, Recording
 from calib.types import BoolArray, FloatArray, IntArray
 
 BLOCK = 64
@@ -44,6 +45,10 @@ ROBUST = 1.4826
 
 JUMP = 5.0
 """Times the steps that follow, by which what is no longer stuck jumps to where it is by then."""
+
+
+UNITS = 1e9
+"""Times `LARGEST`, beyond which no unit, however small, makes a value of what a sensor measures."""
 
 
 class Gaps(NamedTuple):
@@ -83,6 +88,24 @@ def jitter(recording: Recording) -> float:
 def values_of(recording: Recording) -> FloatArray:
     """Return all six channels side by side, (n, 6)."""
     return np.hstack([recording.accel, recording.gyro])
+
+
+def check_sizes(recording: Recording, name: str) -> None:
+    """Refuse values that are no measurement in whatever unit; squares of them might overflow.
+
+    Raises
+    ------
+    RecordingError
+    """
+    size = np.abs(values_of(recording)).max(axis=0, initial=0.0)
+    beyond = np.flatnonzero(size > UNITS * LARGEST)
+    if beyond.size:
+        c = int(beyond[0])
+        unit = ("m/s²", "rad/s")[c // 3]
+        raise RecordingError(
+            f"{CHANNELS[c]} of {name} reaches {size[c]:.3g} {unit}, where no sensor measures more "
+            f"than {LARGEST[c]:g} {unit}: check how it was written, and the unit of that column"
+        )
 
 
 def find_wild(values: FloatArray) -> BoolArray:

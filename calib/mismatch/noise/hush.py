@@ -19,6 +19,9 @@ QUIETEST = np.array([5e-5] * 3 + [1.7e-6] * 3)
 """Noise density of each channel, SI/√Hz: 5 µg/√Hz and 0.0001 dps/√Hz, a tenth of what tactical
 grade data sheets state (HG4930: 0.03 m/s/√h, 0.04 °/√h; ADIS16497: 0.09 °/√h)."""
 
+WHOLE = 0.01
+"""Of a count, that changes may differ by from whole ones."""
+
 HUSHED = "noise added"
 """Key of a note: to which channels."""
 
@@ -28,14 +31,27 @@ def least_noise(interval: float) -> FloatArray:
     return np.asarray(QUIETEST / np.sqrt(2 * max(interval, 1e-9)))
 
 
+def count_of(values: FloatArray) -> FloatArray:
+    """Return the count of which all changes of a channel are multiples, (k,); 0 if there is none.
+
+    Without noise the smallest change may be one of motion, and says nothing of counts.
+    """
+    step = faults.resolution(values)
+    change = np.diff(values, axis=0) / np.where(step > 0, step, 1.0)
+    whole = np.abs(change - np.rint(change)) < WHOLE
+    return np.asarray(np.where(whole.mean(axis=0) > 0.99, step, 0.0))
+
+
 def silent(values: FloatArray, interval: float) -> BoolArray:
     """Return which channels of (n, 6) values have less noise at rest than any sensor, (6,).
 
-    A channel that counts more coarsely than that is silent for its counts.
+    A channel that counts more coarsely than that is silent for its counts, and one that is constant
+    beside others with noise is stuck.
     """
     least = least_noise(interval)
-    step = faults.resolution(values)
-    return np.asarray((faults.noise_at_rest(values) < least) & (step < least) & (step > 0))
+    step = count_of(values)
+    quiet = (faults.noise_at_rest(values) < least) & (step < least)
+    return np.asarray(quiet if quiet.all() else quiet & (np.ptp(values, axis=0) > 0))
 
 
 def audible(recording: Recording) -> Recording:

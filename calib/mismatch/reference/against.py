@@ -7,12 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 
+from calib import faults
 from calib.calibration import Quantity
 from calib.effects import effects, get_effect
 from calib.mismatch.findings.diagnosis import Diagnosis, Finding, summarise
 from calib.mismatch.findings.heldout import HeldOut, held_out
 from calib.mismatch.hypotheses.families import PHYSICAL, tried_effects
 from calib.mismatch.hypotheses.score import SCALES, SHARES
+from calib.mismatch.noise.hush import audible
 from calib.mismatch.reference.alignment import LEAST_OVERLAP, Alignment, align
 from calib.mismatch.reference.alike import check_apart
 from calib.mismatch.reference.band import follows_noise, matched, too_few
@@ -72,9 +74,11 @@ def diagnose_against(
     NoCommonMotionError
         If the simulation is of another motion.
     """
+    faults.check_sizes(real, "the recording")
+    faults.check_sizes(simulated, "the simulation")
     check_apart(real, simulated)
     real, simulated = evened(real), evened(simulated)
-    seen = look_at_samples(real, find_poses(real))
+    seen = look_at_samples(real, find_poses(audible(real)))
     summary = summarise(real)
     if seen.fatal:
         return unfit(seen, summary)
@@ -95,7 +99,7 @@ def diagnose_against(
     )
     # When a simulation starts is nobody's fault; what its clock does to the motion is.
     few: tuple[str, ...] = ()
-    if too_few(real, simulated):
+    if problem.noisy and too_few(real, simulated):
         few = (
             f"a simulation at a higher rate: at {1.0 / simulated.interval:.3g} Hz it has too few "
             "samples for its motion, of which only the slow part was compared",
@@ -115,13 +119,8 @@ def compare_simulation(
     """Align a simulation with a recording; return what to compare, and what cannot show."""
     if alignment is None:
         alignment = align(real.time, real.gyro, simulated.time, simulated.gyro)
-    common = matched(
-        real,
-        RecordingTruth(simulated, gravity),
-        alignment,
-        np.eye(3),
-        spoilt=seen.spoilt,
-    )
+    truth = RecordingTruth(simulated, gravity)
+    common = matched(real, truth, alignment, np.eye(3), spoilt=seen.spoilt)
     problem = ComparisonProblem(
         common.real,
         common.truth,
@@ -132,6 +131,7 @@ def compare_simulation(
         blur=common.blur,
         band=common.band,
         raw=real if common.limited else None,
+        stuck=common.stuck,
     )
     return problem, ((*_SELDOM_ALONE, "bandwidth") if common.limited else _SELDOM_ALONE)
 
@@ -388,9 +388,13 @@ def undetermined(missing: str, summary: Mapping[str, object]) -> Diagnosis:
 
 
 def unfit(seen: Samples, summary: Mapping[str, object]) -> Diagnosis:
-    """Return the diagnosis of a recording whose units or axes must be mended first."""
+    """Return the diagnosis of a recording whose units, axes or channels must be mended first."""
+    lack = "right units and axes: mend them and diagnose again"
+    if not seen.findings:
+        lack = "channels that move: one is stuck: mend that and diagnose again"
     return replace(
-        undetermined("right units and axes: mend them and diagnose again", summary),
-        verdict="explained",
+        undetermined(lack, summary),
+        verdict="explained" if seen.findings else "unexplained",
         findings=seen.findings,
+        unexplained=seen.unexplained,
     )

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from calib import faults
 from calib.effects.base import State
 from calib.errors import NoCommonMotionError
-from calib.recording import Recording
+from calib.faults import LARGEST
+from calib.mismatch.noise.hush import count_of, least_noise
+from calib.recording import CHANNELS, Recording
 from calib.types import FloatArray
 
 UNLIKE = 0.3
@@ -23,7 +26,9 @@ LOOKED = 200
 
 
 def check_apart(real: Recording, other: Recording) -> None:
-    """Refuse a recording beside itself, or a copy or a part of it: nothing differs.
+    """Refuse a recording beside itself, or a copy or a part of it: nothing differs, not even noise.
+
+    Of two simulations without noise that is nothing to wonder at.
 
     Raises
     ------
@@ -35,11 +40,23 @@ def check_apart(real: Recording, other: Recording) -> None:
         {row.tobytes() for row in np.hstack((r.accel[at], r.gyro[at]))}
         for r, at in ((real, fast), (other, slice(None)))
     )
-    if len(own & known) > 0.5 * len(own):
+    if len(own & known) > 0.5 * len(own) and not smooth(real):
         raise NoCommonMotionError(
             "the two are one recording: their samples are the same, and there is nothing to "
             "compare; give a simulation, or what else saw the motion"
         )
+
+
+def smooth(recording: Recording) -> bool:
+    """Whether a recording moves without any noise, that its eighth differences would show.
+
+    What moves at a tenth of the rate has 2e-4 of itself left in them; beside rests that is enough.
+    """
+    values = faults.values_of(recording)
+    least = least_noise(recording.interval)
+    noise = np.abs(np.diff(values, n=8, axis=0)) / np.sqrt(12870.0)  # of 16 things, 8
+    quiet = np.quantile(noise, 0.2, axis=0) / 0.2533 < least
+    return bool((quiet & (count_of(values) < least)).all())
 
 
 def check_motion(state: State, measured: FloatArray, left: FloatArray) -> None:
@@ -82,6 +99,15 @@ def check_units(state: State, measured: FloatArray) -> None:
             f"the reference accelerates {pulls / felt:.3g} times as much as the recording "
             "feels: check the unit of its positions (expected m) or of its accelerometer "
             "(expected m/s²)"
+        )
+    level = np.abs(np.median(np.hstack((state.force, state.rate)), axis=0))
+    beyond = np.flatnonzero(level > LARGEST)
+    if beyond.size:
+        c = int(beyond[0])
+        unit = ("m/s²", "rad/s")[c // 3]
+        raise NoCommonMotionError(
+            f"{CHANNELS[c]} of the reference is {level[c]:.3g} {unit} most of the time, where no "
+            f"sensor measures more than {LARGEST[c]:g} {unit}: check that column"
         )
 
 

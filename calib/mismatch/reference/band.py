@@ -15,8 +15,11 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy import fft
+from scipy import sparse
 
+from calib.mismatch.noise.hush import least_noise
 from calib.mismatch.reference.alignment import Alignment
+from calib.mismatch.reference.floor import audible_beside
 from calib.mismatch.reference.truths import DEGREE, RecordingTruth
 from calib.recording import Recording
 from calib.types import BoolArray, FloatArray, IntArray
@@ -69,7 +72,8 @@ class Matched(NamedTuple):
     """A recording and its truth, limited to what both know.
 
     ``blur`` is the standard deviation (s) of the Gaussian through which differences are seen,
-    ``band`` the frequency (Hz) up to which both passed `zero_phase`; 0 is none.
+    ``band`` the frequency (Hz) up to which both passed `zero_phase`; 0 is none. Where neither has
+    noise, ``stuck`` is what rounding does (`calib.mismatch.reference.floor.Heard`).
     """
 
     real: Recording
@@ -77,6 +81,7 @@ class Matched(NamedTuple):
     spoilt: BoolArray
     blur: float = 0.0
     band: float = 0.0
+    stuck: tuple[sparse.csr_matrix, ...] = ()
 
     @property
     def limited(self) -> bool:
@@ -98,6 +103,9 @@ def matched(
     Both come back as they are if the truth has little noise beside the recording, and samples
     enough for its motion. With ``forces`` the specific forces have a say in the band too.
     """
+    heard = audible_beside(real, truth, alignment, mat, spoilt)
+    if heard is not None:
+        return Matched(heard.real, truth, heard.spoilt, stuck=heard.stuck)
     other = truth.recording
     if (noise_of(other) <= QUIET * noise_of(real)).all():
         if not too_few(real, other):
@@ -139,6 +147,8 @@ def follows_noise(real: Recording, truth: RecordingTruth, alignment: Alignment) 
         return False
     parts = np.array_split(still, max(1, int(len(still) * real.interval / PART)))
     quiet = np.quantile([np.median(part, axis=0) for part in parts], 0.25, axis=0)
+    if (quiet < least_noise(real.interval)[:3]).all():
+        return False  # there is none to follow
     ratio = np.median(moving, axis=0) / np.maximum(quiet, 1e-12)
     return bool(np.mean(ratio) < LESS)
 
@@ -237,8 +247,10 @@ def common_band(
         length = min(len(measured) // 8, round(2.0 * rate))
         if length < 16:
             continue
-        f, each = coherence(measured, true @ mat.T, fs=rate, nperseg=length, axis=0)
-        above = np.flatnonzero((f > NARROWEST) & (each.max(axis=1) < COHERENT))
+        with np.errstate(invalid="ignore"):  # a channel that stands still has no power to share
+            f, each = coherence(measured, true @ mat.T, fs=rate, nperseg=length, axis=0)
+        shared = np.nan_to_num(each).max(axis=1)
+        above = np.flatnonzero((f > NARROWEST) & (shared < COHERENT))
         if len(above):
             found.append(float(f[above[0]]))
     return max(min(found), NARROWEST) if found else None

@@ -13,6 +13,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from scipy import sparse
 
 from calib.effects import get_effect
 from calib.effects.base import State, Term
@@ -33,6 +34,7 @@ from calib.mismatch.reference.carried import (
     true_force,
 )
 from calib.mismatch.reference.colour import WHITE, Blur, Colour, find_colour, gaussian, whitening
+from calib.mismatch.reference.floor import with_rounding
 from calib.mismatch.reference.scatter import scatter
 from calib.mismatch.reference.stilled import gradient_in, resting, stilled
 from calib.mismatch.reference.truths import RecordingTruth
@@ -114,6 +116,8 @@ class ComparisonProblem:
         sensor vibrates, and when it is at rest: what effects are functions of is still then. Noise
         that is in the differences and in a column as well would be a scale factor error of that
         rest. The differences keep it: it is white there.
+    stuck : six sparse matrices, optional
+        By how much rounding may be off, as `calib.mismatch.reference.floor.Heard` has it.
     notes : mapping, optional
         What was done to the truth before, for the summary.
     """
@@ -134,6 +138,7 @@ class ComparisonProblem:
         blur: float = 0.0,
         band: float = 0.0,
         raw: Recording | None = None,
+        stuck: tuple[sparse.csr_matrix, ...] = (),
         notes: Mapping[str, object] | None = None,
     ) -> None:
         self.notes = notes or {}
@@ -150,6 +155,7 @@ class ComparisonProblem:
             )
         self.index = np.flatnonzero(covered)
         self.time = real.time[self.index]
+        self.stuck = tuple(own[self.index] for own in stuck)
         self.band, self.interval, self.unresolved = band, real.interval, blur > 0
         self.judged: BoolArray | None = None
         self.measured = np.hstack((real.accel, real.gyro))[self.index]
@@ -300,6 +306,8 @@ class ComparisonProblem:
             prior=np.stack((self.moved, self.loose), axis=1),
             known=self._known(self.shapes),
         )
+        if self.stuck:
+            rows = with_rounding(rows, self.stuck)
         if felt is state:
             return rows
         plain = [rows.column(baseline_column(n, state)) for n in self.names]

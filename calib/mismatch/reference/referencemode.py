@@ -13,8 +13,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from calib import faults
 from calib.errors import NoCommonMotionError
 from calib.mismatch.findings.diagnosis import Diagnosis, summarise
+from calib.mismatch.noise.hush import audible
 from calib.mismatch.reference.against import (
     at_rest,
     conclude,
@@ -193,11 +195,13 @@ def diagnose_reference(
     NoCommonMotionError
         If the two do not show the same motion.
     """
+    faults.check_sizes(real, "the recording")
     if isinstance(reference, Recording):
+        faults.check_sizes(reference, "the reference")
         check_apart(real, reference)
     real = evened(real)
     reference = evened(reference) if isinstance(reference, Recording) else reference.evened()
-    seen = look_at_samples(real, find_poses(real))
+    seen = look_at_samples(real, find_poses(audible(real)))
     summary = summarise(real)
     if seen.fatal:
         return unfit(seen, summary)
@@ -239,14 +243,15 @@ def compared(
     """Return what `compare_reference` does, and the reference as it was used."""
     notes: dict[str, object] = {}
     if isinstance(reference, Recording):
+        known = look_at_samples(reference, find_poses(audible(reference)))
+        if known.fatal:
+            wrong = [f.sentence for f in known.findings]
+            wrong += [f"{name} stands still" for u in known.unexplained for name in u.channels]
+            raise NoCommonMotionError(
+                "the reference cannot be trusted: " + "; ".join(dict.fromkeys(wrong))
+            )
         alignment = align(real.time, real.gyro, reference.time, reference.gyro)
         mat = mounting(real, RecordingTruth(reference, gravity), alignment)[0]
-        known = look_at_samples(reference, find_poses(reference))
-        if known.fatal:
-            raise NoCommonMotionError(
-                "the reference cannot be trusted: "
-                + "; ".join(f.sentence for f in known.findings or ())
-            )
         truth = RecordingTruth(reference, gravity, known.spoilt)
         common = matched(real, truth, alignment, mat, spoilt=seen.spoilt)
     else:
@@ -262,6 +267,7 @@ def compared(
         blur=common.blur,
         band=common.band,
         raw=real if common.limited else None,
+        stuck=common.stuck,
         notes=notes,
     )
     skip = []

@@ -40,6 +40,10 @@ LOOSE = 30.0
 """How large, in its typical size, an effect may be that takes its part before the rest scatters."""
 
 
+ALIKE = 1e-13
+"""Of a column's square, that rounding leaves of it beside others."""
+
+
 class Scatter(NamedTuple):
     """The noise of n points on every channel, but for a factor.
 
@@ -153,6 +157,9 @@ def _of_parts(parts: FloatArray, y: FloatArray, design: FloatArray, power: float
             break
         # Neighbours are alike by the blur: so many of them are worth one.
         weighted = design * (power / variance)[:, None]
-        factor = linalg.cho_factor(design.T @ weighted + ridge)
-        left = y - design @ linalg.cho_solve(factor, weighted.T @ y)
+        normal = design.T @ weighted + ridge
+        size = np.sqrt(np.diag(normal))
+        # Columns may be the same but for rounding.
+        factor = linalg.cho_factor(normal / np.outer(size, size) + ALIKE * np.eye(len(size)))
+        left = y - design @ (linalg.cho_solve(factor, weighted.T @ y / size) / size)
     return np.asarray(share)

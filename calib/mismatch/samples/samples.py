@@ -18,7 +18,7 @@ from calib.effects import get_effect
 from calib.effects.axis_error import ORDERS, signed_permutation
 from calib.mismatch.findings.diagnosis import Finding, Interval, Unexplained
 from calib.mismatch.findings.heldout import HeldOut
-from calib.mismatch.noise.hush import silent
+from calib.mismatch.noise.hush import least_noise, silent
 from calib.mismatch.samples.losses import Loss
 from calib.poses import Poses
 from calib.recording import CHANNELS, Recording
@@ -153,12 +153,19 @@ def look_at_faults(recording: Recording, moving: BoolArray, *, whole: bool) -> S
             own = slice(first, first + 3)
             clipped[:, own] |= np.abs(values[:, own]) >= limit - 1.5 * step[own]
             findings.append(_saturation(recording, clipped, triad, limit))
+    # Without noise, samples are alike because nothing happens: at rest, or beside a turn about one
+    # axis of a table.
+    still = silent(values, recording.interval).all()
+    table = still and (np.ptp(values[:, 3:], axis=0) == 0.0).sum() >= 2
+    if still:
+        change = np.abs(np.diff(values, axis=0, prepend=values[:1]))
+        moving = moving & (change > least_noise(recording.interval)).any(axis=1)
     stuck = 0
     told = len(recording) if whole or moving.any() else 0
     for c, start, stop in faults.find_stuck(
         values, moving, interval=recording.interval, clipped=clipped
     ):
-        if not told and stop - start == len(recording):
+        if (table or not told) and stop - start == len(recording):
             continue
         spoilt[start:stop] = True
         stuck += stop - start
@@ -166,8 +173,6 @@ def look_at_faults(recording: Recording, moving: BoolArray, *, whole: bool) -> S
         unexplained.append(
             Unexplained((CHANNELS[c],), (where,), "nothing: it is stuck", faults.FALSE_ALARM)
         )
-    # Without noise, samples at rest are alike because nothing happens.
-    still = silent(values, recording.interval).all()
     repeats = np.zeros(0, np.int64) if still else faults.find_repeats(values, moving)
     if repeats.size:
         findings.append(_repeats(recording, repeats))

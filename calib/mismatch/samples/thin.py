@@ -110,6 +110,7 @@ def thin(
     for part in sections(batches(), section):
         progress(len(part))
         part, what = tamed(part)
+        faults.check_sizes(part, "the recording")
         for left in what:
             old = wild.get(left.channels)
             where = () if old is None else old.intervals
