@@ -51,7 +51,8 @@ def silent(values: FloatArray, interval: float) -> BoolArray:
     least = least_noise(interval)
     step = count_of(values)
     quiet = (faults.noise_at_rest(values) < least) & (step < least)
-    return np.asarray(quiet if quiet.all() else quiet & (np.ptp(values, axis=0) > 0))
+    moves = np.ptp(values, axis=0) > 0
+    return np.asarray(quiet & (moves | (quiet.all() and moves.any())))
 
 
 def audible(recording: Recording) -> Recording:
