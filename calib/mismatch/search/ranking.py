@@ -174,8 +174,12 @@ def rank(rows: Rows, stack: Stack, accepted: list[Accepted], start: FloatArray) 
     for name in leading(best, {g: groups[g] for g in running}):
         if groups[name] <= np.log(CLAIM) - 7:
             continue
-        scored, beside[name] = scores.with_own_drift(best[name], every)
-        evidence = np.maximum(evidence, scored)
+        most = -np.inf
+        for leader in _with_fullest(stack, evidence, best[name]):
+            scored, levels = scores.with_own_drift(leader, every)
+            evidence = np.maximum(evidence, scored)
+            if scored.max() > most:
+                most, beside[name] = float(scored.max()), levels
     best, groups = grouped(stack, evidence)
     whitener = scores.whitener(base.values, scores.contrast)
     counted = [best[g] for g, v in groups.items() if v > np.log(COUNTS)]
@@ -184,6 +188,21 @@ def rank(rows: Rows, stack: Stack, accepted: list[Accepted], start: FloatArray) 
     if accepted or ranking.claims:
         return ranking
     return replace(ranking, pair=_pair(scores, hidden))
+
+
+def _with_fullest(stack: Stack, evidence: FloatArray, leader: Candidate) -> list[Candidate]:
+    """Return the leader of a group, and the best that has all of its effect's parameters.
+
+    Levels that are those of no candidate, or of one axis alone, take what other axes show for
+    drift, and then they do not count.
+    """
+    names, code = stack.groups()
+    own = np.flatnonzero(code == names.index(leader.group)).tolist()
+    size = {i: len(stack.candidates[i].index) for i in own}
+    most = max(size.values())
+    if not leader.physical or len(leader.index) == most:
+        return [leader]
+    return [leader, stack.candidates[max((i for i in own if size[i] == most), key=evidence.item)]]
 
 
 def _running(groups: Mapping[str, float]) -> list[str]:
