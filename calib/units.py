@@ -52,6 +52,10 @@ REMOVED = 0.03
 ROUND = 0.1
 """By how much, relative to 1, ellipsoids miss squares of gravity that noise and axes explain."""
 
+PLAIN = 0.05
+"""Share of gravity within which poses are as long: half of one along an axis that is off by
+`OWN_SCALE` makes 7 %."""
+
 
 @dataclass(frozen=True)
 class UnitFault:
@@ -136,7 +140,8 @@ def _accel_fault(recording: Recording, poses: Poses) -> UnitFault | None:
         where = f"the median of |a| is {np.median(norm):.4g} m/s²"
     factor = float(np.median(norm)) / G
     gains = _gains(poses.accel)
-    if gains is not None and (odd := _odd(gains)) is not None:
+    odd = None if gains is None else _odd(gains)
+    if gains is not None and odd is not None and not _plain(poses.accel, odd):
         factor = float(gains[odd])
         return UnitFault(
             "accel",
@@ -188,6 +193,16 @@ def _odd(gains: FloatArray) -> int | None:
     low, high = OWN_SCALE
     wrong = np.flatnonzero((gains < low) | (gains > high))
     return int(wrong[0]) if len(wrong) == 1 else None
+
+
+def _plain(accel: FloatArray, axis: int) -> bool:
+    """Whether most poses that an axis has a part in are as long as gravity.
+
+    A single one that is none, but a steady push while moving, bends the ellipsoid of all (n, 3).
+    """
+    norm = np.linalg.norm(accel, axis=1)
+    felt = norm[np.abs(accel[:, axis]) > 0.5 * norm]
+    return bool(len(felt)) and abs(float(np.median(felt)) / G - 1) < PLAIN
 
 
 def _gyro_fault(recording: Recording, closure: Closure | None) -> UnitFault | None:

@@ -1,0 +1,64 @@
+"""Units of single axes, by the ellipsoid on which poses lie."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calib.gravity import STANDARD_GRAVITY
+from calib.model import SensorModel
+from calib.recording import Recording
+from calib.simulate import simulate
+from calib.simulation.bench import bench_protocol
+from calib.simulation.noise import CONSUMER
+from calib.statics import find_poses
+from calib.types import FloatArray
+from calib.units import unit_faults
+
+# Swung by hand: rests near these, and one push that lasts as long as a rest.
+POSES = np.array(
+    [
+        [0.48, 0.27, 9.79],
+        [-3.84, -8.5, -3.02],
+        [-0.09, -4.09, 8.91],
+        [-3.85, 1.43, 8.91],
+        [-3.5, -8.24, -4.01],
+        [-8.29, -4.66, -2.39],
+        [6.6, 7.18, -1.0],
+        [6.97, 6.89, -0.47],
+        [-0.77, -2.58, 9.43],
+        [-3.77, -6.85, -12.89],
+        [1.11, 1.93, 9.55],
+        [6.68, 6.24, -3.55],
+        [-6.71, -6.63, -2.68],
+    ]
+)
+
+
+@pytest.fixture(scope="module")
+def real() -> Recording:
+    rng = np.random.default_rng(3)
+    motion = bench_protocol(rng, poses=13, power_on=0.0)
+    return simulate(motion, SensorModel(), CONSUMER, rng=rng, rate=100.0)
+
+
+def channels_of(real: Recording, accel: FloatArray) -> list[int | None]:
+    poses = find_poses(real)
+    assert len(poses) == len(accel)
+    return [f.channel for f in unit_faults(real, replace(poses, accel=accel), None)]
+
+
+def test_a_push_among_the_rests_is_no_unit(real: Recording) -> None:
+    assert channels_of(real, POSES) == []
+
+
+@pytest.mark.parametrize("axis", range(3))
+@pytest.mark.parametrize("factor", [0.5, 2.0])
+def test_an_axis_in_another_unit_is_found_in_all_poses(
+    real: Recording, axis: int, factor: float
+) -> None:
+    rng = np.random.default_rng(5)
+    directions = rng.standard_normal((13, 3))
+    accel = STANDARD_GRAVITY * directions / np.linalg.norm(directions, axis=1, keepdims=True)
+    accel[:, axis] *= factor
+    assert channels_of(real, accel) == [axis]
