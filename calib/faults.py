@@ -98,14 +98,27 @@ def check_sizes(recording: Recording, name: str) -> None:
     RecordingError
     """
     size = np.abs(values_of(recording)).max(axis=0, initial=0.0)
-    beyond = np.flatnonzero(size > UNITS * LARGEST)
-    if beyond.size:
-        c = int(beyond[0])
-        unit = ("m/s²", "rad/s")[c // 3]
+    channel = outsized(size, UNITS)
+    if channel is not None:
         raise RecordingError(
-            f"{CHANNELS[c]} of {name} reaches {size[c]:.3g} {unit}, where no sensor measures more "
-            f"than {LARGEST[c]:g} {unit}: check how it was written, and the unit of that column"
+            f"{CHANNELS[channel]} of {name} reaches {size_of(channel, size)}: check how it was "
+            "written, and the unit of that column"
         )
+
+
+def outsized(size: FloatArray, factor: float = 1.0) -> int | None:
+    """Return the first of six channels that is `factor` times what any sensor measures."""
+    beyond = np.flatnonzero(size > factor * LARGEST)
+    return int(beyond[0]) if beyond.size else None
+
+
+def size_of(channel: int, size: FloatArray) -> str:
+    """Return how large an outsized channel is, beside what a sensor measures at most."""
+    unit = ("m/s²", "rad/s")[channel // 3]
+    return (
+        f"{size[channel]:.3g} {unit}, where no sensor measures more than "
+        f"{LARGEST[channel]:g} {unit}"
+    )
 
 
 def find_wild(values: FloatArray) -> BoolArray:

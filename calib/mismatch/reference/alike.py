@@ -7,7 +7,6 @@ import numpy as np
 from calib import faults
 from calib.effects.base import State
 from calib.errors import NoCommonMotionError
-from calib.faults import LARGEST
 from calib.mismatch.noise.hush import count_of, least_noise
 from calib.recording import CHANNELS, Recording
 from calib.types import FloatArray
@@ -101,13 +100,11 @@ def check_units(state: State, measured: FloatArray) -> None:
             "(expected m/s²)"
         )
     level = np.abs(np.median(np.hstack((state.force, state.rate)), axis=0))
-    beyond = np.flatnonzero(level > LARGEST)
-    if beyond.size:
-        c = int(beyond[0])
-        unit = ("m/s²", "rad/s")[c // 3]
+    channel = faults.outsized(level)
+    if channel is not None:
         raise NoCommonMotionError(
-            f"{CHANNELS[c]} of the reference is {level[c]:.3g} {unit} most of the time, where no "
-            f"sensor measures more than {LARGEST[c]:g} {unit}: check that column"
+            f"most of the time {CHANNELS[channel]} of the reference is "
+            f"{faults.size_of(channel, level)}: check that column"
         )
 
 

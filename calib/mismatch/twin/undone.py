@@ -34,7 +34,8 @@ def undone(grid: Grid, terms: tuple[Term, ...]) -> Signals:
     if not late or not len(points):
         return measured
     turns = np.flatnonzero(~grid.is_rest)
-    rests = [Signals(*(mean[at] for mean in _means(grid))) for at in (turns - 1, turns + 1)]
+    means = _means(grid)
+    rests = [Signals(means.accel[at], means.gyro[at]) for at in (turns - 1, turns + 1)]
     known = settle(spans, Signals(*(values[points] for values in measured)), *rests)
     signals = known.signals
     for term in reversed(late):
