@@ -187,6 +187,16 @@ def _trembling(power: FloatArray, interval: float, gravity: float) -> BoolArray:
     return np.asarray(hand & near)
 
 
+def _skirted(held: BoolArray, mean: FloatArray) -> BoolArray:
+    """Return ``held`` and the frequencies beside it over which power falls away from it."""
+    out = held.copy()
+    for k in range(1, len(out)):
+        out[k] |= out[k - 1] and mean[k] < mean[k - 1]
+    for k in range(len(out) - 2, -1, -1):
+        out[k] |= out[k + 1] and mean[k] < mean[k + 1]
+    return out
+
+
 def _lines(
     recording: Recording,
     poses: Poses,
@@ -197,10 +207,12 @@ def _lines(
 ) -> list[Unexplained]:
     """A line: mean power over all rests, compared with that of its neighbours in frequency.
 
-    It reaches from the first to the last rest that has it by itself. What is ``held`` trembles.
+    It reaches from the first to the last rest that has it by itself. What is ``held`` trembles, and
+    so does what only falls on from there: no resonance ends where hands do.
     """
     bins = len(power)
     mean, floor, p = _above(power)
+    held = _skirted(held, mean)
     # By its height: of lines that stand far above, all p-values are zero.
     k = int(np.argmax(np.where(held, 0.0, mean / floor)))
     # A Hann window spreads a line over three frequencies.

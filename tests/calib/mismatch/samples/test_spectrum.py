@@ -151,6 +151,23 @@ def test_a_hand_that_sways_and_shakes_is_no_line_and_a_tone_beside_its_sway_is()
         assert any("line" in item.follows for item in found) is lines
 
 
+@pytest.mark.parametrize(("tone", "lines"), [(0.0, False), (0.15, True)])
+def test_a_tremor_that_falls_off_above_what_hands_do_is_no_line(tone: float, lines: bool) -> None:
+    """A tone on its slope is one."""
+    recording, poses = rests(9, np.ones(POSES))
+    rng = np.random.default_rng(8)
+    n = len(recording)
+    s = np.fft.rfftfreq(n, 1 / RATE) / 12.5
+    gain = np.square(s / (1 - s**2 + 0.2j * s) / (1 + s**2))[:, None]
+    noise = np.fft.irfft(np.fft.rfft(rng.normal(size=(n, 6)), axis=0) * gain, n, axis=0)
+    noise /= noise.std()
+    accel = recording.accel + 0.3 * noise[:, :3]
+    accel[:, 2] += tone * np.sin(2 * np.pi * 22.0 * recording.time)
+    held = Recording(recording.time, accel, recording.gyro + 0.02 * noise[:, 3:], "device")
+    found = look_at_spectrum(held, poses)
+    assert [item.channels for item in found if "line" in item.follows] == [("accel.z",)] * lines
+
+
 @pytest.mark.parametrize("seed", [12, 13])
 def test_a_hand_trembles_at_other_frequencies_about_each_axis(seed: int) -> None:
     rng = np.random.default_rng(seed)
