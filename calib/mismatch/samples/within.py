@@ -71,7 +71,7 @@ class _Look(NamedTuple):
 def look_within(recording: Recording, poses: Poses) -> tuple[Unexplained, ...]:
     """Return disturbances within rests of channels that are alone with it."""
     raw = values_of(recording)
-    off, alone = _off_course(raw)
+    off, alone = _off_course(raw, poses)
     spikes = _spikes(recording, poses, off, alone)
     values = _without_spikes(raw, alone)
     rests = [(a, b) for a, b in zip(poses.start, poses.stop, strict=True) if b - a > 4]
@@ -98,10 +98,11 @@ def _widths(recording: Recording, poses: Poses) -> list[int]:
     return [1 << k for k in range(int(np.log2(max(longest, 1.0))) + 1)]
 
 
-def _off_course(values: FloatArray) -> tuple[FloatArray, BoolArray]:
+def _off_course(values: FloatArray, poses: Poses) -> tuple[FloatArray, BoolArray]:
     """Return how far samples are off their neighbours' mean, in noise, and which are so alone.
 
-    Both are (n - 2, 6), without the first and the last sample.
+    Both are (n - 2, 6), without the first and the last sample. Where a rest is louder than usual
+    (something shakes it), those that stand out of its own noise are so: the others are noise.
     """
     off = np.abs(values[1:-1] - 0.5 * (values[:-2] + values[2:]))
     padded = np.pad(off, ((1, 1), (0, 0)))
@@ -109,7 +110,12 @@ def _off_course(values: FloatArray) -> tuple[FloatArray, BoolArray]:
     # One sample has half of its size on either side; an edge has as much on one.
     usual = ROBUST * np.median(off, axis=0)
     # To the next count and back is what noise does where counts are coarse.
-    alone = (off > CAP * usual) & (off > 1.5 * np.maximum(beside, resolution(values)))
+    least = np.tile(CAP * usual, (len(off), 1))
+    for a, b in zip(poses.start, poses.stop, strict=True):
+        own = slice(max(a - 1, 0), b - 1)
+        if b - a > 4:
+            least[own] = np.maximum(least[own], CAP * ROBUST * np.median(off[own], axis=0))
+    alone = (off > least) & (off > 1.5 * np.maximum(beside, resolution(values)))
     return off / np.where(usual > 0, usual, np.inf), alone
 
 

@@ -180,6 +180,15 @@ def test_single_samples_off_course_in_one_part_are_a_disturbance_there(elsewhere
     assert overlap(found.intervals[0], (begin, end)) > 0.7
 
 
+def test_rests_that_a_machine_shakes_have_no_samples_off_course() -> None:
+    real = simulated(seed=64)
+    poses, rng = find_poses(real), np.random.default_rng(3)
+    accel = real.accel.copy()
+    for a, b in list(zip(poses.start, poses.stop, strict=True))[8:14]:
+        accel[a:b] += SIGMA[0] * np.array([2.0, 6.0, 8.0]) * rng.normal(size=(b - a, 3))
+    assert not look_within(replace(real, accel=accel), poses)
+
+
 def test_a_rest_of_which_parts_were_left_out_has_no_jumps_there() -> None:
     real = simulated(seed=66)
     poses = find_poses(real)
