@@ -19,6 +19,7 @@ from calib.mismatch.hypotheses.candidates import Candidate
 from calib.mismatch.hypotheses.families import candidate_columns
 from calib.mismatch.hypotheses.score import Stack
 from calib.mismatch.noise.noise import (
+    Whitener,
     estimate_levels,
     expected_levels,
     make_whitener,
@@ -161,12 +162,15 @@ def choose(rows: Rows, ranking: Ranking, accepted: list[Accepted]) -> Candidate 
     shows is another cause, and lends it no weight.
     """
     best = ranking.best
+    mean, contrast = fitted(rows, accepted), contrast_noise(rows, accepted)
+    whitener = make_whitener(rows, ranking.levels, contrast, mean)
+    y = whitener.project(rows.residual)
     groups = {
         g: v
         for g, v in ranking.groups.items()
         if not _within(rows, best[g], accepted)
         and not _again(best[g], accepted)
-        and not _impossible(rows, ranking, best[g], accepted)
+        and not _impossible(ranking.stack, best[g], whitener, y)
     }
     ranking = replace(ranking, groups=groups)
     if not ranking.claims:
@@ -260,9 +264,7 @@ def _again(candidate: Candidate, accepted: list[Accepted]) -> bool:
     )
 
 
-def _impossible(
-    rows: Rows, ranking: Ranking, candidate: Candidate, accepted: list[Accepted]
-) -> bool:
+def _impossible(stack: Stack, candidate: Candidate, whitener: Whitener, y: FloatArray) -> bool:
     """Whether an effect would have to be of a size that none has: it mimics something else."""
     if not candidate.physical:
         return False
@@ -273,12 +275,10 @@ def _impossible(
     )
     if not np.isfinite([least, most]).any():
         return False
-    mean, contrast = fitted(rows, accepted), contrast_noise(rows, accepted)
-    whitener = make_whitener(rows, ranking.levels, contrast, mean)
-    columns = whitener.project(ranking.stack.of(candidate))
+    columns = whitener.project(stack.of(candidate))
     inverse = np.linalg.pinv(columns.T @ columns)
     typical = np.array([about[n].typical for n in candidate.parameters])
-    value = typical * (inverse @ columns.T @ whitener.project(rows.residual))
+    value = typical * (inverse @ columns.T @ y)
     sigma = typical * np.sqrt(np.diag(inverse))
     return bool(((value < least - SURE * sigma) | (value > most + SURE * sigma)).any())
 
@@ -370,7 +370,10 @@ def _posterior(
     *,
     reference: bool,
 ) -> dict[str, float]:
-    """Return the posterior of every group in the place of one finding, the others kept."""
+    """Return the posterior of every group in the place of one finding, the others kept.
+
+    What would have to be of an impossible size is something else, beside the finding, and no rival.
+    """
     others = [b for i, b in enumerate(accepted) if i != which]
     own = accepted[which]
     if own.candidate.physical:
@@ -393,6 +396,11 @@ def _posterior(
             i = stack.candidates.index(best[g])
             evidence[i] = max(evidence[i], near.average(whitener, y) + weight[i])
     best, groups = grouped(stack, evidence)
+    groups = {
+        g: v
+        for g, v in groups.items()
+        if g == own.candidate.group or not _impossible(stack, best[g], whitener, y)
+    }
     total = logsumexp(list(groups.values()))
     out = {g: float(np.exp(v - total)) for g, v in groups.items() if v - total > np.log(SHOWN)}
     if own.candidate.physical:

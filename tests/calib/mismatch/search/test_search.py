@@ -26,7 +26,7 @@ from calib.mismatch.search.ranking import (
     make_stack,
     rank,
 )
-from calib.mismatch.search.search import _accept, _again, _with, choose
+from calib.mismatch.search.search import _accept, _again, _posterior, _with, choose
 from calib.mismatch.twin.selfmode import SelfProblem
 from calib.statics import find_poses
 
@@ -209,3 +209,18 @@ def test_a_twin_of_a_strong_effect_is_a_rival_though_its_column_is_a_derivative(
     assert "accel_temperature_rate" in named()
     monkeypatch.setattr("calib.mismatch.search.search.BLURRED", 0.0)
     assert "accel_temperature_rate" not in named()
+
+
+@pytest.mark.parametrize(("size", "rival"), [(5.0, True), (-5.0, False)])
+def test_what_would_be_of_an_impossible_size_is_no_rival(size, rival):
+    """It lies beside a finding, however much more it explains."""
+    _, self_mode = problem()
+    rows = self_mode.rows()
+    stack = make_stack(rows, skip=(), reference=True)
+    earth = candidate(stack, "earth_rate", ("east", "north", "up"))
+    smoothing = candidate(stack, "reference_smoothing", ("position",))
+    residual = rows.residual + stack.of(earth).sum(axis=1) + size * stack.of(smoothing)[:, 0]
+    rows = replace(rows, residual=residual)
+    found = _accept(rows, stack, earth, 100.0)
+    odds = _posterior(rows, stack, [found], 0, expected_levels(rows), reference=True)
+    assert (odds.get("reference_smoothing", 0.0) > 0.5) is rival
