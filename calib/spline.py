@@ -27,23 +27,24 @@ def spline_slopes(time: FloatArray, values: FloatArray) -> FloatArray:
     values : (..., n, k) array
     """
     step = np.diff(time, axis=-1)
-    chord = np.diff(values, axis=-2) / step[..., None]
+    # One column after the other in memory, as the solver has them.
+    rows = np.ascontiguousarray(np.moveaxis(values, -1, 0), np.float64)
+    chord = np.diff(rows, axis=-1) / step
     below, middle, above = np.zeros((3, *time.shape))
-    right = np.empty_like(values, dtype=np.float64)
+    right = np.empty_like(rows)
     h, g = step[..., :-1], step[..., 1:]
     below[..., 1:-1], middle[..., 1:-1], above[..., 1:-1] = g, 2 * (h + g), h
-    right[..., 1:-1, :] = 3 * (g[..., None] * chord[..., :-1, :] + h[..., None] * chord[..., 1:, :])
+    right[..., 1:-1] = 3 * (g * chord[..., :-1] + h * chord[..., 1:])
     for end, beside, neighbour in ((0, 1, above), (-1, -2, below)):
         h, g = step[..., end], step[..., beside]
         middle[..., end], neighbour[..., end] = g, h + g
         outer, inner = ((3 * h + 2 * g) * g / (h + g), np.square(h) / (h + g))
-        right[..., end, :] = (
-            outer[..., None] * chord[..., end, :] + inner[..., None] * chord[..., beside, :]
-        )
+        right[..., end] = outer * chord[..., end] + inner * chord[..., beside]
     # Rows one after the other: nothing couples them.
-    flat = right.reshape(time.size, -1)
-    solved = lapack.dgtsv(below.ravel()[1:], middle.ravel(), above.ravel()[:-1], flat)[3]
-    return np.asarray(solved).reshape(right.shape)
+    flat = right.reshape(len(rows), -1).T
+    lower, diagonal, upper = below.ravel()[1:], middle.ravel(), above.ravel()[:-1]
+    solved = lapack.dgtsv(lower, diagonal, upper, flat, 1, 1, 1, 1)[3]
+    return np.moveaxis(np.asarray(solved).T.reshape(right.shape), 0, -1)
 
 
 def spline_between(
@@ -57,12 +58,15 @@ def spline_between(
         Points, and what `spline_slopes` makes of them.
     gap, at : (...) arrays
     """
-    step = (time[gap + 1] - time[gap])[..., None]
-    since = (at - time[gap])[..., None]
-    chord = (values[gap + 1] - values[gap]) / step
+    step = time[gap + 1] - time[gap]
+    since = at - time[gap]
     part = since / step
-    bend = (slopes[gap] - chord) * (1 - part) - (slopes[gap + 1] - chord) * part
-    return np.asarray(values[gap] + since * (chord + (1 - part) * bend))
+    points, bends = np.ascontiguousarray(values.T), np.ascontiguousarray(slopes.T)
+    left = points.take(gap, axis=1)
+    chord = (points.take(gap + 1, axis=1) - left) / step
+    bend = (bends.take(gap, axis=1) - chord) * (1 - part)
+    bend -= (bends.take(gap + 1, axis=1) - chord) * part
+    return np.moveaxis(left + since * (chord + (1 - part) * bend), 0, -1)
 
 
 def spline_at(time: FloatArray, values: FloatArray, at: FloatArray) -> FloatArray:

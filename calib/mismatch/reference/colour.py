@@ -47,6 +47,19 @@ class Blur(NamedTuple):
     heard: tuple[FloatArray, FloatArray] = (np.ones(1), np.ones(1))
     judged: BoolArray | None = None
 
+    @property
+    def clear(self) -> bool:
+        """Whether points are seen as they are."""
+        return self.power == 1.0 and not self.whitens and self.judged is None
+
+    def see(self, values: FloatArray, channel: int) -> FloatArray:
+        """Return what is seen of (n, ...) values on a channel."""
+        return values if self.clear else np.asarray(self.matrices[channel // 3] @ values)
+
+    def seen_by(self, weights: sparse.csr_matrix, channel: int) -> sparse.csr_matrix:
+        """Return the (r, n) weights of values for (r, m) weights of what is seen of them."""
+        return weights if self.clear else weights @ self.matrices[channel // 3]
+
     def judging(self, points: BoolArray) -> Blur:
         """Return the blur that sees nothing of the accelerometer but these of the n points."""
         own = (self.matrices[0] @ sparse.diags(points.astype(float))).tocsr()

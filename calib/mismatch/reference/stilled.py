@@ -23,6 +23,8 @@ def resting(time: FloatArray, shaken: Recording, *, felt: float) -> BoolArray:
 
 def stilled(state: State, rests: IntArray) -> State:
     """Return a state that is still in its (k, 2) rests, samples ``[first, last)``."""
+    if not len(rests):
+        return state
     force, rate = state.force.copy(), state.rate.copy()
     turning, gradient = state.rate_dot.copy(), state.gradient.copy()
     mat = None if state.mat_ns is None else state.mat_ns.copy()

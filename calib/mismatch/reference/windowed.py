@@ -129,10 +129,9 @@ def find_shapes(
     )
     found: list[tuple[float, int, int, FloatArray]] = []
     for c, name in enumerate(CHANNELS):
-        matrix = blur.matrices[c // 3]
-        own = matrix @ np.stack([v for channel, v in columns if channel == name], axis=1)
+        own = blur.see(np.array([v for channel, v in columns if channel == name]).T, c)
         own /= size[:, c, None]
-        seen = matrix @ left[:, c] / size[:, c]
+        seen = blur.see(left[:, c], c) / size[:, c]
         counts = blur.counts(c)
         counts = counts[2:] & counts[:-2] if counts.any() else ~counts[2:]
         rough = float(np.median(np.abs(np.diff(seen, n=2))[counts])) / 0.6745 / np.sqrt(6.0)
@@ -251,22 +250,25 @@ def make_rows(
     kind[:dense] = Kind.MEAN
     size = _sizes(shapes.scatter, blur)
     typical = np.sqrt(_of_windows(size, first, last))
-    relative = [
-        size[first[s] : last[s], c] / typical[s, c] for s, c in zip(segment, channel, strict=True)
-    ]
-    weights = [1.0 / (len(r) * np.square(r)) for r in relative[:dense]]
-    weights += [
-        v / (np.sqrt(len(v)) * r) for v, r in zip(shapes.vectors, relative[dense:], strict=True)
-    ]
     functional, white = [], np.zeros(m)
     for c in range(6):
         own = np.flatnonzero(channel == c)
-        row = np.repeat(own, count[segment[own]])
+        many = count[segment[own]]
         points = np.concatenate([np.arange(first[s], last[s]) for s in segment[own]])
-        values = np.concatenate([weights[i] for i in own])
-        seen = sparse.csr_matrix((values, (row, points)), shape=(m, n))
-        functional.append(seen @ blur.matrices[c // 3])
-        square = (seen if blur.whitens else functional[c]).power(2)
+        relative = size[points, c] / np.repeat(typical[segment[own], c], many)
+        mean = np.repeat(own < dense, many)
+        values = np.repeat(1.0 / np.where(own < dense, many, np.sqrt(many)), many) / relative
+        values[mean] /= relative[mean]
+        vectors = [shapes.vectors[i] for i in own[own >= dense] - dense]
+        values[~mean] *= np.concatenate((np.zeros(0), *vectors))
+        ends = np.zeros(m + 1, np.int64)
+        ends[own + 1] = many
+        seen = sparse.csr_matrix((values, points, np.cumsum(ends)), shape=(m, n))
+        functional.append(blur.seen_by(seen, c))
+        weight = seen if blur.whitens else functional[c]
+        square = sparse.csr_matrix(
+            (np.square(weight.data), weight.indices, weight.indptr), shape=weight.shape
+        )
         if shapes.scatter is None:
             white += np.asarray(square.sum(axis=1)).ravel()
         else:

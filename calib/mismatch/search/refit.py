@@ -33,6 +33,11 @@ parameter more would fit. A delay times half a metre of arm is beyond in the fir
 misalignment of a tenth."""
 
 
+SAME = 1e-3
+"""Change of columns, relative to them, that is none: of an effect of 100 standard errors it leaves
+the tenth part of one."""
+
+
 class Problem(Protocol):
     """Where rows come from: a recording and its twin, a simulation, or a reference."""
 
@@ -98,6 +103,17 @@ def refit(
         rows, accepted, _ = there
         steps += 1
     return Refit(rows, accepted, levels, straight=steps == 1 and off < BENT)
+
+
+def unmoved(seen: FloatArray, rows: Rows) -> bool:
+    """Whether what is always fitted, (m, p), is what was `seen` before a fit moved the model.
+
+    Beside a reference all columns change with the alignment, those of the catalogue as these.
+    """
+    if not rows.aligned:
+        return True
+    change = np.square(fitted(rows, []) - seen).sum(axis=0)
+    return bool((change <= SAME**2 * np.square(seen).sum(axis=0)).all())
 
 
 def _step(

@@ -36,7 +36,7 @@ from calib.mismatch.search.ranking import (
     make_stack,
     rank,
 )
-from calib.mismatch.search.refit import Problem, put_back, refined, refit
+from calib.mismatch.search.refit import Problem, put_back, refined, refit, unmoved
 from calib.mismatch.search.whole import whole_fit, whole_odds
 from calib.types import FloatArray
 
@@ -101,15 +101,15 @@ def search(problem: Problem, *, skip: tuple[str, ...] = ()) -> Outcome:
     """Find what was left out, one hypothesis after another."""
     accepted: list[Accepted] = []
     rows = problem.rows()
-    stack = make_stack(rows, skip=skip, reference=problem.reference)
+    stack, seen = make_stack(rows, skip=skip, reference=problem.reference), fitted(rows, [])
     ranking = rank(rows, stack, accepted, expected_levels(rows))
     if not ranking.claims and ranking.pair is not None:
         value, first = ranking.pair
         accepted.append(_accept(rows, stack, first, float(DRIFTING * np.exp(value))))
         rows, accepted, levels, straight = refit(problem, rows, accepted, ranking.levels)
-        if problem.reference or not straight:
+        if not (straight and unmoved(seen, rows)):
             del stack, ranking
-            stack = make_stack(rows, skip=skip, reference=problem.reference)
+            stack, seen = make_stack(rows, skip=skip, reference=problem.reference), fitted(rows, [])
         ranking = rank(rows, stack, accepted, levels)
     for _ in range(ROUNDS):
         if not ranking.claims:
@@ -131,10 +131,9 @@ def search(problem: Problem, *, skip: tuple[str, ...] = ()) -> Outcome:
                 rows = put_back(problem, rows, accepted)
             rows, accepted, levels, again = refit(problem, rows, accepted, levels)
             straight &= again
-        # Beside a reference columns change with the alignment, too.
-        if problem.reference or not straight:
+        if not (straight and unmoved(seen, rows)):
             del stack, ranking  # their columns are most of the memory that is used
-            stack = make_stack(rows, skip=skip, reference=problem.reference)
+            stack, seen = make_stack(rows, skip=skip, reference=problem.reference), fitted(rows, [])
         ranking = rank(rows, stack, accepted, levels)
     contrast = contrast_noise(rows, accepted)
     # The ranking took the better of two maxima: its own is left to be approached more closely.

@@ -16,7 +16,8 @@ from calib.mismatch.reference.band import between, follows_noise
 from calib.mismatch.reference.comparison import ComparisonProblem
 from calib.mismatch.reference.truths import RecordingTruth
 from calib.mismatch.samples.samples import look_at_samples
-from calib.mismatch.search.ranking import make_stack, rank
+from calib.mismatch.search.ranking import fitted, make_stack, rank
+from calib.mismatch.search.refit import unmoved
 from calib.model import SensorModel, Triad
 from calib.recording import Recording
 from calib.simulate import IDEAL, Sampling, digital_twin, simulate
@@ -61,6 +62,23 @@ def test_nothing_but_baseline_noise_and_another_start_is_consistent():
     found = diagnose_against(recorded(), simulation(), gravity=GRAVITY)
     assert found.verdict == "consistent"
     assert found.summary["alignment"]["offset"] == pytest.approx(SHOWN, abs=1e-4)
+
+
+def test_columns_are_made_anew_where_the_alignment_moved():
+    real = recorded()
+    seen = look_at_samples(real, find_poses(real))
+    problem, _ = compare_simulation(real, simulation(), seen, gravity=GRAVITY)
+    rows = problem.rows()
+    before = fitted(rows, [])
+    still = np.zeros(rows.nuisance.shape[1])
+    late = np.where([n == "time_offset.delay" for n in rows.aligned], 1.0, 0.0)
+    steady = dict.fromkeys(rows.names, 0.0)
+    problem.move(steady, still, ())
+    assert unmoved(before, problem.rows())
+    problem.move(steady, 1e-5 * late, ())
+    assert unmoved(before, problem.rows())
+    problem.move(steady, 5e-3 * late, ())
+    assert not unmoved(before, problem.rows())
 
 
 def test_baseline_is_found_with_honest_errors():
