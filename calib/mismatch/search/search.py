@@ -38,6 +38,7 @@ from calib.mismatch.search.ranking import (
 )
 from calib.mismatch.search.refit import Problem, put_back, refined, refit, unmoved
 from calib.mismatch.search.whole import whole_fit, whole_odds
+from calib.mismatch.search.witness import witnessed
 from calib.types import FloatArray
 
 TIE = 0.05
@@ -158,7 +159,8 @@ def choose(rows: Rows, ranking: Ranking, accepted: list[Accepted]) -> Candidate 
 
     An event where something is unexplained already is part of that, and gets no name of its own.
     What an effect leaves that was found already is no second finding of it. What no channel of it
-    shows is another cause, and lends it no weight.
+    shows is another cause, and lends it no weight. Nor does a turn that samples do not resolve, of
+    what it alone shows.
     """
     best = ranking.best
     mean, contrast = fitted(rows, accepted), contrast_noise(rows, accepted)
@@ -166,7 +168,7 @@ def choose(rows: Rows, ranking: Ranking, accepted: list[Accepted]) -> Candidate 
     y = whitener.project(rows.residual)
     groups = {
         g: v
-        for g, v in ranking.groups.items()
+        for g, v in witnessed(rows, ranking, whitener, y).items()
         if not _within(rows, best[g], accepted)
         and not _again(best[g], accepted)
         and not _impossible(ranking.stack, best[g], whitener, y)
