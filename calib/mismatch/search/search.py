@@ -36,7 +36,8 @@ from calib.mismatch.search.ranking import (
     make_stack,
     rank,
 )
-from calib.mismatch.search.refit import Problem, put_back, refined, refit, unmoved
+from calib.mismatch.search.refit import Problem, put_back, refit, unmoved
+from calib.mismatch.search.twins import MIMICKED, twins
 from calib.mismatch.search.whole import whole_fit, whole_odds
 from calib.mismatch.search.witness import witnessed
 from calib.types import FloatArray
@@ -62,15 +63,6 @@ SHOWN = 1e-3
 BETWEEN = 20.0
 """Log evidence that a place between two of the grid may add, or as much again as it has there: they
 are near enough for the larger part of an effect to show at one of them."""
-
-MIMICKED = 9.0
-"""Power of a finding, in units of the noise, that a twin does not mimic, below which the two are a
-tie: the likelihood then favours the wrong one in 1 of 15."""
-
-BLURRED = 0.0025
-"""The same as a share of the finding's power, however strong it is: columns are made of measured
-signals, of which the slow part that is left beside drift and baseline errs by 5 % (a thermometer is
-not where the sensor is, and a rate of its temperature is a derivative)."""
 
 SURE = 3.0
 """Standard errors by which an effect must be beyond what is physical to be none."""
@@ -405,28 +397,6 @@ def _posterior(
     total = logsumexp(list(groups.values()))
     out = {g: float(np.exp(v - total)) for g, v in groups.items() if v - total > np.log(SHOWN)}
     if own.candidate.physical:
-        explained = _fit(whitener.project(own.columns), y)
-        mimicked = max(MIMICKED, BLURRED * float(np.square(explained).sum()))
-        for g, candidate in best.items():
-            # A twin fits as well with no more parameters, whatever size it then has.
-            few = candidate.physical and len(candidate.index) <= own.columns.shape[1]
-            if g == own.candidate.group or not few or out.get(g, 0.0) >= 2 * TWIN:
-                continue
-            columns = stack.of(candidate)
-            left = _left(whitener.project(columns), explained)
-            if mimicked <= left <= 4.0 * mimicked:
-                _, columns = refined(rows, candidate, columns, whitener, y, reference=reference)
-                left = _left(whitener.project(columns), explained)
-            if left < mimicked:
-                out[g] = 2 * TWIN
+        for g in twins(rows, stack, own, evidence, whitener, y, reference=reference):
+            out[g] = max(out.get(g, 0.0), 2 * TWIN)
     return out
-
-
-def _fit(columns: FloatArray, y: FloatArray) -> FloatArray:
-    """Return what whitened columns explain of y."""
-    return np.asarray(columns @ np.linalg.lstsq(columns, y, rcond=1e-9)[0])
-
-
-def _left(columns: FloatArray, y: FloatArray) -> float:
-    """Return the power of y that whitened columns do not mimic."""
-    return float(np.square(y - _fit(columns, y)).sum())

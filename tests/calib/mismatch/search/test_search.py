@@ -207,7 +207,7 @@ def test_a_twin_of_a_strong_effect_is_a_rival_though_its_column_is_a_derivative(
         return {found.effect, *(r.effect for r in found.rivals)}
 
     assert "accel_temperature_rate" in named()
-    monkeypatch.setattr("calib.mismatch.search.search.BLURRED", 0.0)
+    monkeypatch.setattr("calib.mismatch.search.twins.BLURRED", 0.0)
     assert "accel_temperature_rate" not in named()
 
 

@@ -1,0 +1,121 @@
+"""Twins of a finding: effects that mimic it so nearly that a recording cannot tell them apart.
+
+What a finding explains is fitted, and so are its shapes: by chance it goes along with the drift of
+the recording as well, which no other effect does. So a twin need not mimic the shape that fits
+best, but any that the recording allows: two standard errors either way.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from calib.effects import get_effect
+from calib.mismatch.hypotheses.candidates import Candidate
+from calib.mismatch.hypotheses.families import candidate_columns, neighbours
+from calib.mismatch.hypotheses.score import Stack
+from calib.mismatch.noise.noise import Whitener
+from calib.mismatch.rows.rows import Rows
+from calib.mismatch.search.ranking import Accepted
+from calib.mismatch.search.refit import refined
+from calib.types import FloatArray
+
+MIMICKED = 9.0
+"""Power of a finding, in units of the noise, that a twin does not mimic, below which the two are a
+tie: the likelihood then favours the wrong one in 1 of 15."""
+
+BLURRED = 0.0025
+"""The same as a share of the finding's power, however strong it is: columns are made of measured
+signals, of which the slow part that is left beside drift and baseline errs by 5 % (a thermometer is
+not where the sensor is, and a rate of its temperature is a derivative)."""
+
+NEARLY = 4.0
+"""How many times as much may be left of a twin at one of the grid's shapes, at its own."""
+
+ALLOWED = 4.0
+"""Power by which a shape may explain less than the best: two standard errors."""
+
+
+def twins(
+    rows: Rows,
+    stack: Stack,
+    own: Accepted,
+    evidence: FloatArray,
+    whitener: Whitener,
+    y: FloatArray,
+    *,
+    reference: bool,
+) -> list[str]:
+    """Return the groups of other effects that mimic a finding with no more parameters.
+
+    Parameters
+    ----------
+    rows, stack : Rows, Stack
+    own : Accepted
+    evidence : (k,) array
+        Of each candidate of the stack.
+    whitener, y : Whitener, (m,) array
+        With all that is fitted but the finding; and what is left beside that.
+    """
+    explained = _fit(whitener.project(own.columns), y)
+    most = max(MIMICKED, BLURRED * float(np.square(explained).sum()))
+    allowed: list[FloatArray] = []
+    out = []
+    for candidate in _rivals(stack, own, evidence):
+        if candidate.group in out:
+            continue
+        columns = stack.of(candidate)
+        left = _left(whitener.project(columns), explained)
+        if most <= left <= NEARLY * most:
+            allowed = allowed or [
+                explained,
+                *_shaped(rows, own, whitener, y, reference=reference),
+            ]
+            _, columns = refined(rows, candidate, columns, whitener, y, reference=reference)
+            white = whitener.project(columns)
+            left = min(_left(white, found) for found in allowed)
+        if left < most:
+            out.append(candidate.group)
+    return out
+
+
+def _rivals(stack: Stack, own: Accepted, evidence: FloatArray) -> list[Candidate]:
+    """Return the best of each other effect, and the best with as many parameters as may be.
+
+    What one axis mimics of three is a third.
+    """
+    number, groups = own.columns.shape[1], dict[str, list[int]]()
+    for i, c in enumerate(stack.candidates):
+        if c.physical and len(c.index) <= number and c.group != own.candidate.group:
+            groups.setdefault(c.group, []).append(i)
+    best: list[int] = []
+    for few in groups.values():
+        most = max(len(stack.candidates[i].index) for i in few)
+        full = [i for i in few if len(stack.candidates[i].index) == most]
+        best += dict.fromkeys(max(some, key=evidence.item) for some in (few, full))
+    return [stack.candidates[i] for i in best]
+
+
+def _shaped(
+    rows: Rows, own: Accepted, whitener: Whitener, y: FloatArray, *, reference: bool
+) -> list[FloatArray]:
+    """Return what a finding explains at other shapes that the recording allows."""
+    if own.candidate.present:
+        return []
+    found = []
+    for shape in neighbours(get_effect(own.candidate.name), rows, own.candidate.shape):
+        columns = candidate_columns(rows, own.candidate, shape, reference=reference)
+        if columns is not None:
+            found.append(_fit(whitener.project(columns), y))
+    power = [float(np.square(values).sum()) for values in found]
+    best = max((float(np.square(_fit(whitener.project(own.columns), y)).sum()), *power))
+    return [values for values, p in zip(found, power, strict=True) if p > best - ALLOWED]
+
+
+def _fit(columns: FloatArray, y: FloatArray) -> FloatArray:
+    """Return what whitened columns explain of y."""
+    return np.asarray(columns @ np.linalg.lstsq(columns, y, rcond=1e-9)[0])
+
+
+def _left(columns: FloatArray, y: FloatArray) -> float:
+    """Return the power of y that whitened columns do not mimic."""
+    return float(np.square(y - _fit(columns, y)).sum())

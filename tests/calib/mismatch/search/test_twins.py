@@ -1,0 +1,57 @@
+"""Twins: what a recording cannot tell from a finding."""
+
+import numpy as np
+import pytest
+
+from calib.effects import get_effect
+from calib.mismatch.hypotheses.families import effect_columns
+from calib.mismatch.noise.noise import expected_levels, make_whitener
+from calib.mismatch.search.ranking import Accepted, fitted, make_stack
+from calib.mismatch.search.twins import MIMICKED, twins
+
+from ..bench import problem
+
+AXES = ("kx", "ky", "kz")
+
+
+@pytest.mark.parametrize("beyond", [False, True])
+def test_a_twin_mimics_a_shape_that_is_within_two_standard_errors(beyond, monkeypatch):
+    _, made = problem()
+    rows = made.rows()
+    stack = make_stack(rows, skip=(), reference=False)
+    whitener = make_whitener(rows, expected_levels(rows), rows.white_diagonal, fitted(rows, []))
+    warm = [c for c in stack.candidates if c.name == "gyro_warm_up" and c.parameters == AXES]
+    candidate = min(warm, key=lambda c: abs(c.shape["tau"] - 90.0))
+    rate = effect_columns(get_effect("gyro_temperature_rate"), rows, {}, reference=False)
+    twin = whitener.project(np.stack([rate[k] for k in AXES], axis=1))
+    own = whitener.project(stack.of(candidate))
+    # The twin is what is there, and a drift beside it goes along with another shape by chance.
+    true = twin[:, 2] / np.linalg.norm(twin[:, 2])
+    chance = own[:, 2] - twin @ np.linalg.lstsq(twin, own[:, 2], rcond=None)[0]
+    y = 20.0 * true + np.sqrt(MIMICKED) * chance / np.linalg.norm(chance)
+    if beyond:
+        monkeypatch.setattr("calib.mismatch.search.twins.ALLOWED", 0.0)
+    found = Accepted(candidate, stack.of(candidate), np.ones(3), np.zeros(3), False, 100.0)
+    evidence = stack.log_bayes_factors(whitener, y)
+    names = twins(rows, stack, found, evidence, whitener, y, reference=False)
+    assert ("gyro_temperature_rate" in names) is not beyond
+    assert "gyro_scale_nonlinearity" not in names
+
+
+def test_the_fullest_candidate_of_an_effect_is_compared_and_not_its_best_alone():
+    _, made = problem()
+    rows = made.rows()
+    stack = make_stack(rows, skip=(), reference=False)
+    whitener = make_whitener(rows, expected_levels(rows), rows.white_diagonal, fitted(rows, []))
+    own = next(
+        c for c in stack.candidates if c.name == "accel_bias_temperature" and c.parameters == AXES
+    )
+    slower = [c for c in stack.candidates if c.name == "accel_warm_up" and c.parameters == AXES]
+    columns = whitener.project(stack.of(max(slower, key=lambda c: c.shape["tau"])))
+    y = columns @ (np.array([20.0, 4.0, 4.0]) / np.linalg.norm(columns, axis=0))
+    evidence = stack.log_bayes_factors(whitener, y) + stack.weight
+    # What few parameters explain nearly as well counts for more, and what is left is judged alone.
+    alone = [c.name == "accel_warm_up" and c.parameters == ("kx",) for c in stack.candidates]
+    evidence[alone] = evidence.max() + 1.0
+    found = Accepted(own, stack.of(own), np.ones(3), np.zeros(3), False, 100.0)
+    assert "accel_warm_up" in twins(rows, stack, found, evidence, whitener, y, reference=False)
