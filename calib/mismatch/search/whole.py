@@ -19,7 +19,7 @@ from calib.effects import get_effect
 from calib.effects.bandwidth import group_delay
 from calib.effects.base import TransformEffect
 from calib.mismatch.hypotheses.candidates import Candidate
-from calib.mismatch.hypotheses.families import candidate_columns
+from calib.mismatch.hypotheses.families import candidate_columns, effect_columns
 from calib.mismatch.hypotheses.score import Stack
 from calib.mismatch.noise.noise import Levels, Whitener, find_levels, make_whitener
 from calib.mismatch.rows.restored import STILL, whole_change
@@ -226,11 +226,14 @@ def whole_odds(
     """Return a finding, if it is a delay or a low-pass, with the odds of the other in its place.
 
     One that is straight has them from its column. The other has a probability of ``least`` at least
-    if the power of what it does not mimic is below ``mimicked``.
+    if the power of what it does not mimic is below ``mimicked``. Beside a reference a low-pass that
+    was not tried, as both signals were limited, still has the odds of its column.
     """
     own = accepted[which]
     others = [a for i, a in enumerate(accepted) if i != which]
-    if problem.reference or not _alone(own, others):
+    if problem.reference:
+        return _untried_odds(rows, stack, own, others, levels, mimicked=mimicked, least=least)
+    if not _alone(own, others):
         return own
     before = put_back(problem, rows, others) if own.in_model else rows
     judge = Judge(before, others, levels)
@@ -244,12 +247,55 @@ def whole_odds(
         return own
     mine = best.pop(own.candidate.name)
     (other,) = best.values()
-    share = float(expit(judge.gain(other.column) - judge.gain(mine.column)))
-    if judge.power(mine.column - other.column) < mimicked:
-        share = max(share, least)
-    odds = {mine.name: 1.0 - share, other.name: share}
+    share = _share(judge, mine.column, other.column, mimicked=mimicked, least=least)
+    return _shared(own, {mine.name: 1.0 - share, other.name: share})
+
+
+def _share(
+    judge: Judge, mine: FloatArray, other: FloatArray, *, mimicked: float, least: float
+) -> float:
+    """Return the probability of another change against one's own."""
+    share = float(expit(judge.gain(other) - judge.gain(mine)))
+    return max(share, least) if judge.power(mine - other) < mimicked else share
+
+
+def _shared(own: Accepted, odds: Mapping[str, float]) -> Accepted:
+    """Return a finding whose probability is shared between two names."""
     both = sum(own.posterior.get(name, 0.0) for name in odds) or 1.0
     return replace(own, posterior={**own.posterior, **{k: both * v for k, v in odds.items()}})
+
+
+def _untried_odds(
+    rows: Rows,
+    stack: Stack,
+    own: Accepted,
+    others: list[Accepted],
+    levels: FloatArray,
+    *,
+    mimicked: float,
+    least: float,
+) -> Accepted:
+    """Return a delay of one triad with the odds of low-passes of its size, if none was tried.
+
+    At most as likely: how amplitude falls with frequency, which would tell, both signals lack.
+    """
+    tried = any(c.name == LOW_PASS for c in stack.candidates)
+    if tried or own.candidate.parameters != ("gyro_delay",):
+        return own
+    (late,) = own.values
+    triad, effect = "gyro" if late > 0 else "accel", get_effect(LOW_PASS)
+    mine = own.columns @ (own.values / own.typical)
+    if own.in_model:
+        rows = replace(rows, residual=rows.residual + mine)
+    judge = Judge(rows, others, levels)
+    share = 0.0
+    for order in (1, 2):
+        shape = {f"{triad}_cutoff": group_delay(abs(late), order), "order": float(order)}
+        column = effect_columns(effect, rows, shape, reference=True).get(triad)
+        if column is not None:
+            here = _share(judge, mine, column, mimicked=mimicked, least=least)
+            share = max(share, min(here, 0.5))
+    return _shared(own, {DELAY: 1.0 - share, LOW_PASS: share}) if share else own
 
 
 def _alone(late: Accepted, others: list[Accepted]) -> bool:

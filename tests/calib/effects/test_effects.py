@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy import signal
+from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
 from calib.effects import effects, get_effect
 from calib.effects.accel_settling import FADING, NONE, WHOLE
@@ -278,6 +279,8 @@ def smooth(time: np.ndarray) -> Signals:
 
 
 TIME = np.arange(0.0, 10.0, 0.01)
+FINER = 40
+"""Steps of another filter to one of ours."""
 
 
 def transforms(slug: str) -> TransformEffect:
@@ -341,17 +344,33 @@ def test_bandwidth_is_undone_without_blowing_up_noise(order: int, triads: tuple[
 @pytest.mark.parametrize("samples", [2, 3, 400])
 def test_bandwidth_agrees_with_another_filter(order: int, samples: int) -> None:
     rng = np.random.default_rng(samples)
-    values = rng.normal(size=(samples, 3)).cumsum(axis=0)
+    time, values = 0.01 * np.arange(samples), rng.normal(size=(samples, 3)).cumsum(axis=0)
+    bends = CubicSpline(time, values)
+    if samples < 4:
+        bends = CubicHermiteSpline(time, values, np.gradient(values, time, axis=0))
+    finer = bends(0.01 / FINER * np.arange((samples - 1) * FINER + 1))
     for cutoff in (1.0, 20.0, 200.0):
         w0 = 2 * np.pi * cutoff
         analogue = [1 / w0, 1.0] if order == 1 else [1 / w0**2, np.sqrt(2) / w0, 1.0]
-        num, den, _ = signal.cont2discrete(([1.0], analogue), 0.01, method="foh")
+        num, den, _ = signal.cont2discrete(([1.0], analogue), 0.01 / FINER, method="foh")
         start = signal.lfilter_zi(num.ravel(), den)[:, None] * values[0]
-        put_back = values.copy()
-        put_back[1:-1] -= np.diff(values, n=2, axis=0) / 12
-        expected = signal.lfilter(num.ravel(), den, put_back, axis=0, zi=start)[0]
-        found = low_pass(0.01 * np.arange(samples), values, cutoff, order=order)
-        np.testing.assert_allclose(found, expected, atol=1e-9)
+        expected = signal.lfilter(num.ravel(), den, finer, axis=0, zi=start)[0][::FINER]
+        found = low_pass(time, values, cutoff, order=order)
+        np.testing.assert_allclose(found, expected, atol=1e-3)
+
+
+@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("cutoff", [5.0, 25.0, 150.0])
+def test_a_low_pass_beyond_half_the_sample_rate_is_as_exact(order: int, cutoff: float) -> None:
+    time = 0.02 * np.arange(2000)
+    for frequency in (1.0, 5.0):
+        wave = np.exp(2j * np.pi * frequency * time)
+        passed = low_pass(time, np.stack((wave.real, wave.imag), axis=1), cutoff, order=order)
+        s = 1j * frequency / cutoff
+        response = 1 / (1 + s) if order == 1 else 1 / (1 + np.sqrt(2) * s + s**2)
+        inner = slice(500, 1500)
+        error = np.abs((passed[:, 0] + 1j * passed[:, 1])[inner] - response * wave[inner])
+        assert error.max() < 2e-3 * abs(response - 1)
 
 
 def test_saturation_cuts_and_keeps_the_rest() -> None:
