@@ -10,6 +10,9 @@ from calib.mismatch.noise.noise import typical
 from calib.mismatch.rows.rows import Rows
 from calib.types import BoolArray, FloatArray
 
+FEW = 5
+"""Contrasts of one kind and channel from which on what repeats in them is taken out."""
+
 
 def contrast_variance(rows: Rows, *, apart: BoolArray | None = None) -> FloatArray:
     """Return the variance of the contrast rows: white noise times one robust factor a channel.
@@ -33,19 +36,25 @@ def contrast_variance(rows: Rows, *, apart: BoolArray | None = None) -> FloatArr
         squares = []
         for k in (0, 1):
             own = np.flatnonzero(mine & (order == k))
-            if apart is not None and (~apart[own]).sum() >= 5:
+            if apart is not None and (~apart[own]).sum() >= FEW:
                 own = own[~apart[own]]
-            if len(own) < 5:
+            if len(own) < FEW:
                 continue
             scaled = y[own] / np.sqrt(variance[own])
             design = np.stack((np.ones(len(own)), (time[own] - time[own].mean())), axis=1)
             left = scaled - design @ np.linalg.lstsq(design, scaled, rcond=None)[0]
             squares.append(np.square(left) * len(own) / (len(own) - 2))
-        if not squares:
+        if squares:
+            values = np.concatenate(squares)
+            level = typical(values)
+            level = max(level, float(np.minimum(values, 9.0 * max(level, 1e-12)).mean()))
+        elif mine.any() and not moved:
+            # Of so few nobody can tell what an effect is, and what the sensor or its holder does.
+            triad = (channel // 3 == c // 3) & ~restless & (channel >= 0)
+            values = np.square(y[triad]) / rows.white_diagonal[triad]
+            level = float(values.mean())
+        else:
             continue
-        values = np.concatenate(squares)
-        level = typical(values)
-        level = max(level, float(np.minimum(values, 9.0 * max(level, 1e-12)).mean()))
         variance[mine] *= _inflation(len(values) * level, len(values))
         if not moved:
             continue

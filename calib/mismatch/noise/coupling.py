@@ -23,7 +23,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import linalg, sparse
 
-from calib.mismatch.noise.sensornoise import DRIFT_TIME, flicker_covariance
+from calib.mismatch.noise.sensornoise import DRIFT_TIME, LEAN, flicker_covariance
 from calib.mismatch.rows.rows import Kind, Rows
 from calib.recording import CHANNELS
 from calib.types import FloatArray, IntArray
@@ -58,7 +58,8 @@ class Foretold(NamedTuple):
 class _Drifts(NamedTuple):
     """What one channel's means and contrasts have of drift, by kinds, and of white noise.
 
-    Covariances of the means, of the contrasts with them, and of the contrasts.
+    Covariances of the means, of the contrasts with them, and of the contrasts: as flicker, as a
+    walk, and as the sensor leans.
     """
 
     contrast: IntArray
@@ -79,7 +80,9 @@ def foretold(rows: Rows, levels: FloatArray) -> tuple[Foretold, ...]:
     level = {c.name: value for c, value in zip(rows.components, levels, strict=True)}
     out = []
     for name, drift in zip(CHANNELS, rows.kept["drifts"], strict=True):
-        size = np.array([level.get(f"{name} {kind}", 0.0) for kind in ("flicker", "walk")])
+        leaning = name if name.startswith("gyro") else "accel"
+        kinds = f"{name} flicker", f"{name} walk", f"{leaning} {LEAN}"
+        size = np.array([level.get(kind, 0.0) for kind in kinds])
         if (
             drift is None
             or not (np.einsum("k,kii->i", size, drift.own) > SLIGHT * drift.noise).any()
@@ -105,6 +108,8 @@ def _drifts(rows: Rows, c: int) -> _Drifts | None:
     if len(mean) < 2 or not len(contrast):
         return None
     part, kernels = _parts(rows.interval.tobytes(), rows.is_rest.tobytes())
+    lean = np.zeros_like(kernels[0]) if rows.lean is None else rows.lean.cut(PARTS).covariance(c)
+    kernels = np.concatenate((kernels, lean[None]))
     begin, length = rows.interval[:, 0], np.ptp(rows.interval, axis=1)
     at = rows.point_segment
     place = (rows.state.time - begin[at]) / np.maximum(length[at], 1e-9)

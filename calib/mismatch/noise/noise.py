@@ -18,6 +18,7 @@ import numpy as np
 from scipy import linalg
 
 from calib.mismatch.noise.coupling import Foretold, foretold
+from calib.mismatch.noise.sensornoise import LEAN
 from calib.mismatch.rows.arrow import Factor
 from calib.mismatch.rows.rows import UNKNOWN, Rows
 from calib.types import FloatArray, IntArray
@@ -35,6 +36,13 @@ INDEPENDENT = 1e-5
 
 NEAR = 0.02
 """What the log-likelihood may be short of its maximum: evidence counts in nats."""
+
+STRAINED = 4.0
+"""How far levels must be from what is expected of them, in nats of the prior, for another maximum
+to be looked for: that of a sensor that leans."""
+
+LEANS = 1e3
+"""Where that search starts, times what is expected of a lean: tenths of a degree in ten seconds."""
 
 ROUNDING = 1e-12
 """Products of unit vectors up to which these are orthogonal."""
@@ -191,7 +199,7 @@ def find_levels(rows: Rows, mean: FloatArray, start: FloatArray) -> Levels:
     The likelihood has two maxima where turns close badly (shocks, a coarse clock): closures with
     errors of their own, or drift that is far too large for the rests. From levels that expect good
     closures only the second is reached. Where white noise is most of what closures err, there is
-    one.
+    one. And a sensor that leans in its rests looks like one with far too much drift.
     """
     above = expected_levels(rows)
     square = np.square(rows.residual[: rows.n_dense])
@@ -208,7 +216,14 @@ def find_levels(rows: Rows, mean: FloatArray, start: FloatArray) -> Levels:
             worst = max(worst, typical(square[index] / white[index]))
     alone = worst < 2.0 or np.array_equal(start, above)
     found = [estimate_levels(rows, mean, at) for at in ([start] if alone else [start, above])]
-    return max(found, key=lambda levels: levels.log_likelihood)
+    best = max(found, key=lambda levels: levels.log_likelihood)
+    logs = np.log(best.values / expected_levels(rows))
+    if 0.5 * float(logs @ prior_precision(rows) @ logs) > STRAINED:
+        leaning = expected_levels(rows)
+        leaning[[c.group == LEAN for c in rows.components]] *= LEANS
+        other = estimate_levels(rows, mean, leaning)
+        best = max(best, other, key=lambda levels: levels.log_likelihood)
+    return best
 
 
 def typical(squares: FloatArray) -> float:

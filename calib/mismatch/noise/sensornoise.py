@@ -5,12 +5,16 @@ How much it drifts is a level that `noise` estimates; how much to expect is said
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy import sparse
 
 from calib.effects.vibration import quiet_level
 from calib.mismatch.rows.grid import Grid, fast_power
+from calib.mismatch.rows.lean import Lean
 from calib.mismatch.rows.rows import Component
+from calib.recording import CHANNELS
 from calib.types import BoolArray, FloatArray, IntArray
 
 DRIFT = {"accel": 0.15, "gyro": 0.5}
@@ -26,6 +30,15 @@ factor of 2 in size."""
 
 DRIFT_TIME = 600.0
 """s."""
+
+LEAN = "lean"
+
+LEANING = (np.deg2rad(0.001)) ** 2
+"""Variance of the angle by which a sensor at rest is expected to lean in a second, rad²."""
+
+LEAN_SPREAD = 3.0
+"""Standard deviation of its logarithm: a factor of 4.5 in size. A table does not lean by a
+thousandth of a degree in minutes; a hand does by a tenth in seconds."""
 
 CAUTION = 6.0
 """Differences that count as those of white noise, besides what is seen of rests that are shaken."""
@@ -190,3 +203,63 @@ def drift_components(
             ("walk", walk, 1.0),
         )
     ]
+
+
+def lean_components(
+    lean: Lean, rows: IntArray, rest: IntArray, pieces: Sequence[sparse.csr_matrix]
+) -> list[Component]:
+    """Return the unknown variances of means at rest as the sensor leans.
+
+    Accelerometers have theirs in common. Of a turn about the vertical they see nothing, so that
+    each axis of a gyroscope has its own.
+
+    Parameters
+    ----------
+    lean : Lean
+        In n cells.
+    rows : (n, 6) array of int
+        Their means among the dense rows.
+    rest : (n,) array of int
+        Their segments.
+    pieces : six sparse (n_dense, s) matrices
+        Response to a constant on each channel in each segment.
+    """
+    n = len(rows)
+    kernel = np.zeros((3, n, 3, n))
+    for c in range(3):
+        kernel[c, :, c] = lean.covariance(c)
+    each = sparse.identity(3 * n, format="csr")
+    prior = LEANING, LEAN_SPREAD, LEAN
+    out = [
+        Component(f"accel {LEAN}", rows[:, :3].T.ravel(), each, kernel.reshape(3 * n, -1), *prior)
+    ]
+    for c in range(3, 6):
+        index = np.flatnonzero(np.diff(pieces[c].indptr))
+        own = np.zeros((pieces[c].shape[1],) * 2)
+        own[np.ix_(rest, rest)] = lean.covariance(c)
+        out.append(Component(f"{CHANNELS[c]} {LEAN}", index, pieces[c][index], own, *prior))
+    return out
+
+
+def lean_of_turns(
+    lean: Lean, rows: IntArray, poses: IntArray, parts: tuple[FloatArray, FloatArray]
+) -> Component:
+    """Return the unknown variance of closures as turns begin and end where a rest has leaned to.
+
+    Parameters
+    ----------
+    lean : Lean
+    rows : (k, 5) array of int
+        The closures of k turns among the dense rows.
+    poses : (2, k) array of int
+        Before and after each.
+    parts : two (k, 5, 2) arrays
+        What the angles before, and those after, do to the closures.
+    """
+    variance, turns = lean.at_ends(), np.arange(len(rows))
+    kernel = np.zeros((len(rows), 5, len(rows), 5))
+    for pose, part in zip(poses, parts, strict=True):
+        kernel[turns, :, turns] += variance[pose, None, None] * (part @ np.swapaxes(part, 1, 2))
+    each = sparse.identity(rows.size, format="csr")
+    matrix = kernel.reshape(rows.size, -1)
+    return Component(f"turn {LEAN}", rows.ravel(), each, matrix, LEANING, LEAN_SPREAD, LEAN)

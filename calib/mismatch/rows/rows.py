@@ -21,6 +21,7 @@ from calib.effects import get_effect
 from calib.effects.base import State
 from calib.mismatch.rows.arrow import Arrow
 from calib.mismatch.rows.closure import Ended, Spans, end_turns, turned_frames
+from calib.mismatch.rows.lean import Lean
 from calib.recording import CHANNELS
 from calib.types import BoolArray, FloatArray, IntArray
 
@@ -150,6 +151,8 @@ class Rows:
         empty where the rows determine all of them.
     plain : (m, p) array
         `baseline` where no setup is felt (no lever arm); empty where none is.
+    lean : Lean, optional
+        How the sensor may move at rest; None where the truth says how it moves.
     """
 
     residual: FloatArray
@@ -173,6 +176,7 @@ class Rows:
     restless: BoolArray = field(default_factory=lambda: np.zeros(0, bool))
     prior: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
     plain: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+    lean: Lean | None = None
 
     @property
     def n_dense(self) -> int:

@@ -19,6 +19,8 @@ from calib.mismatch.noise.sensornoise import (
     SPREAD,
     drift_components,
     flicker_covariance,
+    lean_components,
+    lean_of_turns,
 )
 from calib.mismatch.rows.closure import (
     Closures,
@@ -29,6 +31,7 @@ from calib.mismatch.rows.closure import (
     open_ends,
 )
 from calib.mismatch.rows.grid import Grid
+from calib.mismatch.rows.lean import Lean
 from calib.mismatch.rows.rows import UNKNOWN, Component, Kind, Rows
 from calib.mismatch.twin.twin import Twin, baseline_column, true_state
 from calib.recording import CHANNELS
@@ -235,6 +238,15 @@ def build_rows(grid: Grid, twin: Twin, noise: FloatArray, *, spread: float | Non
         closed,
         SPREAD if spread is None else spread,
     )
+    place = grid.before[layout.rest]
+    lean = Lean.of(twin.up, grid.interval[layout.rest], place, twin.gravity)
+    components += tuple(
+        lean_components(lean, layout.rows[0], layout.rest, [p[:dense] for p in pieces])
+    )
+    if len(layout.turns):
+        beside = np.stack((grid.before[layout.turns], grid.after[layout.turns]))
+        parts = closed.before, closed.after
+        components += (lean_of_turns(lean, layout.ends, beside, parts),)
     components += tuple(
         sampling_components(
             closed,
@@ -272,6 +284,7 @@ def build_rows(grid: Grid, twin: Twin, noise: FloatArray, *, spread: float | Non
         interval=grid.interval,
         is_rest=grid.is_rest,
         pieces=pieces,
+        lean=lean,
     )
 
 

@@ -23,7 +23,7 @@ from calib.mismatch.noise.noise import (
     range_basis,
     spread_of_variance,
 )
-from calib.mismatch.noise.sensornoise import shrunk
+from calib.mismatch.noise.sensornoise import LEAN, shrunk
 from calib.mismatch.rows.rows import Component
 
 from ..bench import problem
@@ -141,6 +141,40 @@ def test_the_noise_of_contrasts_is_that_outside_of_what_is_set_apart():
     # The likelihood prefers what made them.
     quiet, even = (contrast_likelihood(rows, v) for v in (both[1], rows.white_diagonal))
     assert quiet > even
+
+
+def test_few_contrasts_are_judged_by_all_of_their_triad():
+    """Of two rests nobody can tell what repeats in them, and what the sensor or its holder does."""
+    _, self_mode = problem()
+    rows = self_mode.rows()
+    few = np.isin(rows.segment, np.flatnonzero(rows.is_rest)[:2])
+    few[: rows.n_dense] = True
+    rows = rows.without(~few)
+    at = rows.channel[rows.n_dense :]
+    residual = np.zeros(len(rows.residual))
+    residual[rows.n_dense :] = np.sqrt(rows.white_diagonal) * np.where(at == 3, 8.0, 0.0)
+    variance = contrast_variance(replace(rows, residual=residual)) / rows.white_diagonal
+    assert np.all(variance[at < 3] == 1.0)
+    # A third of them, 64 each, and six that are as expected.
+    assert np.allclose(variance[at >= 3], (4 * 64 + 6) / (12 + 6))
+
+
+def test_levels_of_a_sensor_that_leans_are_found():
+    """Not the other maximum, where all of its drift is far from what is expected."""
+    _, self_mode = problem()
+    rows = self_mode.rows()
+    mean = np.hstack((rows.baseline, rows.nuisance))[: rows.n_dense]
+    levels = expected_levels(rows)
+    leans = [i for i, c in enumerate(rows.components) if c.group == LEAN]
+    levels[leans] *= 1e4
+    rng = np.random.default_rng(8)
+    factor = np.linalg.cholesky(covariance(rows, levels))
+    for _ in range(4):
+        residual = np.zeros(len(rows.residual))
+        residual[: rows.n_dense] = factor @ rng.normal(size=rows.n_dense)
+        found = find_levels(replace(rows, residual=residual), mean, expected_levels(rows))
+        gyros = np.log10(found.values[leans[1:]] / levels[leans[1:]])
+        assert np.abs(gyros).max() < 1.0
 
 
 @pytest.mark.parametrize(("size", "error"), [(0.0, 0.1), (30.0, 0.9), (1000.0, 0.2)])

@@ -1,0 +1,91 @@
+"""How a sensor moves at rest: a hand, a foot or a soft bench gives way, and it leans.
+
+What it leans by both sensors see: gravity moves across the accelerometer, by ``g`` times the angle,
+and the gyroscope turns by as much in that time. On a table that is nothing. On a foot it is tenths
+of a degree in seconds, and a bias that changes looks the same. The angle of each pose is modelled
+as a random walk upon a steady turn, both of which begin anew with the pose::
+
+    Var angle(t) = q (t + t² / STEADY),  Cov of rates = q (delta + 1 / STEADY)
+
+with q in rad²/s, one for the recording.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calib.types import FloatArray, IntArray
+
+STEADY = 10.0
+"""s after which the steady turn is as large as the walk: people sway in seconds, and shift their
+weight in tens of seconds."""
+
+
+@dataclass(frozen=True, eq=False)
+class Lean:
+    """n parts of rests, and what an angle does to them.
+
+    Parameters
+    ----------
+    up : (n, 3) array
+        Unit vectors.
+    begin, length : (n,) arrays, s
+        ``begin`` counts from where the pose does.
+    pose : (n,) array of int
+    gravity : float, m/s²
+    """
+
+    up: FloatArray
+    begin: FloatArray
+    length: FloatArray
+    pose: IntArray
+    gravity: float
+
+    @classmethod
+    def of(cls, up: FloatArray, interval: FloatArray, pose: IntArray, gravity: float) -> Lean:
+        """Return the lean in cells of poses; `up` is that of each pose, (poses, 3)."""
+        first = np.full(len(up), np.inf)
+        np.minimum.at(first, pose, interval[:, 0])
+        begin, length = interval[:, 0] - first[pose], np.ptp(interval, axis=1)
+        return cls(up[pose], begin, length, pose, gravity)
+
+    def cut(self, at: Sequence[float]) -> Lean:
+        """Return the same for parts of each cell, cut at these shares of its length."""
+        edges = np.array([0.0, *at, 1.0])
+        n = len(edges) - 1
+        return replace(
+            self,
+            up=np.repeat(self.up, n, axis=0),
+            begin=(self.begin[:, None] + self.length[:, None] * edges[:-1]).ravel(),
+            length=(self.length[:, None] * np.diff(edges)).ravel(),
+            pose=np.repeat(self.pose, n),
+        )
+
+    def covariance(self, channel: int) -> FloatArray:
+        """Return the covariance of the means of a channel for q of one, (n, n).
+
+        As if what it does to one axis told nothing of the others.
+        """
+        if channel < 3:
+            middle = self.begin + 0.5 * self.length
+            walk = np.minimum.outer(middle, middle)
+            # Of a walk from zero, the mean over a part.
+            np.fill_diagonal(walk, self.begin + self.length / 3.0)
+            angle = walk + np.outer(middle, middle) / STEADY
+            across = self.gravity * np.sqrt(np.maximum(1.0 - np.square(self.up[:, channel]), 0.0))
+        else:
+            angle, across = np.diag(1.0 / self.length) + 1.0 / STEADY, np.ones(len(self.pose))
+        alike = self.pose[:, None] == self.pose
+        return np.asarray(angle * alike * np.outer(across, across))
+
+    def at_ends(self) -> FloatArray:
+        """Return the variance of the angle at either end of each pose about its mean, (poses,).
+
+        For q of one, in rad².
+        """
+        length = np.zeros(self.pose.max() + 1)
+        np.maximum.at(length, self.pose, self.begin + self.length)
+        return length / 3.0 + np.square(length) / (4.0 * STEADY)

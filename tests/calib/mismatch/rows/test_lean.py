@@ -1,0 +1,73 @@
+"""The lean of a sensor at rest, against draws of a walk upon a steady turn."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from calib.mismatch.rows.lean import STEADY, Lean
+
+GRAVITY = 9.80665
+CUTS = (1 / 6, 1 / 2)
+
+
+def two_poses() -> Lean:
+    """Return three cells of two poses."""
+    up = np.array([[0.0, 0.0, 1.0], [0.6, 0.0, 0.8]])
+    interval = np.array([[10.0, 13.0], [13.0, 16.0], [20.0, 26.0]])
+    return Lean.of(up, interval, np.array([0, 0, 1]), GRAVITY)
+
+
+def draws(lean: Lean, number: int, step: float = 0.05) -> tuple[np.ndarray, np.ndarray]:
+    """Return means of the angle and of its rate over each part, (number, n) each."""
+    rng = np.random.default_rng(3)
+    angle, rate = (np.empty((number, len(lean.pose))) for _ in range(2))
+    for p in np.unique(lean.pose):
+        own = np.flatnonzero(lean.pose == p)
+        end = (lean.begin[own] + lean.length[own]).max()
+        time = np.arange(0.0, end + step / 2, step)
+        steps = rng.normal(0.0, np.sqrt(step), (number, len(time)))
+        walk = np.cumsum(steps, axis=1) - steps[:, :1]
+        path = walk + rng.normal(0.0, STEADY**-0.5, (number, 1)) * time
+        for k in own:
+            a, b = np.searchsorted(time, [lean.begin[k], lean.begin[k] + lean.length[k]])
+            angle[:, k] = 0.5 * (path[:, a:b] + path[:, a + 1 : b + 1]).mean(axis=1)
+            rate[:, k] = (path[:, b] - path[:, a]) / lean.length[k]
+    return angle, rate
+
+
+@pytest.mark.parametrize("cut", [False, True])
+def test_covariance_is_that_of_draws(cut: bool) -> None:
+    lean = two_poses().cut(CUTS) if cut else two_poses()
+    angle, rate = draws(lean, 20_000)
+    for channel, seen in ((1, GRAVITY * angle), (4, rate)):
+        expected = np.cov(seen, rowvar=False)
+        size = np.sqrt(np.diag(expected))
+        off = (lean.covariance(channel) - expected) / np.outer(size, size)
+        assert np.abs(off).max() < 0.06
+
+
+def test_along_gravity_nothing_is_seen() -> None:
+    lean = two_poses()
+    assert not lean.covariance(2)[:2].any()
+    across = lean.covariance(0)[2, 2] / lean.covariance(1)[2, 2]
+    assert across == pytest.approx(1 - 0.6**2)
+
+
+def test_poses_lean_by_themselves() -> None:
+    for channel in range(6):
+        assert not two_poses().covariance(channel)[:2, 2].any()
+
+
+def test_ends_are_off_the_mean_as_draws_are() -> None:
+    lean = two_poses()
+    found = lean.at_ends()
+    rng = np.random.default_rng(5)
+    for p, length in enumerate((6.0, 6.0)):
+        time = np.linspace(0.0, length, 301)
+        steps = rng.normal(0.0, np.sqrt(time[1]), (20_000, 300))
+        path = np.pad(np.cumsum(steps, axis=1), ((0, 0), (1, 0)))
+        path += rng.normal(0.0, STEADY**-0.5, (20_000, 1)) * time
+        for end in (0, -1):
+            off = path[:, end] - path.mean(axis=1)
+            assert found[p] == pytest.approx(np.var(off), rel=0.05)

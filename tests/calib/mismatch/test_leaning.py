@@ -1,0 +1,49 @@
+"""Who wears a sensor and stands still sways: that is no error of the sensor."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter1d
+
+from calib.mismatch import diagnose_recording
+from calib.recording import Recording
+from calib.types import FloatArray
+
+GRAVITY = 9.80665
+RATE = 100.0
+
+
+def standing(seed: int, lean: float) -> Recording:
+    """Return four rests with steps between them, in which a body leans by `lean` in a second."""
+    rng = np.random.default_rng(seed)
+    parts: list[FloatArray] = [np.zeros((1, 2))]
+    for k in range(4):
+        number = int(rng.uniform(4, 12) * RATE)
+        turning = rng.normal(0, lean / np.sqrt(10.0), 2) / RATE
+        steps = rng.normal(0, lean / np.sqrt(RATE), (number, 2)) + turning
+        parts.append(parts[-1][-1] + np.cumsum(steps, axis=0))
+        if k < 3:
+            share = np.arange(1, 301) / 300
+            swing = np.sin(np.pi * share) ** 2 * np.sin(6 * np.pi * share)
+            moved = np.outer(3 * share**2 - 2 * share**3, rng.normal(0, 0.02, 2))
+            parts.append(parts[-1][-1] + np.outer(swing, [0.4, 0.3]) + moved)
+    angle = gaussian_filter1d(np.concatenate(parts), 0.1 * RATE, axis=0)
+    roll, pitch = angle.T
+    up = np.stack(
+        (-np.sin(pitch), np.sin(roll) * np.cos(pitch), np.cos(roll) * np.cos(pitch)), axis=1
+    )
+    turn = np.gradient(angle, 1 / RATE, axis=0)
+    rate = np.stack((turn[:, 0], turn[:, 1] * np.cos(roll), -turn[:, 1] * np.sin(roll)), axis=1)
+    return Recording(
+        time=np.arange(len(angle)) / RATE,
+        accel=GRAVITY * up + rng.normal(0, 0.02, up.shape),
+        gyro=rate + 0.01 + rng.normal(0, 0.0015, rate.shape),
+        clock="device",
+    )
+
+
+@pytest.mark.parametrize(("degrees", "seed"), [(0.02, 6), (0.02, 10), (0.05, 11), (0.1, 10)])
+def test_a_body_that_sways_is_no_warm_up(degrees: float, seed: int) -> None:
+    found = diagnose_recording(standing(seed, np.deg2rad(degrees)), gravity=GRAVITY)
+    assert found.findings == ()
