@@ -277,6 +277,9 @@ def _is_dead(run: Run, *, host: str, now: datetime) -> bool:
     return False
 
 
+_CREATION = 0x696D7563  # "imuc": who holds this lock of the database creates the tables
+
+
 def _connect(url: str) -> Engine:
     try:
         engine = create_engine(url, connect_args=_arguments(url))
@@ -289,8 +292,13 @@ def _connect(url: str) -> Engine:
         event.listen(engine, "connect", _use_wal)
         event.listen(engine, "begin", _begin_immediate)
     try:
-        Base.metadata.create_all(engine)
+        with engine.begin() as connection:
+            if engine.dialect.name == "postgresql":
+                # Two stations that open a new history at once would both create its tables.
+                connection.execute(select(func.pg_advisory_xact_lock(_CREATION)))
+            Base.metadata.create_all(connection)
     except DBAPIError as error:
+        engine.dispose()
         raise HistoryError(f"the history {url} cannot be opened: {error.orig}") from error
     return engine
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from imu_cli.line.errors import HistoryError
-from imu_cli.line.store import History, Run, RunResult
+from imu_cli.line.store import Base, History, Run, RunResult
 
 NOW = datetime(2026, 1, 2, 3, 4, 5, tzinfo=UTC)
 BIN = max(Path("/usr/lib/postgresql").glob("*/bin/initdb"), default=Path("/none")).parent
@@ -85,3 +85,13 @@ def test_one_of_two_stations_gets_the_unit(url: str) -> None:
     with ThreadPoolExecutor(4) as pool:
         started = list(pool.map(start, range(4)))
     assert sum(bool(item) for item in started) == 1
+
+
+def test_stations_that_open_a_new_history_at_once_all_get_it(url: str) -> None:
+    first = History(url)
+    for _ in range(4):
+        Base.metadata.drop_all(first._engine)
+        with ThreadPoolExecutor(8) as pool:
+            for history in pool.map(lambda _: History(url), range(8)):
+                history.close()
+    first.close()
