@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -173,6 +173,11 @@ def _diagnose(thinned: Thinned, *, gravity: float, model: SensorModel | None) ->
     if any(f.effect.endswith(_SHAKEN) for f in findings):
         # What shook the sensor is the cause of the noise, too.
         noisy = tuple(item for item in noisy if item.follows != LOUDER_THERE)
+    if directions == 1 and _across_gravity(findings, poses):
+        missing += (
+            "another pose: in one, what the sensor lies on may lean where its accelerometer seems "
+            "to drift",
+        )
     unexplained = [*seen.unexplained, *gathered(joined([*unexplained, *noisy]))]
     # What such counts leave follows where between two of them a signal is, and so whatever it does.
     unexplained = [u for u in unexplained if u in seen.unexplained or not _in(u.channels, unhidden)]
@@ -219,6 +224,13 @@ def _unhidden(recording: Recording, poses: Poses, coarse: Mapping[int, float]) -
         if rounded_mean_variance(1.0, sigma) > (0.5 * sigma) ** 2:
             out.append(triad)
     return tuple(out)
+
+
+def _across_gravity(findings: Sequence[Finding], poses: Poses) -> bool:
+    """Whether an accelerometer was found to change on axes that gravity is not along."""
+    along = CHANNELS[int(np.argmax(np.abs(poses.accel.mean(axis=0))))]
+    channels = {c for f in findings if f.held_out is not None for c in f.channels}
+    return any(c.startswith("accel") and c != along for c in channels)
 
 
 def _acts_on(effect: Effect, triads: tuple[str, ...]) -> bool:

@@ -47,3 +47,16 @@ def standing(seed: int, lean: float) -> Recording:
 def test_a_body_that_sways_is_no_warm_up(degrees: float, seed: int) -> None:
     found = diagnose_recording(standing(seed, np.deg2rad(degrees)), gravity=GRAVITY)
     assert found.findings == ()
+
+
+@pytest.mark.parametrize(("axis", "said"), [(1, True), (2, False)])
+def test_in_one_pose_a_drift_across_gravity_may_be_a_lean(axis: int, said: bool) -> None:
+    rng, time = np.random.default_rng(4), np.arange(12_000) / RATE
+    accel = np.array([0.0, 0.0, GRAVITY]) + rng.normal(0, 0.02, (len(time), 3))
+    accel[:, axis] += 0.05 * np.exp(-time / 30)
+    recording = Recording(
+        time=time, accel=accel, gyro=rng.normal(0, 0.0015, accel.shape), clock="device"
+    )
+    found = diagnose_recording(recording, gravity=GRAVITY)
+    assert [f.effect for f in found.findings] == ["accel_warm_up"]
+    assert any("may lean" in need for need in found.missing) == said
