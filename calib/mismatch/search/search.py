@@ -98,7 +98,7 @@ def search(problem: Problem, *, skip: tuple[str, ...] = ()) -> Outcome:
     ranking = rank(rows, stack, accepted, expected_levels(rows))
     if not ranking.claims and ranking.pair is not None:
         value, first = ranking.pair
-        accepted.append(_accept(rows, stack, first, float(DRIFTING * np.exp(value))))
+        accepted.append(_accept(stack, first, float(DRIFTING * np.exp(value))))
         rows, accepted, levels, straight = refit(problem, rows, accepted, ranking.levels)
         if not (straight and unmoved(seen, rows)):
             del stack, ranking
@@ -110,7 +110,7 @@ def search(problem: Problem, *, skip: tuple[str, ...] = ()) -> Outcome:
         chosen = choose(rows, ranking, accepted)
         if chosen is None:
             break
-        new = _accept(rows, stack, chosen, float(np.exp(min(ranking.worth, 700))))
+        new = _accept(stack, chosen, float(np.exp(min(ranking.worth, 700))))
         beside = ranking.levels_with(chosen)
         fit = whole_fit(problem, rows, stack, accepted, new, beside)
         if fit is None:
@@ -205,7 +205,7 @@ def _most_probable(
     # Two causes at once can look like one smooth rival: let physics try twice.
     if groups[top] > np.log(CLAIM):
         stack = ranking.stack
-        pair = _accept(rows, stack, best[top], 1.0)
+        pair = _accept(stack, best[top], 1.0)
         second = rank(rows, stack, [*accepted, pair], ranking.levels_with(best[top]))
         left = [v for g, v in second.groups.items() if second.best[g].physical]
         if left and groups[top] + max(left) > for_rivals and max(left) > np.log(CLAIM):
@@ -317,7 +317,7 @@ def _with(
     return [*(a for a in accepted if a is not old), merged]
 
 
-def _accept(rows: Rows, stack: Stack, chosen: Candidate, e_value: float) -> Accepted:
+def _accept(stack: Stack, chosen: Candidate, e_value: float) -> Accepted:
     columns = stack.of(chosen)
     typical = np.ones(columns.shape[1])
     if chosen.physical:

@@ -26,7 +26,7 @@ def test_a_smooth_rival_does_not_take_the_place_of_the_bias():
         (c for c in stack.candidates if c.group == "direction of gravity gyro.z"),
         key=lambda c: 0 if c.mixing is not None else len(c.index),
     )
-    found = [_accept(rows, stack, rival, 100.0)]
+    found = [_accept(stack, rival, 100.0)]
     assert found[0].columns.shape[1] > 9
     step = solve(rows, found, expected_levels(rows), rows.white_diagonal)
     bias = rows.names.index("gyro.bias.z")
@@ -46,7 +46,7 @@ def refitted(size):
         c for c in stack.candidates if c.name == "gyro_misalignment" and len(c.parameters) == 6
     )
     before = stack.of(own)
-    found = refit(self_mode, rows, [_accept(rows, stack, own, 100.0)], expected_levels(rows))
+    found = refit(self_mode, rows, [_accept(stack, own, 100.0)], expected_levels(rows))
     return found, before
 
 

@@ -47,9 +47,9 @@ def candidate(stack, name, parameters):
 
 def test_parameters_of_one_effect_are_one_finding(stacked):
     rows, stack = stacked
-    first = _accept(rows, stack, candidate(stack, "gyro_warm_up", ("kz",)), 100.0)
+    first = _accept(stack, candidate(stack, "gyro_warm_up", ("kz",)), 100.0)
     first.values[:] = 2e-3
-    new = _accept(rows, stack, candidate(stack, "gyro_warm_up", ("kx",)), 50.0)
+    new = _accept(stack, candidate(stack, "gyro_warm_up", ("kx",)), 50.0)
     (both,) = _with(rows, [first], new, reference=False)
     assert both.candidate.parameters == ("kx", "kz")
     assert both.candidate.channels == ("gyro.x", "gyro.z")
@@ -63,7 +63,7 @@ def test_parameters_of_one_effect_are_one_finding(stacked):
 def test_events_of_one_kind_stay_apart(stacked):
     rows, stack = stacked
     steps = [c for c in stack.candidates if c.name == "gyro_bias_step" and len(c.index) == 1]
-    first, new = (_accept(rows, stack, c, 100.0) for c in (steps[0], steps[9]))
+    first, new = (_accept(stack, c, 100.0) for c in (steps[0], steps[9]))
     assert len(_with(rows, [first], new, reference=False)) == 2
     assert not _again(steps[0], [first])
 
@@ -128,8 +128,8 @@ def test_causes_on_other_channels_lend_no_weight(stacked):
 
 def test_low_passes_of_unlike_channels_stay_apart(stacked):
     rows, stack = stacked
-    first = _accept(rows, stack, candidate(stack, "bandwidth", ("accel",)), 100.0)
-    new = _accept(rows, stack, candidate(stack, "bandwidth", ("gyro",)), 50.0)
+    first = _accept(stack, candidate(stack, "bandwidth", ("accel",)), 100.0)
+    new = _accept(stack, candidate(stack, "bandwidth", ("gyro",)), 50.0)
     apart = _with(rows, [first], new, reference=False)
     assert [a.candidate.parameters for a in apart] == [("accel",), ("gyro",)]
 
@@ -221,6 +221,6 @@ def test_what_would_be_of_an_impossible_size_is_no_rival(size, rival):
     smoothing = candidate(stack, "reference_smoothing", ("position",))
     residual = rows.residual + stack.of(earth).sum(axis=1) + size * stack.of(smoothing)[:, 0]
     rows = replace(rows, residual=residual)
-    found = _accept(rows, stack, earth, 100.0)
+    found = _accept(stack, earth, 100.0)
     odds = _posterior(rows, stack, [found], 0, expected_levels(rows), reference=True)
     assert (odds.get("reference_smoothing", 0.0) > 0.5) is rival
