@@ -14,6 +14,11 @@ takes 50 s, 20 s with wires that cool it. The package follows its board in 2 s (
 but the 10 mW of a sensor make that half a kelvin."""
 
 
+MOST = 0.5 * G
+"""Ten times what consumer parts drift from -40 to 85 °C (MPU-6050: 35 to 60 mg over 70 K); a sensor
+warms itself up by less."""
+
+
 class AccelWarmUp(Effect):
     """``f_m,i += k_i exp(-t/tau), t since power-on``."""
 
@@ -24,7 +29,7 @@ class AccelWarmUp(Effect):
         "IEEE Std 528-2019 (warm-up time); 5 mg over minutes is an estimate from cold "
         "starts of consumer parts"
     )
-    parameters = per_axis("accel", "k", "m/s²", 5e-3 * G)
+    parameters = per_axis("accel", "k", "m/s²", 5e-3 * G, most=MOST)
     shape = (ShapeParameter("tau", "s", FASTEST, 1500.0),)
     follows = "time since power-on"
     needs = "a cold start, and statics long after it"

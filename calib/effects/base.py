@@ -448,10 +448,16 @@ def per_axis(
     *,
     reference_only: bool = False,
     refining: bool = False,
+    most: float = np.inf,
 ) -> tuple[Parameter, ...]:
-    """Return one parameter for each axis of a triad: ``kx``, ``ky``, ``kz`` for prefix ``k``."""
+    """Return one parameter for each axis of a triad: ``kx``, ``ky``, ``kz`` for prefix ``k``.
+
+    None is larger than ``most``, either way.
+    """
     return tuple(
-        Parameter(f"{prefix}{a}", unit, typical, (f"{triad}.{a}",), reference_only, refining)
+        Parameter(
+            f"{prefix}{a}", unit, typical, (f"{triad}.{a}",), reference_only, refining, -most, most
+        )
         for a in AXES
     )
 

@@ -9,6 +9,9 @@ import numpy as np
 from calib.effects.accel_warm_up import FASTEST
 from calib.effects.base import Column, Effect, ShapeParameter, State, axis_columns, per_axis
 
+MOST = np.radians(20.0)
+"""What an MPU-6050 drifts from -40 to 85 °C; a sensor warms itself up by less."""
+
 
 class GyroWarmUp(Effect):
     """``w_m,i += k_i exp(-t/tau), t since power-on``."""
@@ -20,7 +23,7 @@ class GyroWarmUp(Effect):
         "IEEE Std 528-2019 (warm-up time); 0.1 dps over minutes is an estimate from cold "
         "starts of consumer parts"
     )
-    parameters = per_axis("gyro", "k", "rad/s", np.radians(0.1))
+    parameters = per_axis("gyro", "k", "rad/s", np.radians(0.1), most=MOST)
     shape = (ShapeParameter("tau", "s", FASTEST, 1500.0),)
     follows = "time since power-on"
     needs = "a cold start, and statics long after it"

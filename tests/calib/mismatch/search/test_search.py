@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calib.effects import get_effect
 from calib.effects.base import Term
 from calib.mismatch import diagnose_recording
 from calib.mismatch.hypotheses.rivals import FROM_START
@@ -13,6 +14,7 @@ from calib.mismatch.noise.noise import (
     estimate_levels,
     expected_levels,
     level_likelihood,
+    make_whitener,
     range_basis,
 )
 from calib.mismatch.rows.grid import make_grid
@@ -26,7 +28,14 @@ from calib.mismatch.search.ranking import (
     make_stack,
     rank,
 )
-from calib.mismatch.search.search import _accept, _again, _posterior, _with, choose
+from calib.mismatch.search.search import (
+    _accept,
+    _again,
+    _impossible,
+    _posterior,
+    _with,
+    choose,
+)
 from calib.mismatch.twin.selfmode import SelfProblem
 from calib.statics import find_poses
 
@@ -224,3 +233,25 @@ def test_what_would_be_of_an_impossible_size_is_no_rival(size, rival):
     found = _accept(stack, earth, 100.0)
     odds = _posterior(rows, stack, [found], 0, expected_levels(rows), reference=True)
     assert (odds.get("reference_smoothing", 0.0) > 0.5) is rival
+
+
+@pytest.mark.parametrize(
+    ("slug", "size", "beyond"),
+    [
+        ("accel_warm_up", 0.2 * GRAVITY, False),
+        ("accel_warm_up", -2.0 * GRAVITY, True),
+        ("gyro_warm_up", np.radians(10.0), False),
+        ("gyro_warm_up", np.radians(100.0), True),
+    ],
+)
+def test_no_sensor_warms_up_by_more_than_temperature_does(slug, size, beyond):
+    """A sensor that is let go as the recording begins looks so, after seconds, and is none."""
+    _, self_mode = problem()
+    rows = self_mode.rows()
+    stack = make_stack(rows, skip=(), reference=False)
+    warm = candidate(stack, slug, ("kx",))
+    levels, mean = expected_levels(rows), fitted(rows, [])
+    whitener = make_whitener(rows, levels, rows.white_diagonal, mean)
+    typical = get_effect(slug).parameters[0].typical
+    y = whitener.project(size / typical * stack.of(warm)[:, 0])
+    assert _impossible(stack, warm, whitener, y) is beyond
