@@ -15,8 +15,8 @@ but the 10 mW of a sensor make that half a kelvin."""
 
 
 MOST = 0.5 * G
-"""Ten times what consumer parts drift from -40 to 85 °C (MPU-6050: 35 to 60 mg over 70 K); a sensor
-warms itself up by less."""
+"""Ten times what consumer parts drift over 70 K (MPU-6050: 35 to 60 mg); a sensor warms itself up
+by less."""
 
 
 class AccelWarmUp(Effect):

@@ -50,7 +50,7 @@ def contrast_variance(rows: Rows, *, apart: BoolArray | None = None) -> FloatArr
             level = max(level, float(np.minimum(values, 9.0 * max(level, 1e-12)).mean()))
         elif mine.any() and not moved:
             # Of so few nobody can tell what an effect is, and what the sensor or its holder does.
-            triad = (channel // 3 == c // 3) & ~restless & (channel >= 0)
+            triad = (channel // 3 == c // 3) & ~restless
             values = np.square(y[triad]) / rows.white_diagonal[triad]
             level = float(values.mean())
         else:

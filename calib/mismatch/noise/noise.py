@@ -217,8 +217,7 @@ def find_levels(rows: Rows, mean: FloatArray, start: FloatArray) -> Levels:
     alone = worst < 2.0 or np.array_equal(start, above)
     found = [estimate_levels(rows, mean, at) for at in ([start] if alone else [start, above])]
     best = max(found, key=lambda levels: levels.log_likelihood)
-    logs = np.log(best.values / expected_levels(rows))
-    if 0.5 * float(logs @ prior_precision(rows) @ logs) > STRAINED:
+    if _penalty(rows, best.values) > STRAINED:
         leaning = expected_levels(rows)
         leaning[[c.group == LEAN for c in rows.components]] *= LEANS
         other = estimate_levels(rows, mean, leaning)
@@ -379,5 +378,10 @@ def level_likelihood(
     """
     factor = rows.arrow.factorise(levels) if factor is None else factor
     likelihood, _, _ = _restricted(factor, basis, rows.residual[: rows.n_dense])
+    return likelihood - _penalty(rows, levels)
+
+
+def _penalty(rows: Rows, levels: FloatArray) -> float:
+    """Return how far levels are from what is expected of them, in nats of the prior."""
     logs = np.log(levels / expected_levels(rows))
-    return likelihood - 0.5 * float(logs @ prior_precision(rows) @ logs)
+    return 0.5 * float(logs @ prior_precision(rows) @ logs)
