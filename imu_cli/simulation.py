@@ -16,6 +16,7 @@ from calib.effects.text import parse_term
 from calib.gravity import STANDARD_GRAVITY as G
 from calib.mismatch.reference.beside import motion_beside, without_alignment
 from calib.mismatch.reference.referencemode import ReferenceMotion
+from calib.mismatch.reference.twinned import with_sensor
 from calib.model import SensorModel
 from calib.recording import DeviceInfo, Recording
 from calib.simulate import Sampling, digital_twin, simulate
@@ -232,6 +233,8 @@ def _twin(plan: Plan, log: Path, *, rng: np.random.Generator) -> Simulated:
         )
         known = {**_known(plan.reference, bandwidth), **notes}
     twin = digital_twin(recording, motion, model, noise, rng=rng)
+    if plan.reference is None:
+        twin = with_sensor(twin, model)
     truth = None
     if plan.truth:
         truth = digital_twin(recording, motion, SensorModel(), NoiseModel(), rng=rng)

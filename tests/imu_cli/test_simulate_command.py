@@ -11,6 +11,7 @@ from typer.testing import CliRunner, Result
 from calib.calibration import Calibration, Event, Gravity, Noise, Provenance, Quantity
 from calib.effects.base import Term
 from calib.effects.text import parse_term
+from calib.mismatch.reference.twinned import twin_sensor
 from calib.model import SensorModel, Triad
 from calib.simulate import Sampling, simulate
 from calib.simulation.kinematics import Motion
@@ -108,6 +109,21 @@ def test_twin_of_a_recording(sensor: Path, tmp_path: Path) -> None:
     np.testing.assert_array_equal(found.time, recorded.time)
     assert np.std(found.gyro - recorded.gyro) < 2e-3
     assert np.std(found.accel - recorded.accel) < 0.06
+
+
+def test_a_twin_says_which_sensor_it_is_of_in_any_format(sensor: Path, tmp_path: Path) -> None:
+    log = tmp_path / "log.arrow"
+    assert run("--sensor", sensor, "--duration", "40s", "-o", log).exit_code == 0
+    for name in ("twin.arrow", "twin.csv", "twin.parquet"):
+        twin = tmp_path / name
+        term = "gyro_g_sensitivity:gxy=0.001"
+        given = ("--like", log, "--calibration", sensor, "--effect", term)
+        assert run(*given, "-o", twin).exit_code == 0
+        model = twin_sensor(read_recording(log), read_recording(twin))
+        assert model.terms[-1].parameters == {"gxy": 0.001}
+        known = load_calibration(sensor).model
+        assert model.accel.parameters("accel") == known.accel.parameters("accel")
+    assert twin_sensor(read_recording(log), read_recording(log)) is None
 
 
 def test_events_are_in_the_twin_of_their_own_recording_only(sensor: Path, tmp_path: Path) -> None:

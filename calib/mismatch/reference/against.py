@@ -20,6 +20,7 @@ from calib.mismatch.reference.alike import check_apart
 from calib.mismatch.reference.band import follows_noise, matched, too_few
 from calib.mismatch.reference.comparison import ComparisonProblem
 from calib.mismatch.reference.truths import RecordingTruth
+from calib.mismatch.reference.twinned import UNSIGNED, diagnose_twin
 from calib.mismatch.samples.samples import Samples, look_at_samples
 from calib.mismatch.search.estimate import Estimate
 from calib.mismatch.search.explain import changes, explain, verdict
@@ -64,7 +65,7 @@ def diagnose_against(
     ----------
     real, simulated : Recording
         The simulation's motion is the truth; its sensor may be perfect or have errors of the
-        baseline's kinds. Rates and start times may differ.
+        baseline's kinds. Rates and start times may differ. Of a twin the sensor is compared.
     gravity : float, m/s²
     model : SensorModel, optional
         Where the baseline starts; by default a perfect sensor.
@@ -77,6 +78,9 @@ def diagnose_against(
     faults.check_sizes(real, "the recording")
     faults.check_sizes(simulated, "the simulation")
     check_apart(real, simulated)
+    twin = diagnose_twin(real, simulated, gravity=gravity)
+    if twin is not None:
+        return twin
     real, simulated = evened(real), evened(simulated)
     seen = look_at_samples(real, find_poses(audible(real)))
     summary = summarise(real)
@@ -87,13 +91,7 @@ def diagnose_against(
         return undetermined(still, summary)
     alignment = align(real.time, real.gyro, simulated.time, simulated.gyro)
     if follows_noise(real, RecordingTruth(simulated, gravity), alignment):
-        return undetermined(
-            "a simulation with a motion of its own: this one moves with the recording's noise, so "
-            "its motion was estimated from it (simulate --like), and what the sensor gets wrong is "
-            "in both. Leave out --against and give --calibration with the twin's sensor: that "
-            "compares the recording with its twin",
-            summary,
-        )
+        return undetermined(UNSIGNED, summary)
     problem, skip = compare_simulation(
         real, simulated, seen, alignment=alignment, gravity=gravity, model=model
     )
