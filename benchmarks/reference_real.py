@@ -116,7 +116,8 @@ def second_half(
     alignment = Alignment(at["offset"], at["stretch"], at["middle"])
     whole = compared(real, reference)
     unseen = (whole.time > real.time[middle]) & (whole.time < real.time[fast[-1]])
-    turned, errors = mat_from_rotvec(np.array(at["rotation"])), np.array(at["reference_gyro"])
+    turned = mat_from_rotvec(np.array(at["rotation"]))
+    errors = np.array([*at["reference_gyro"], *at["reference_accel"]])
     setups = [plain, Setup(model, alignment, turned, errors)]
     if drawn is not None:
         others = tuple(t for t in lasting if t.effect != ARM)

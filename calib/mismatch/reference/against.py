@@ -18,6 +18,7 @@ from calib.mismatch.noise.hush import audible
 from calib.mismatch.reference.alignment import LEAST_OVERLAP, Alignment, align
 from calib.mismatch.reference.alike import check_apart
 from calib.mismatch.reference.band import follows_noise, matched, too_few
+from calib.mismatch.reference.carried import OF_GYRO
 from calib.mismatch.reference.comparison import ComparisonProblem
 from calib.mismatch.reference.truths import RecordingTruth
 from calib.mismatch.reference.twinned import UNSIGNED, diagnose_twin
@@ -208,7 +209,8 @@ def conclude(
                 "middle": alignment.middle,
                 "rotation": _rotvec(problem.setup.mat_sr).tolist(),
                 "correlation": alignment.correlation,
-                "reference_gyro": problem.setup.errors.tolist(),
+                "reference_gyro": problem.setup.errors[:OF_GYRO].tolist(),
+                "reference_accel": problem.setup.errors[OF_GYRO:].tolist(),
             },
         },
     )

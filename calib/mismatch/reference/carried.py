@@ -1,66 +1,98 @@
-"""What the gyroscope of another IMU gets wrong, as an arm carries it to the accelerometer.
+"""What another IMU gets wrong, as an arm carries it to the accelerometer.
 
-The other one's rate ``w`` is off by ``e = b + E w``. Of what the two gyroscopes read only the
-difference shows, which is the sensor's own bias, scale factor error and misalignment beside that
-reference. But what an arm ``r`` makes the accelerometer feel follows from the rate itself::
+The other one's rate ``w`` is off by ``e = b + E w``, and its force is ``(I + K) f`` and a bias. Of
+what the two read only the difference shows, which is the sensor's own bias, scale factor error and
+misalignment beside that reference. But what an arm ``r`` makes the accelerometer feel follows from
+the rate itself, and has no part in the other's force. So the force of which the sensor's model
+makes what it reads is that of the other one, and::
 
-    A(w) = skew(w)² + skew(dw/dt)          A(w - e) r = A(w) r + columns @ (b, E) + ...
+    (I + K) A(w - e) r          A(w) = skew(w)² + skew(dw/dt)
 
-A bias of half a degree per second at 180 dps and 10 cm is 5 mm/s² that follows the rate. Where an
+A bias of half a degree per second at 180 dps and 10 cm is 5 mm/s² that follows the rate; a scale
+factor error of 3 % there is an axis of the accelerometer that sits 3 mm off the others. Where an
 arm is short little of that shows, and all of it could be an arm of another length: what is known of
 such parts beforehand keeps it apart.
 
+K is a lower triangle as the accelerometer's own matrix is: the frame in which they are compared is
+the one in which that is so. The axes of the gyroscope may lie anyhow in it.
+
 References
 ----------
-.. [1] InvenSense, "MPU-6000 and MPU-6050 product specification", rev. 3.4, 2013, p. 12: sensitivity
-   to 3 %, across axes to 2 %, output at no rate to 20 dps.
+.. [1] InvenSense, "MPU-6000 and MPU-6050 product specification", rev. 3.4, 2013, p. 12 and 13:
+   sensitivity of both triads to 3 %, across axes to 2 %, output at no rate to 20 dps.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from calib.effects.base import Column, State, Term
+from calib.mismatch.twin.twin import ACCEL_MISALIGNMENT
 from calib.model import SensorModel
 from calib.recording import AXES, Recording
 from calib.statics import find_poses
 from calib.types import FloatArray
 
 ARM = "accel_lever_arm"
-SLUG = "reference_gyro"
-NAMES = (
-    *(f"{SLUG}.zero_rate.{a}" for a in AXES),
+GYRO, ACCEL = "reference_gyro", "reference_accel"
+GYRO_NAMES = (
+    *(f"{GYRO}.zero_rate.{a}" for a in AXES),
     *(
-        f"{SLUG}.scale_factor_error.{a}" if a == b else f"{SLUG}.misalignment.{a}{b}"
+        f"{GYRO}.scale_factor_error.{a}" if a == b else f"{GYRO}.misalignment.{a}{b}"
         for a in AXES
         for b in AXES
     ),
 )
-"""The errors that are fitted: b, and the rows of E."""
+ACCEL_NAMES = (
+    *(f"{ACCEL}.scale_factor_error.{a}" for a in AXES),
+    *(f"{ACCEL}.misalignment.{p}" for p in ACCEL_MISALIGNMENT),
+)
+NAMES = (*GYRO_NAMES, *ACCEL_NAMES)
+"""The errors that are fitted: b, the rows of E, and K."""
 
-SIZES = np.repeat([0.01, 0.01], [3, 9])
-"""What they typically are (standard deviations): 0.6 dps beside what it reads at rest, and 1 %, as
-data sheets state limits of two to three times that [1]_."""
+OF_GYRO = len(GYRO_NAMES)
+"""So many of them are the gyroscope's; the accelerometer's follow."""
+
+LIMITS = {"scale_factor_error": 0.03, "misalignment": 0.02}
+"""What a data sheet allows a part that nobody calibrated [1]_. A calibrated one is far better, but
+which it is nobody says; where an arm is long enough for that to matter the recording does."""
+
+ZERO_RATE = 0.01
+"""rad/s by which a gyroscope is off what it reads at rest, typically: 0.6 dps."""
 
 UNSETTLED = 0.35
 """rad/s: what it may read at rest where it never is, the limit of a data sheet [1]_."""
+
+SIZES = np.array([LIMITS.get(n.split(".")[1], 0.0) / np.sqrt(3.0) or ZERO_RATE for n in NAMES])
+"""What the errors typically are: the standard deviation of what is anywhere within its limits."""
+
+TRIANGLE = [(AXES.index(p[0]), AXES.index(p[-1])) for p in (*AXES, *ACCEL_MISALIGNMENT)]
+"""Where each of the errors of the accelerometer is in K."""
 
 SEEN = 5e-3
 """m: an arm shorter than that carries less than anybody sees."""
 
 
-def expected(other: Recording, mat: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return where the errors (12,) of another IMU are expected, and how far they may be from it.
+def settled(other: Recording) -> Recording:
+    """Return the recording of another IMU without what its gyroscope reads at rest.
 
-    ``mat`` (3, 3) takes its vectors to s.
+    What that multiplies would be an effect of its own: beside a bias b the cube of a rate has
+    ``3 b w²`` in it.
     """
-    errors, loose = np.zeros(len(NAMES)), SIZES.copy()
     poses = find_poses(other)
-    if len(poses.start):
-        errors[:3] = mat @ np.median(poses.gyro, axis=0)
-    else:
+    if not len(poses.start):
+        return other
+    return replace(other, gyro=other.gyro - np.median(poses.gyro, axis=0))
+
+
+def allowed(other: Recording) -> FloatArray:
+    """Return how far the errors (18,) of another IMU may be from none, once it is `settled`."""
+    loose = SIZES.copy()
+    if not len(find_poses(other).start):
         loose[:3] = UNSETTLED
-    return errors, loose
+    return loose
 
 
 def rough_arm(state: State, left: FloatArray) -> FloatArray:
@@ -72,22 +104,29 @@ def rough_arm(state: State, left: FloatArray) -> FloatArray:
     return arm if np.linalg.norm(arm) > SEEN else np.zeros(3)
 
 
-def carried(state: State, arm: FloatArray) -> list[Column]:
-    """Return what one unit of each of `NAMES` takes from the force that an arm (3,) makes."""
-    rate, turning = state.rate, state.rate_dot
+def carried(state: State, arm: FloatArray, errors: FloatArray) -> list[Column]:
+    """Return what one unit more of each of `NAMES` adds to the force that an arm (3,) makes.
+
+    Beside the ``errors`` (18,) that are known already.
+    """
+    rate, turning = _without(state, errors)
+    shown = np.eye(3) + _matrix_of(errors)
     out: list[Column] = []
     zero = np.zeros_like(rate)
-    for k in range(len(NAMES)):
+    for k in range(OF_GYRO):
         error, slope = zero.copy(), zero.copy()
         if k < 3:
             error[:, k] = 1.0
         else:
             i, j = divmod(k - 3, 3)
-            error[:, i], slope[:, i] = rate[:, j], turning[:, j]
+            error[:, i], slope[:, i] = state.rate[:, j], state.rate_dot[:, j]
         # The derivative of w x (w x r) + dw/dt x r.
         force = np.cross(error, np.cross(rate, arm)) + np.cross(rate, np.cross(error, arm))
-        force += np.cross(slope, arm)
+        force = (force + np.cross(slope, arm)) @ shown.T
         out.append({f"accel.{a}": -force[:, i] for i, a in enumerate(AXES)})
+    felt = _felt(rate, turning, arm)
+    for i, j in TRIANGLE:
+        out.append({f"accel.{AXES[i]}": felt[:, j]})
     return out
 
 
@@ -99,19 +138,32 @@ def true_force(state: State, arm: FloatArray, errors: FloatArray) -> FloatArray:
     state : State
         As the other IMU has it, in the sensor's frame.
     arm : (3,) array, m
-    errors : (12,) array
+    errors : (18,) array
         Of `NAMES`.
     """
     if not (arm.any() and errors.any()):
         return state.force
-    bias, matrix = errors[:3], errors[3:].reshape(3, 3)
+    felt = _felt(*_without(state, errors), arm)
+    felt = felt + felt @ _matrix_of(errors).T
+    return np.asarray(state.force + felt - _felt(state.rate, state.rate_dot, arm))
+
+
+def _without(state: State, errors: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the rate and its derivative without a gyroscope's errors."""
+    bias, matrix = errors[:3], errors[3:OF_GYRO].reshape(3, 3)
     rate = state.rate - bias - state.rate @ matrix.T
-    turning = state.rate_dot - state.rate_dot @ matrix.T
+    return rate, state.rate_dot - state.rate_dot @ matrix.T
 
-    def felt(w: FloatArray, slope: FloatArray) -> FloatArray:
-        return np.asarray(np.cross(w, np.cross(w, arm)) + np.cross(slope, arm))
 
-    return np.asarray(state.force + felt(rate, turning) - felt(state.rate, state.rate_dot))
+def _matrix_of(errors: FloatArray) -> FloatArray:
+    """Return K, (3, 3)."""
+    matrix = np.zeros((3, 3))
+    matrix[tuple(np.transpose(TRIANGLE))] = errors[OF_GYRO:]
+    return matrix
+
+
+def _felt(rate: FloatArray, turning: FloatArray, arm: FloatArray) -> FloatArray:
+    return np.asarray(np.cross(rate, np.cross(rate, arm)) + np.cross(turning, arm))
 
 
 def arm_of(model: SensorModel) -> FloatArray:

@@ -16,7 +16,7 @@ import numpy as np
 from scipy import sparse
 
 from calib.effects import get_effect
-from calib.effects.base import State, Term
+from calib.effects.base import Column, State, Term
 from calib.effects.observed import observed
 from calib.errors import NoCommonMotionError
 from calib.mismatch.reference.alignment import LEAST_OVERLAP, Alignment
@@ -26,10 +26,10 @@ from calib.mismatch.reference.captured import Known, known_noise, sensor_densiti
 from calib.mismatch.reference.carried import (
     NAMES,
     SIZES,
+    allowed,
     arm_of,
     arm_term,
     carried,
-    expected,
     rough_arm,
     true_force,
 )
@@ -88,7 +88,7 @@ class Setup(NamedTuple):
     alignment: Alignment
     mat_sr: FloatArray
     errors: FloatArray
-    """Of the other gyroscope, as an arm carries them."""
+    """Of another IMU, as an arm carries them."""
 
 
 class ComparisonProblem:
@@ -196,10 +196,8 @@ class ComparisonProblem:
         self.power_on = float(real.time[0])
         mat = np.eye(3) if mat_sr is None else mat_sr
         self.gyroscopic = self.turned and truth.quat is None
-        errors, own = np.zeros(len(NAMES)), np.zeros(0)
-        if self.gyroscopic:
-            errors, own = expected(truth.recording, mat)
-        self.setup = Setup(start, alignment, mat, errors)
+        own = allowed(truth.recording) if self.gyroscopic else np.zeros(0)
+        self.setup = Setup(start, alignment, mat, np.zeros(len(NAMES)))
         self.names = BASELINE
         kinds = [n.split(".")[1] for n in (*self.names, *self.alignments)]
         self.loose = np.append([LOOSE[k] for k in kinds], own)
@@ -217,7 +215,7 @@ class ComparisonProblem:
 
     @property
     def aligned(self) -> tuple[str, ...]:
-        """The nuisances in their order: alignment, and the errors of another gyroscope."""
+        """The nuisances in their order: alignment, and the errors of another IMU."""
         return (*self.alignments, *(NAMES if self.gyroscopic else ()))
 
     def state(self) -> State:
@@ -306,7 +304,7 @@ class ComparisonProblem:
                     self._nuisance(state if turn else felt, name)
                     for name, turn in zip(self.alignments, turned, strict=True)
                 ),
-                *(carried(state, arm_of(self.setup.model)) if self.gyroscopic else ()),
+                *self._carried(state),
             ],
             aligned=self.aligned,
             prior=np.stack((self.moved, self.loose), axis=1),
@@ -314,10 +312,15 @@ class ComparisonProblem:
         )
         if self.stuck:
             rows = with_rounding(rows, self.stuck)
-        if felt is state:
+        if felt is state and not arm_of(self.setup.model).any():
             return rows
-        plain = [rows.column(baseline_column(n, state)) for n in self.names]
-        return replace(rows, plain=np.stack(plain, axis=1))
+        plain = np.zeros((len(rows.residual), len(self.loose)))
+        for k, name in enumerate(self.names):
+            plain[:, k] = rows.column(baseline_column(name, state))
+        # What an arm carries is not there without one.
+        own = len(self.names) + len(self.alignments)
+        plain[:, len(self.names) : own] = rows.nuisance[:, : len(self.alignments)]
+        return replace(rows, plain=plain)
 
     def _known(self, shapes: Shapes) -> Known | None:
         """Return what is known of the noise of a captured motion once its colour is."""
@@ -391,6 +394,11 @@ class ComparisonProblem:
         self.blur = self._judging(whitening(self.time, colours, self.interval, self.band))
         self.colours = colours
 
+    def _carried(self, state: State) -> list[Column]:
+        if not self.gyroscopic:
+            return []
+        return carried(state, arm_of(self.setup.model), self.setup.errors)
+
     def _nuisance(self, state: State, name: str) -> Mapping[str, FloatArray]:
         slug, parameter = name.split(".")
         if slug != "clock_scale":
@@ -411,7 +419,7 @@ class ComparisonProblem:
         if self.gyroscopic:
             arm = arm_of(self.setup.model) + rough_arm(state, left[:, :3])
             if arm.any():
-                for size, column in zip(SIZES, carried(state, arm), strict=True):
+                for size, column in zip(SIZES, carried(state, arm, self.setup.errors), strict=True):
                     for channel, values in column.items():
                         yield channel, size * values
         yield from catalogue_shapes(state)

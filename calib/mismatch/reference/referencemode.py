@@ -26,6 +26,7 @@ from calib.mismatch.reference.against import (
 from calib.mismatch.reference.alignment import Alignment, align
 from calib.mismatch.reference.alike import check_apart
 from calib.mismatch.reference.band import BEYOND, Matched, limited, low_passed, matched, smoothed
+from calib.mismatch.reference.carried import settled
 from calib.mismatch.reference.comparison import ComparisonProblem
 from calib.mismatch.reference.swaps import swapped
 from calib.mismatch.reference.truths import DEGREE, RecordingTruth
@@ -250,6 +251,7 @@ def compared(
             raise NoCommonMotionError(
                 "the reference cannot be trusted: " + "; ".join(dict.fromkeys(wrong))
             )
+        reference = settled(reference)
         alignment = align(real.time, real.gyro, reference.time, reference.gyro)
         mat = mounting(real, RecordingTruth(reference, gravity), alignment)[0]
         truth = RecordingTruth(reference, gravity, known.spoilt)

@@ -149,8 +149,8 @@ class Rows:
     prior : (p + q, 2) array
         How far baseline and nuisances are from where they are expected, and how far they may be;
         empty where the rows determine all of them.
-    plain : (m, p) array
-        `baseline` where no setup is felt (no lever arm); empty where none is.
+    plain : (m, p + q) array
+        `baseline` and `nuisance` where no setup is felt (no lever arm); empty where none is.
     lean : Lean, optional
         How the sensor may move at rest; None where the truth says how it moves.
     """
@@ -269,8 +269,9 @@ class Rows:
         """Return the rows as they are without an effect, to judge what it is worth.
 
         Where a lever arm is all that an axis feels, a scale factor error is the same as a longer
-        arm; but no scale factor of what is not felt is the arm.
+        arm; but no scale factor of what is not felt is the arm. Nor does it carry another sensor's.
         """
         if not self.plain.size or get_effect(slug).kind != "setup":
             return self
-        return replace(self, baseline=self.plain)
+        p = self.baseline.shape[1]
+        return replace(self, baseline=self.plain[:, :p], nuisance=self.plain[:, p:])

@@ -90,19 +90,43 @@ def refit(
             break
         # What a shape that was not yet right had left is noise no more.
         levels = estimate_levels(rows, fitted(rows, accepted)[: rows.n_dense], levels).values
+    rows, accepted, steps, off = _stepped(problem, rows, accepted, levels, contrast)
+    return Refit(rows, accepted, levels, straight=steps == 1 and off < BENT)
+
+
+def _stepped(
+    problem: Problem,
+    rows: Rows,
+    accepted: list[Accepted],
+    levels: FloatArray,
+    contrast: FloatArray,
+) -> tuple[Rows, list[Accepted], int, float]:
+    """Step until rows go where steps promise; return how many it took and how far the last was off.
+
+    A step may land farther off than all there was to explain: what turns both sensors by a tenth is
+    bent by more than a gyroscope's noise. The next one mends that, or nothing does: what no sensor
+    puts out leads nowhere, and there is no going on from there.
+    """
     steps, off = 0, np.inf
+    kept, ways = (rows, accepted), []
     while off >= BENT and steps < STEPS:
         variance = np.concatenate((rows.variance(levels), contrast))
         with np.errstate(over="ignore", invalid="ignore"):
             there = _step(problem, rows, accepted, levels, contrast)
-            bent = there[0].residual - (rows.residual - there[2])
+            bent = there.rows.residual - (rows.residual - there.removed)
             off = float((np.square(bent) / variance).sum())
-        if not off < float((np.square(rows.residual) / variance).sum()):
-            # Farther off than all there was to explain: what no sensor puts out leads nowhere.
-            break
-        rows, accepted, _ = there
+        ways.append(there.way)
+        rows, accepted = there.rows, there.accepted
         steps += 1
-    return Refit(rows, accepted, levels, straight=steps == 1 and off < BENT)
+        if off < float((np.square(kept[0].residual) / variance).sum()):
+            kept, ways = (rows, accepted), []
+        elif len(ways) > 1 or not np.isfinite(off):
+            break
+    if ways:
+        terms = tuple(_term(a) for a in kept[1] if a.in_model)
+        for baseline, nuisance in reversed(ways):
+            problem.move({n: -v for n, v in baseline.items()}, -nuisance, terms)
+    return *kept, steps - len(ways), off
 
 
 def unmoved(seen: FloatArray, rows: Rows) -> bool:
@@ -116,14 +140,22 @@ def unmoved(seen: FloatArray, rows: Rows) -> bool:
     return bool((change <= SAME**2 * np.square(seen).sum(axis=0)).all())
 
 
+class _Stepped(NamedTuple):
+    """Where a step leads, what it should have taken from the rows, and how it moved the model."""
+
+    rows: Rows
+    accepted: list[Accepted]
+    removed: FloatArray
+    way: tuple[dict[str, float], FloatArray]
+
+
 def _step(
     problem: Problem,
     rows: Rows,
     accepted: list[Accepted],
     levels: FloatArray,
     contrast: FloatArray,
-) -> tuple[Rows, list[Accepted], FloatArray]:
-    """Take one step; return also what it should have taken from the rows, were they linear."""
+) -> _Stepped:
     step = solve(rows, accepted, levels, contrast)
     p, q = rows.baseline.shape[1], rows.nuisance.shape[1]
     removed = rows.baseline @ step[:p] + rows.nuisance @ step[p : p + q]
@@ -139,10 +171,11 @@ def _step(
             a = replace(a, values=a.values + change, in_model=True)
             terms.append(_term(a))
         moved.append(a)
-    baseline = dict(zip(rows.names, step[:p], strict=True))
-    problem.move(baseline, step[p : p + q], tuple(terms))
+    baseline, nuisance = dict(zip(rows.names, step[:p], strict=True)), step[p : p + q]
+    problem.move(baseline, nuisance, tuple(terms))
     rows = problem.rows()
-    return rows, [_renew(a, rows, reference=problem.reference) for a in moved], removed
+    renewed = [_renew(a, rows, reference=problem.reference) for a in moved]
+    return _Stepped(rows, renewed, removed, (baseline, nuisance))
 
 
 def put_back(problem: Problem, rows: Rows, accepted: list[Accepted]) -> Rows:

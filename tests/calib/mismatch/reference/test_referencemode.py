@@ -304,3 +304,41 @@ def test_what_the_other_gyroscope_gets_wrong_is_no_error_of_the_accelerometer_at
     assert not found.unexplained
     q = named(found)["accel_lever_arm"]["rx"]
     assert q.value == pytest.approx(arm["rx"], abs=4 * q.sigma)
+
+
+@pytest.mark.parametrize("turn", [0.02, 0.6])
+def test_beside_an_imu_that_nobody_calibrated_an_arm_is_no_size_effect(turn):
+    """What its scale factors make of gravity they do not make of what an arm feels.
+
+    Where it lies at an angle, what turns it into the frame is bent by more than noise.
+    """
+    arm = {"rx": 0.05, "ry": -0.06, "rz": 0.04}
+    accel, gyro = (
+        Triad([bias, -bias, bias / 2], scale, 0.015 * LOWER)
+        for bias, scale in ((0.5, [0.03, -0.03, 0.01]), (0.2, [-0.02, 0.03, 0.0]))
+    )
+    rng = np.random.default_rng(4)
+    other = simulate(motion(), SensorModel(accel, gyro), CONSUMER, rng=rng, rate=64.0)
+    mat = mat_from_rotvec(np.array([turn, -turn, turn]))
+    other = replace(other, accel=other.accel @ mat, gyro=other.gyro @ mat)
+    found = diagnose_reference(
+        recorded(Term("accel_lever_arm", arm), rate=104.0), other, gravity=GRAVITY
+    )
+    assert set(named(found)) == {"accel_lever_arm", "gyro_misalignment", "reference_misalignment"}
+    assert not found.unexplained
+    for name, value in arm.items():
+        q = named(found)["accel_lever_arm"][name]
+        assert q.value == pytest.approx(value, abs=3.5 * q.sigma)
+        # Its scale factors are known by their limits alone, and a longer arm is the same.
+        assert q.sigma > 0.005 * abs(value)
+
+
+def test_the_cube_of_a_rate_has_no_square_beside_an_imu_with_a_bias():
+    """Of twelve degrees per second: (w + b)³ has 3 b w² in it, and that one's rests show b."""
+    cube = {"kx": 3e-4, "ky": -2e-4, "kz": 2e-4}
+    rng = np.random.default_rng(4)
+    biased = SensorModel(gyro=Triad(np.array([0.2, -0.2, 0.2])))
+    other = simulate(motion(), biased, CONSUMER, rng=rng, rate=64.0)
+    real = recorded(Term("gyro_scale_nonlinearity", cube), rate=104.0)
+    found = diagnose_reference(real, other, gravity=GRAVITY)
+    assert set(named(found)) == {"gyro_scale_nonlinearity"}
