@@ -30,8 +30,10 @@ from scipy.special import logsumexp, softmax
 from calib.mismatch.findings.diagnosis import Interval
 from calib.mismatch.hypotheses.candidates import Candidate
 from calib.mismatch.hypotheses.score import log_bayes_factor, log_bayes_factors
+from calib.mismatch.hypotheses.turned import turned_parts
 from calib.mismatch.hypotheses.wander import wandering
 from calib.mismatch.hypotheses.windows import (
+    TURNED,
     fluctuating,
     make_slots,
     moved_window,
@@ -41,7 +43,7 @@ from calib.mismatch.hypotheses.windows import (
 )
 from calib.mismatch.noise.noise import Whitener
 from calib.mismatch.rows.rows import Rows
-from calib.types import FloatArray
+from calib.types import FloatArray, IntArray
 
 UNLIKELY = 1e-3
 """Windows less probable than the best by this factor are left out."""
@@ -70,6 +72,8 @@ def place_window(rows: Rows, candidate: Candidate, whitener: Whitener, y: FloatA
     It is of the kind that is most probable there. No window is longer than half of the recording:
     the others are the rule there, and not it.
     """
+    if candidate.name == TURNED:
+        return _place_turned(rows, candidate, whitener, y)
     number = len(rows.interval)
     longest = max(number // 2, 1)
     one = len(candidate.channels) == 1
@@ -111,6 +115,21 @@ def _sums(
 ) -> FloatArray:
     """Return log B in each window [a, b) of what is a sum over the segments in it."""
     parts = segment_columns(rows, candidate)
+    number = parts.shape[1]
+    # Open at one end a bias in a window would be a step, which has a name.
+    low = 1 if candidate.name == "bias in a window" else 0
+    first, last = np.triu_indices(number + 1, 1)
+    some = (last - first <= longest) & (first >= low) & (last <= number - low)
+    first, last = first[some], last[some]
+    out = np.full((number + 1, number + 1), -np.inf)
+    out[first, last] = _of_windows(parts, whitener, y, first, last)
+    return out
+
+
+def _of_windows(
+    parts: FloatArray, whitener: Whitener, y: FloatArray, first: IntArray, last: IntArray
+) -> FloatArray:
+    """Return log B of windows ``[first, last)``, the sums of (m, n, k) columns over their parts."""
     m, number, k = parts.shape
     white = whitener.project(parts.reshape(m, -1))
     gram = (white.T @ white).reshape(number, k, number, k).transpose(0, 2, 1, 3)
@@ -118,15 +137,29 @@ def _sums(
     total[1:, 1:] = gram.cumsum(axis=0).cumsum(axis=1)
     match = np.zeros((number + 1, k))
     match[1:] = (y @ white).reshape(number, k).cumsum(axis=0)
-    # Open at one end a bias in a window would be a step, which has a name.
-    low = 1 if candidate.name == "bias in a window" else 0
-    first, last = np.triu_indices(number + 1, 1)
-    some = (last - first <= longest) & (first >= low) & (last <= number - low)
-    first, last = first[some], last[some]
     inner = total[last, last] - total[first, last] - total[last, first] + total[first, first]
-    out = np.full((number + 1, number + 1), -np.inf)
-    out[first, last] = log_bayes_factors(inner, match[last] - match[first])
-    return out
+    return log_bayes_factors(inner, match[last] - match[first])
+
+
+def _place_turned(rows: Rows, candidate: Candidate, whitener: Whitener, y: FloatArray) -> Candidate:
+    """Return turned axes for the window that overlaps most, as `place_window` does.
+
+    A window is no longer than half of the recording, but axes may stay turned for good; and what
+    turns at a pace does.
+    """
+    edges, parts = turned_parts(rows, candidate)
+    number = len(edges) - 1
+    first, last = np.triu_indices(number + 1, 1)
+    stays = last == number
+    some = (first > 0) & (stays | ((last - first <= number // 2) & (not candidate.shape)))
+    first, last, stays = first[some], last[some], stays[some]
+    value = _of_windows(parts, whitener, y, first, last)
+    # What stays turned is as probable as all windows, and of these every length.
+    prior = np.where(stays, 0.0, -np.log(last - first) - np.log(number + 1.0 - (last - first)))
+    weight = softmax(HEAVY * value + prior)
+    probable = weight > UNLIKELY * weight.max()
+    where = expected_overlap(edges[first[probable]], edges[last[probable]], weight[probable])
+    return moved_window(candidate, *where)
 
 
 def _wanders(

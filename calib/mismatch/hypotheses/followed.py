@@ -78,6 +78,8 @@ def smooth(state: State) -> Iterator[tuple[str, FloatArray]]:
         yield "orientation", state.mat_ns.reshape(-1, 9)
     speed = np.linalg.norm(scaled_rates(state), axis=1)
     yield "speed of rotation", np.stack((speed, speed**2, speed**3, np.sqrt(speed)), axis=1)
+    both = state.gravity_direction[:, :, None] * scaled_rates(state)[:, None]
+    yield "rate and direction of gravity", both.reshape(-1, 9)
 
 
 def history(rows: Rows) -> Iterator[tuple[str, FloatArray]]:
@@ -122,6 +124,15 @@ def own_rate(state: State, c: int) -> FloatArray:
     size, square = np.abs(rate), np.square(rate)
     odd = (rate, size, rate * size, square, square * rate, square**2, np.tanh(5 * rate))
     return np.stack(odd, axis=1)
+
+
+def other_rates(state: State, c: int) -> FloatArray:
+    """Return what a channel may see of the rates about the other axes, (n, k).
+
+    What a gyroscope sees of them in proportion is its misalignment: even functions are left.
+    """
+    other = np.delete(scaled_rates(state), c % 3, axis=1)
+    return other if c < 3 else np.hstack((np.abs(other), other**2, np.abs(other) ** 3))
 
 
 def scaled_rates(state: State) -> FloatArray:

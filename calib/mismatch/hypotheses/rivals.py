@@ -13,7 +13,6 @@ from functools import lru_cache
 from typing import Any
 
 import numpy as np
-from scipy import sparse
 
 from calib.effects import effects
 from calib.mismatch.hypotheses.candidates import Bank, Candidate
@@ -22,21 +21,24 @@ from calib.mismatch.hypotheses.followed import (
     RIPPLES,
     axes,
     history,
+    other_rates,
     own_rate,
     ripples,
-    scaled_rates,
     smooth,
     wave,
 )
 from calib.mismatch.hypotheses.score import Stack
+from calib.mismatch.hypotheses.turned import turned_axes
 from calib.mismatch.hypotheses.windows import (
     APART,
     CORNERS,
     FLUCTUATION,
     MIDDLE,
     THROUGHOUT,
+    TURNED,
     Local,
     Slots,
+    in_segments,
     in_windows,
     is_step,
     make_slots,
@@ -54,18 +56,19 @@ RIVAL = 0.4
 FROM_START = "fading from the start"
 
 _KINDS = {
-    "bias in a window": 0.16,
+    "bias in a window": 0.15,
     "gain in a window": 0.10,
-    "fluctuation in a window": 0.17,
+    "fluctuation in a window": 0.16,
     "wave in a window": 0.12,
     THROUGHOUT: 0.03,
     "time": 0.02,
     "temperature": 0.02,
-    "direction of gravity": 0.11,
+    "direction of gravity": 0.10,
     "orientation": 0.03,
     "speed of rotation": 0.05,
     "its own rate": 0.02,
     "rate about the other axes": 0.02,
+    "rate and direction of gravity": 0.01,
     "the pose before": 0.02,
     "the turn before": 0.01,
     FROM_START: 0.015,
@@ -77,6 +80,7 @@ _OF_TRIADS = {
     "bias in a window": 0.02,
     "gain in a window": 0.02,
     "fluctuation in a window": 0.05,
+    TURNED: 0.02,
     FROM_START: 0.015,
 }
 """The same for what three channels have at once: their supply, cable or package."""
@@ -107,6 +111,9 @@ def add_rivals(stack: Stack, rows: Rows, *, skip: tuple[str, ...] = ()) -> None:
     stack.extend(bank)
     if "time" not in skip:
         stack.candidates += list(_fading(stack, rows))
+    if "time" not in skip and not rows.aligned:
+        # Beside a truth both triads turn against that.
+        stack.candidates += list(turned_axes(stack, rows, RIVAL * _OF_TRIADS[TURNED]))
     if "direction of gravity" in skip:
         return
     up = _up(rows, slots)
@@ -128,18 +135,13 @@ def _add_columns(stack: Stack, rows: Rows, slots: Slots) -> tuple[tuple[_Place, 
     followed = [*smooth(state), *history(rows)]
     for c, name in enumerate(CHANNELS):
         size, own = typical_size(name.split(".")[0]), own_signal(state, c)
-        at = (np.arange(len(own)), rows.point_segment)
-        member = sparse.csr_matrix((own, at), shape=(len(own), len(rows.interval)))
         parts = [
             ("slots", (rows.functional[c] @ slots.member).toarray()),
-            ("segments", (rows.functional[c] @ member).toarray()),
+            ("segments", in_segments(rows, c, own)),
             *((n, rows.columns(c, values)) for n, values in followed),
             ("its own rate", rows.columns(c, own_rate(state, c))),
         ]
-        if c < 3:
-            # What a gyroscope sees of the other axes is its misalignment.
-            other = np.delete(scaled_rates(state), c, axis=1)
-            parts.append(("rate about the other axes", rows.columns(c, other)))
+        parts.append(("rate about the other axes", rows.columns(c, other_rates(state, c))))
         places = []
         for label, columns in parts:
             index = stack.columns.add(size * columns, _touched(rows, c))
@@ -270,7 +272,8 @@ def _waves(
 def _of_triad(item: Local, first: IntArray) -> Local:
     """Return what three channels have at once, each in a way of its own; but one gain."""
     if item.name == "gain in a window":
-        return item
+        mixing = item.mixing
+        return item if mixing is None else replace(item, mixing=np.tile(mixing, (3, 1)))
     a, b = item.window
     mixing = np.ones((first[b] - first[a], 1)) if item.mixing is None else item.mixing
     n, k = mixing.shape

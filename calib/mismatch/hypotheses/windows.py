@@ -1,4 +1,7 @@
-"""Windows of a recording, and what may be wrong in one: a bias, a gain, a fluctuation or a wave."""
+"""Windows of a recording, and what may be wrong in one.
+
+A bias, a gain, a fluctuation, a wave, or axes that are turned.
+"""
 
 from __future__ import annotations
 
@@ -18,8 +21,20 @@ from calib.types import FloatArray, IntArray
 FAST = 3.0
 """A brisk turn by hand, rad/s: what rates are scaled by."""
 
-WINDOWED = ("bias in a window", "gain in a window", "fluctuation in a window", "wave in a window")
+TURNED = "turned axes in a window"
+"""A triad that a mounting, or glue, lets turn against the other: ``v x signal``, v small."""
+
+WINDOWED = (
+    "bias in a window",
+    "gain in a window",
+    "fluctuation in a window",
+    "wave in a window",
+    TURNED,
+)
 """Rivals that are functions of time (or a gain) in a window, whose ends can be moved."""
+
+RAMP = {"ramp": 1.0}
+"""What grows or fades at a steady pace in a window, from any value."""
 
 THROUGHOUT = "wave throughout"
 """A rival that is a wave in time, from the first segment to the last."""
@@ -130,6 +145,9 @@ def in_windows(
         time = middle[first[a] : first[b]]
         yield Local("bias in a window", (a, b), (start, stop), {}, None)
         yield Local("gain in a window", (a, b), (start, stop), {}, None)
+        if b - a >= FLUCTUATION:
+            ramp = function_of_time(RAMP, interval[a:b].mean(axis=1), start, stop)
+            yield Local("gain in a window", (a, b), (start, stop), dict(RAMP), ramp)
         if FLUCTUATION <= b - a <= MOST_APART:
             own = np.repeat(np.eye(b - a), np.diff(first[a : b + 1]), axis=0)
             yield Local("fluctuation in a window", (a, b), (start, stop), dict(APART), own)
@@ -143,15 +161,17 @@ def in_windows(
             shapes += [("wave", {"period": (stop - start) / k}) for k in cycles]
         for kind, shape in shapes:
             name = f"{kind} in a window"
-            mixing = _function(shape, time, start, stop)
+            mixing = function_of_time(shape, time, start, stop)
             yield Local(name, (a, b), (start, stop), shape, mixing)
 
 
-def _function(
+def function_of_time(
     shape: Mapping[str, float], time: FloatArray, start: float, stop: float
 ) -> FloatArray:
     """Return the (n, k) functions of time that a window from `start` to `stop` holds."""
     since = time - start
+    if "ramp" in shape:
+        return np.stack((np.ones(len(time)), 2 * since / (stop - start) - 1), axis=1)
     if "period" in shape:
         phase = 2 * np.pi * since / shape["period"]
         return np.stack((np.ones(len(time)), np.cos(phase), np.sin(phase)), axis=1)
@@ -200,19 +220,34 @@ def window_columns(rows: Rows, candidate: Candidate) -> FloatArray:
     state, size = rows.state, typical_size(candidate.channels[0].split(".")[0])
     first = np.searchsorted(state.time, start)
     within = slice(first, np.searchsorted(state.time, stop, side="right"))
-    shape = _function(candidate.shape, state.time[within], start, stop)
-    out = []
-    for c in map(CHANNELS.index, candidate.channels):
-        own = shape
-        if candidate.name == "gain in a window":
-            own = shape * own_signal(state, c)[within, None]
-        out.append(size * np.asarray(rows.functional[c][:, within] @ own))
-    return np.asarray(sum(out)) if _is_one(candidate) else np.hstack(out)
+    shape = function_of_time(candidate.shape, state.time[within], start, stop)
+    return np.hstack(
+        [
+            sum(
+                size * np.asarray(rows.functional[c][:, within] @ (shape * of[within, None]))
+                for c, of in carriers
+            )
+            for carriers in carried(state, candidate)
+        ]
+    )
 
 
-def _is_one(candidate: Candidate) -> bool:
-    """Whether the channels share one size: the gain of a triad is that of its reference."""
-    return candidate.name == "gain in a window"
+def carried(state: State, candidate: Candidate) -> list[list[tuple[int, FloatArray]]]:
+    """Return what functions of time multiply: of each size, the channels and signals (n,).
+
+    The channels of a triad have a size each; but its gain, that of its reference, is one, and what
+    turns it about one axis shows on the other two.
+    """
+    channels = [CHANNELS.index(c) for c in candidate.channels]
+    if candidate.name == "gain in a window":
+        return [[(c, own_signal(state, c)) for c in channels]]
+    if candidate.name == TURNED:
+        signal = np.stack([own_signal(state, c) for c in channels], axis=1)
+        turned = [np.cross(axis, signal) for axis in np.eye(3)]
+        return [
+            [(c, v[:, i]) for i, c in enumerate(channels) if i != j] for j, v in enumerate(turned)
+        ]
+    return [[(c, np.ones(len(state.time)))] for c in channels]
 
 
 def fluctuating(candidate: Candidate, start: float, stop: float, *, segments: int) -> Candidate:
@@ -236,19 +271,25 @@ def segment_columns(rows: Rows, candidate: Candidate) -> FloatArray:
     """Return the (m, s, k) columns of what a candidate says of a window, in each segment alone."""
     assert candidate.interval is not None
     state, size = rows.state, typical_size(candidate.channels[0].split(".")[0])
-    shape = size * _function(candidate.shape, state.time, *candidate.interval)
-    points = np.arange(len(state.time))
-    found = []
-    for c in map(CHANNELS.index, candidate.channels):
-        own = own_signal(state, c)[:, None] if candidate.name == "gain in a window" else 1.0
-        out = []
-        for values in (shape * own).T:
-            member = sparse.csr_matrix(
-                (values, (points, rows.point_segment)), shape=(len(points), len(rows.interval))
+    shape = size * function_of_time(candidate.shape, state.time, *candidate.interval)
+    return np.concatenate(
+        [
+            np.stack(
+                [sum(in_segments(rows, c, own * of) for c, of in carriers) for own in shape.T],
+                axis=2,
             )
-            out.append((rows.functional[c] @ member).toarray())
-        found.append(np.stack(out, axis=2))
-    return np.asarray(sum(found)) if _is_one(candidate) else np.concatenate(found, axis=2)
+            for carriers in carried(state, candidate)
+        ],
+        axis=2,
+    )
+
+
+def in_segments(rows: Rows, c: int, values: FloatArray) -> FloatArray:
+    """Return the (m, s) columns of (n,) values on a channel, in each segment alone."""
+    points = np.arange(len(values))
+    shape = len(points), len(rows.interval)
+    member = sparse.csr_matrix((values, (points, rows.point_segment)), shape=shape)
+    return np.asarray((rows.functional[c] @ member).toarray())
 
 
 def throughout(
@@ -258,7 +299,7 @@ def throughout(
     start, stop = float(interval[0, 0]), float(interval[-1, 1])
     for cycles in np.arange(1.0, len(interval) / SHORTEST_WAVE + 0.25, 0.5):
         shape = {"period": (stop - start) / cycles}
-        yield shape, _function(shape, middle, start, stop)
+        yield shape, function_of_time(shape, middle, start, stop)
 
 
 def own_signal(state: State, c: int) -> FloatArray:
@@ -268,7 +309,8 @@ def own_signal(state: State, c: int) -> FloatArray:
 
 def nearby_windows(rows: Rows, candidate: Candidate) -> Iterator[tuple[float, float]]:
     """Yield the windows, to the segment, that are nearer to a candidate's than to others tried."""
-    if candidate.interval is None:
+    if candidate.interval is None or candidate.name == TURNED:
+        # Axes that turn are tried in parts of segments.
         return
     start, stop = candidate.interval
     a = int(np.searchsorted(rows.interval[:, 0], start - 1e-9))
