@@ -24,6 +24,10 @@ FOLDS = 5
 UNTOLD = 1e-4
 """Share of a direction of rows that others must tell, or nothing of it can be foretold."""
 
+TOLD = 1e-6
+"""Share of the precision of a direction of rows that others must leave, or they foretell nothing
+of it."""
+
 _UNITS = {Kind.ATTITUDE: "rad", Kind.VELOCITY: "m/s"}
 
 
@@ -192,36 +196,53 @@ def _gain(
 ) -> tuple[float, tuple[float, float]]:
     """Return the held-out log-likelihood gained, with the full noise model.
 
+    What other blocks foretell of the rows B is normal, with the precision ``P_BB`` of all rows
+    beneath the fit, and misses them by ``P_BB^-1 (P y)_B``: who is vague pays for the width of it
+    [1]_. Both are judged by what the larger fit foretells, the rest nobody can compare.
+
     Beside it the RMS of the normalised prediction errors before and after.
+
+    References
+    ----------
+    .. [1] Gneiting, Raftery, "Strictly proper scoring rules, prediction, and estimation",
+       JASA 102, 2007, sec. 4.1 (the logarithmic score).
     """
     fold = fold_of(rows)
     factor, dense = rows.arrow.factorise(levels), rows.n_dense
     half = factor.solve_transposed(np.eye(dense))
     precision = half @ half.T
     each = np.append(precision.diagonal(), 1.0 / contrast)
-    value, size = [], []
+    sides = []
     for mean in (before, after):
         whitener = make_whitener(rows, levels, contrast, mean, factor=factor, coupled=False)
         hidden = whitener.unwhiten_transposed(whitener.basis)
-        pull = whitener.unwhiten_transposed(whitener.project(residual)[:, None])[:, 0]
-        total, square, number = 0.0, 0.0, 0
-        for k in range(FOLDS):
-            own = np.flatnonzero(fold == k)
-            if not len(own):
-                continue
-            # P_BB^-1 (P y)_B is the prediction error of block B, P_BB^-1 its covariance.
-            block = np.diag(each[own])
-            first = own[own < dense]
-            block[: len(first), : len(first)] = precision[np.ix_(first, first)]
-            block -= hidden[own] @ hidden[own].T
-            # Rows that only this block determines have no power left; rounding may go below zero.
-            scale = np.sqrt(np.maximum(np.diag(block), 1e-9 * each[own]))
-            values, vectors = np.linalg.eigh(block / np.outer(scale, scale))
-            good = values > 1e-6
-            along = vectors.T @ (pull[own] / scale)
-            missed = float((np.square(along[good]) / values[good]).sum())
-            total += 0.5 * (float(np.log(values[good]).sum()) - missed)
-            square, number = square + missed, number + int(good.sum())
-        value.append(total)
-        size.append(float(np.sqrt(square / max(number, 1))))
-    return value[1] - value[0], (size[0], size[1])
+        sides.append((hidden, whitener.unwhiten_transposed(whitener.project(residual)[:, None])))
+    gain, square, number = 0.0, np.zeros(2), 0
+    for k in range(FOLDS):
+        own = np.flatnonzero(fold == k)
+        if not len(own):
+            continue
+        scale = np.sqrt(each[own])
+        plain = np.diag(each[own])
+        first = own[own < dense]
+        plain[: len(first), : len(first)] = precision[np.ix_(first, first)]
+        found = []
+        for hidden, pull in sides:
+            values, vectors = np.linalg.eigh(
+                (plain - hidden[own] @ hidden[own].T) / np.outer(scale, scale)
+            )
+            # Directions that only this block determines have no power left.
+            good = values > TOLD
+            found.append((values[good], vectors[:, good], pull[own, 0] / scale))
+        told = found[1][1]
+        for i, (values, vectors, pull) in enumerate(found):
+            spread = (told.T @ vectors) / np.sqrt(values)
+            error = spread @ ((vectors.T @ pull) / np.sqrt(values))
+            root = np.linalg.cholesky(spread @ spread.T)
+            missed = float(np.square(np.linalg.solve(root, error)).sum())
+            width = float(np.log(np.diagonal(root)).sum())
+            gain += (-0.5 * missed - width) * (1 if i else -1)
+            square[i] += missed
+        number += told.shape[1]
+    errors = np.sqrt(square / max(number, 1))
+    return gain, (float(errors[0]), float(errors[1]))
