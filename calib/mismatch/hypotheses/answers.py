@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
+from scipy.special import logsumexp
 
 from calib.effects import get_effect
 from calib.mismatch.hypotheses.candidates import Candidate
@@ -70,8 +71,8 @@ def physics(stack: Stack) -> FloatArray:
 def nearby(rows: Rows, leader: Candidate) -> Stack:
     """Return a candidate at the shapes and places nearest to its own; nothing for what has none.
 
-    An event is moved within its rest or turn, a time constant between its neighbours on the grid,
-    a window at both of its ends.
+    An event is moved within its rest or turn and those beside it, a time constant between its
+    neighbours on the grid, a window at both of its ends.
     """
     stack = Stack(len(rows.residual))
     if leader.physical and not leader.present:
@@ -87,3 +88,24 @@ def nearby(rows: Rows, leader: Candidate) -> Stack:
             index = stack.columns.add(window_columns(rows, there))
             stack.candidates.append(replace(there, index=index, mixing=None, summed=False))
     return stack
+
+
+def evidence_near(rows: Rows, near: Stack, factors: FloatArray) -> float:
+    """Return log B of what is near as one candidate, each as probable as any other.
+
+    A candidate with a moment stands for its rest or turn: of the moments they are those of the rest
+    or turn that says most.
+
+    Parameters
+    ----------
+    rows : Rows
+    near : Stack
+        From `nearby`.
+    factors : (n,) array
+        log B of each.
+    """
+    moments = np.array([c.shape.get("moment", -np.inf) for c in near.candidates])
+    place = np.searchsorted(rows.interval[:, 0], moments, side="right")
+    return max(
+        float(logsumexp(factors[place == k]) - np.log((place == k).sum())) for k in np.unique(place)
+    )

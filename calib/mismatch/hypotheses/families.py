@@ -20,6 +20,9 @@ from calib.types import FloatArray
 SHAPES = 7
 """Candidates for each continuous shape parameter (its grid is refined once it was chosen)."""
 
+NEAR = 17
+"""Values of a shape parameter between those of its grid that are tried to refine it."""
+
 UNSEEN = 0.1
 """Standard errors that a parameter must add at its largest, over all rows, to be one of a
 candidate: of an axis that never turns, rounding errors are all that there is to see. A setup is one
@@ -241,29 +244,52 @@ def is_moment(item: ShapeParameter) -> bool:
     return item.unit == "s" and item.spacing == "linear" and item.low is None
 
 
+def around(rows: Rows, k: int) -> tuple[FloatArray, FloatArray]:
+    """Return where segment `k` and those beside it begin, and where the next ones do.
+
+    What was left out between two of them belongs to the first.
+    """
+    begin = rows.interval[:, 0]
+    end = np.append(begin[1:], rows.interval[-1, 1])
+    near = slice(max(k - 1, 0), k + 2)
+    return begin[near], end[near]
+
+
 def neighbours(
-    effect: Effect, rows: Rows, shape: Mapping[str, float]
+    effect: Effect, rows: Rows, shape: Mapping[str, float], *, closer: bool = False
 ) -> Iterator[dict[str, float]]:
-    """Yield shapes around a chosen one, one parameter at a time, within the grid's spacing."""
+    """Yield shapes around a chosen one, one parameter at a time, within the grid's spacing.
+
+    Or, ``closer``, moments around one that these have found, within theirs.
+    """
     for item in effect.shape:
         grid = shape_grid(item, rows, SHAPES)
         here = shape.get(item.name)
         if here is None or len(grid) < 2 or item.spacing == "integer":
             continue
         if is_moment(item):
-            # Every rest and turn is on the grid: a moment within its own.
-            k = int(np.searchsorted(rows.interval[:, 0], here, side="right")) - 1
-            first, last = rows.interval[max(k, 0)]
-            # What a delay leaves goes with the rate at its moment: a hand's tremor changes that
-            # from sample to sample. A step's goes with the time since.
-            moments = np.linspace(first, last, 17)
+            k = max(int(np.searchsorted(rows.interval[:, 0], here, side="right")) - 1, 0)
             if isinstance(effect, TransformEffect):
-                moments = rows.state.time[rows.point_segment == max(k, 0)]
+                # What a delay leaves goes with the rate at its moment: a hand's tremor changes that
+                # from sample to sample. A turn has rests beside it, a window has more of a turn.
+                beside = int(bool(rows.aligned))
+                near = np.abs(rows.point_segment - k) <= beside
+                moments = rows.state.time[near & (not closer)]
+            elif closer:
+                space = np.ptp(rows.interval[k]) / (NEAR - 1)
+                moments = np.linspace(here - space, here + space, NEAR)
+            else:
+                # Of what goes with the time since, the middle of a rest may say less than the end
+                # of the turn before it.
+                begin, end = around(rows, k)
+                moments = np.linspace(begin, end, NEAR, endpoint=False).ravel()
             for value in moments:
                 yield {**shape, item.name: float(value)}
+            continue
+        if closer:
             continue
         at = int(np.argmin(np.abs(grid - here)))
         low, high = grid[max(at - 1, 0)], grid[min(at + 1, len(grid) - 1)]
         space = np.geomspace if item.spacing == "log" else np.linspace
-        for value in space(low, high, 17):
+        for value in space(low, high, NEAR):
             yield {**shape, item.name: float(value)}

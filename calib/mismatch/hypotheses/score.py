@@ -147,12 +147,6 @@ class Stack:
                 values[own] = part
         return out
 
-    def average(self, whitener: Whitener, y: FloatArray) -> float:
-        """Return log B of all candidates as one, each as probable as any other."""
-        return float(_average(self.log_bayes_factors(whitener, y))) - float(
-            np.log(len(self.candidates))
-        )
-
 
 def _several(make: Alike, seen: Seen, columns: IntArray) -> FloatArray:
     """Return log B of candidates that have a coefficient for each of their columns."""

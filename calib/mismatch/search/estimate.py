@@ -23,7 +23,13 @@ from scipy.special import ndtr
 
 from calib.effects import get_effect
 from calib.effects.base import ShapeParameter
-from calib.mismatch.hypotheses.families import candidate_columns, forms, is_moment, shape_grid
+from calib.mismatch.hypotheses.families import (
+    around,
+    candidate_columns,
+    forms,
+    is_moment,
+    shape_grid,
+)
 from calib.mismatch.noise.noise import make_whitener, spread_of_variance
 from calib.mismatch.rows.rows import Rows
 from calib.mismatch.search.ranking import Accepted, fitted
@@ -312,20 +318,26 @@ def _of_moment(
     *,
     reference: bool,
 ) -> float:
-    """Return the standard error of a moment: when in its rest or turn is open, and in which is."""
+    """Return the standard error of a moment: in which rest or turn it is is open, and when."""
     own = accepted[which]
     here = own.candidate.shape[item.name]
     others = [a for i, a in enumerate(accepted) if i != which]
     whitener = make_whitener(rows, levels, contrast, fitted(rows, others))
     y = whitener.project(rows.residual)
+    k = max(int(np.searchsorted(rows.interval[:, 0], here, side="right")) - 1, 0)
     values, length = rows.interval.mean(axis=1), np.ptp(rows.interval, axis=1)
-    values[max(int(np.searchsorted(rows.interval[:, 0], here, side="right")) - 1, 0)] = here
+    near = slice(max(k - 1, 0), k + 2)
+    begin, end = around(rows, k)
+    part = (end - begin) / POINTS
+    within = begin[:, None] + part[:, None] * (np.arange(POINTS) + 0.5)
+    values = np.concatenate((np.delete(values, near), within.ravel(), [here]))
+    length = np.concatenate((np.delete(length, near), np.repeat(part, POINTS), [part.min()]))
     gains = np.zeros(len(values))
-    for k, value in enumerate(values):
+    for i, value in enumerate(values):
         shape = {**own.candidate.shape, item.name: float(value)}
         moved = own if value == here else _moved(rows, own, shape, reference=reference)
         if moved is not None:
-            gains[k] = likelihood_gain(whitener.project(moved.columns), y)
+            gains[i] = likelihood_gain(whitener.project(moved.columns), y)
     drop, off = gains.max() - gains, np.abs(values - here)
     weights = np.exp(-drop) * length / (np.exp(-drop) @ length)
     mixed = np.sqrt(weights @ (np.square(off) + length**2 / 12.0))

@@ -12,7 +12,14 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.special import logsumexp
 
-from calib.mismatch.hypotheses.answers import grouped, leading, nearby, physics, strongest_rivals
+from calib.mismatch.hypotheses.answers import (
+    evidence_near,
+    grouped,
+    leading,
+    nearby,
+    physics,
+    strongest_rivals,
+)
 from calib.mismatch.hypotheses.candidates import Candidate
 from calib.mismatch.hypotheses.families import add_catalogue
 from calib.mismatch.hypotheses.rivals import add_rivals
@@ -346,8 +353,8 @@ class _Scores:
         evidence = self.at(found.values, outside, null, code == names.index(leader.group))
         if moved.candidates:
             whitener = self.whitener(found.values, outside)
-            average = moved.average(whitener, whitener.project(rows.residual))
-            average += null - base.log_likelihood
+            factors = moved.log_bayes_factors(whitener, whitener.project(rows.residual))
+            average = evidence_near(rows, moved, factors) + null - base.log_likelihood
             i = stack.candidates.index(leader)
             evidence[i] = max(evidence[i], average + self.weight[i])
         return evidence, found.values

@@ -181,7 +181,7 @@ def _step(
 def put_back(problem: Problem, rows: Rows, accepted: list[Accepted]) -> Rows:
     """Return the rows of a model that has taken up what these findings say it has, no others."""
     terms = tuple(_term(a) for a in accepted if a.in_model)
-    problem.move({}, np.zeros(rows.nuisance.shape[1]), terms)
+    problem.move(dict.fromkeys(rows.names, 0.0), np.zeros(rows.nuisance.shape[1]), terms)
     return problem.rows()
 
 
@@ -355,6 +355,9 @@ def refined(
 
     for form in forms(effect, candidate.shape):
         for shape in neighbours(effect, rows, form):
+            try_shape(shape)
+    if effect.from_moment:
+        for shape in neighbours(effect, rows, best[0].shape, closer=True):
             try_shape(shape)
     if candidate.present:
         # How strong it is is in its shape alone, whatever its form.

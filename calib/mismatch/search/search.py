@@ -13,8 +13,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from calib.effects import get_effect
-from calib.effects.base import TransformEffect
-from calib.mismatch.hypotheses.answers import grouped, leading, nearby
+from calib.mismatch.hypotheses.answers import evidence_near, grouped, leading, nearby
 from calib.mismatch.hypotheses.candidates import Candidate
 from calib.mismatch.hypotheses.families import candidate_columns
 from calib.mismatch.hypotheses.score import Stack
@@ -327,8 +326,8 @@ def _accept(stack: Stack, chosen: Candidate, e_value: float) -> Accepted:
 
 
 def _superfluous(rows: Rows, accepted: list[Accepted], levels: FloatArray) -> Accepted | None:
-    """Return the rival or transform that later findings have made worthless, if there is one."""
-    earlier = [a for a in accepted[:-1] if not a.in_model or _undone(rows, a)]
+    """Return the finding that later ones have made worthless, if there is one."""
+    earlier = accepted[:-1]
     if not earlier:
         return None
     contrast = contrast_noise(rows, accepted)
@@ -347,11 +346,6 @@ def _superfluous(rows: Rows, accepted: list[Accepted], levels: FloatArray) -> Ac
         if value < worst[0]:
             worst = (float(value), a)
     return worst[1]
-
-
-def _undone(rows: Rows, a: Accepted) -> bool:
-    """Whether a finding was taken out of the signals, which rows of a twin alone have in them."""
-    return not rows.aligned and isinstance(get_effect(a.candidate.name), TransformEffect)
 
 
 def _posterior(
@@ -387,7 +381,8 @@ def _posterior(
         near = nearby(rows, best[g])
         if near.candidates:
             i = stack.candidates.index(best[g])
-            evidence[i] = max(evidence[i], near.average(whitener, y) + weight[i])
+            factors = near.log_bayes_factors(whitener, y)
+            evidence[i] = max(evidence[i], evidence_near(rows, near, factors) + weight[i])
     best, groups = grouped(stack, evidence)
     groups = {
         g: v

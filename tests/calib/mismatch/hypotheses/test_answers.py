@@ -4,7 +4,13 @@ import numpy as np
 import pytest
 from scipy.special import logsumexp
 
-from calib.mismatch.hypotheses.answers import LEADERS, grouped, leading, nearby
+from calib.mismatch.hypotheses.answers import (
+    LEADERS,
+    evidence_near,
+    grouped,
+    leading,
+    nearby,
+)
 from calib.mismatch.search.ranking import make_stack
 
 from ..bench import problem
@@ -55,3 +61,15 @@ def test_what_has_no_place_has_nothing_near(stacked):
     rows, stack = stacked
     leader = next(c for c in stack.candidates if c.name == "gyro_g_sensitivity")
     assert not nearby(rows, leader).candidates
+
+
+def test_a_moment_counts_as_that_of_the_rest_or_turn_that_says_most(stacked):
+    rows, stack = stacked
+    own = [c for c in stack.candidates if c.name == "gyro_bias_step" and c.is_single]
+    near = nearby(rows, own[len(own) // 2])
+    moments = np.array([c.shape["moment"] for c in near.candidates])
+    place = np.searchsorted(rows.interval[:, 0], moments, side="right")
+    assert len(np.unique(place)) == 3
+    for k in np.unique(place):
+        factors = np.where(place == k, 5.0, -40.0)
+        assert evidence_near(rows, near, factors) == pytest.approx(5.0)
