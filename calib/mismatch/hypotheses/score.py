@@ -43,6 +43,9 @@ SHARES = np.append(np.full(8, 0.1175), [0.02, 0.02, 0.01, 0.01])
 
 _LOG_SHARES = np.log(SHARES)
 
+NOTHING = 1e-290
+"""Square of a length that rounding leaves of none, and that has no inverse."""
+
 ALL_AT_ONCE = 8
 """Columns of candidates up to which these are reduced side by side; of more, one by one."""
 
@@ -256,7 +259,7 @@ def _tridiagonal(gram: FloatArray, match: FloatArray) -> tuple[FloatArray, Float
             mirror = first.copy()
             mirror[:, 0] += np.copysign(size, first[:, 0])
             square = np.einsum("ni,ni->n", mirror, mirror)
-            mirror *= np.sqrt(2.0 / np.where(square > 0, square, 1.0))[:, None]
+            mirror *= np.sqrt(2.0 / np.where(square > NOTHING, square, 1.0))[:, None]
             along = np.einsum("nij,nj->ni", left, mirror)
             along -= 0.5 * np.einsum("ni,ni->n", along, mirror)[:, None] * mirror
             change = mirror[:, :, None] * along[:, None, :]
