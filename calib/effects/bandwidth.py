@@ -20,7 +20,6 @@ from calib.effects.base import (
 )
 from calib.effects.resampling import (
     each_triad,
-    presence_columns,
     present,
     resample,
     triad_column,
@@ -74,21 +73,21 @@ class Bandwidth(TransformEffect):
     def columns(self, state: State, shape: Mapping[str, float]) -> dict[str, Column]:
         """Return what the low-pass takes away from each triad whose cut-off is given."""
         order = int(shape.get("order", 1))
-
-        def change(x: FloatArray, cutoff: float) -> FloatArray:
-            return low_pass(state.time, x, cutoff, order=order)
-
-        out = presence_columns(state, shape, "cutoff", change)
-        if "both_cutoff" in shape:
-            cutoff = shape["both_cutoff"]
-            out["both"] = {
-                channel: part
-                for triad, x in (("accel", state.force), ("gyro", state.rate))
-                for channel, part in triad_column(
-                    triad, prompt_low_pass(state.time, x, cutoff, order=order) - x
-                ).items()
-            }
-        return out
+        both = shape.get("both_cutoff")
+        out: dict[str, Column] = {}
+        of_both: Column = {}
+        for triad, x, slopes in (
+            ("accel", state.force, state.force_dot),
+            ("gyro", state.rate, state.rate_slope),
+        ):
+            cutoff = shape.get(f"{triad}_cutoff")
+            if cutoff is not None:
+                late = low_pass(state.time, x, cutoff, order=order, slopes=slopes)
+                out[triad] = triad_column(triad, late - x)
+            if both is not None:
+                prompt = prompt_low_pass(state.time, x, both, order=order, slopes=slopes)
+                of_both = {**of_both, **triad_column(triad, prompt - x)}
+        return {**out, "both": of_both} if of_both else out
 
     def transform(
         self, time: FloatArray, signals: Signals, parameters: Mapping[str, float]
@@ -137,10 +136,15 @@ class Bandwidth(TransformEffect):
 
 
 def prompt_low_pass(
-    time: FloatArray, values: FloatArray, cutoff: float, *, order: int
+    time: FloatArray,
+    values: FloatArray,
+    cutoff: float,
+    *,
+    order: int,
+    slopes: FloatArray | None = None,
 ) -> FloatArray:
     """Return (n, k) values through the low-pass, its delay at low frequency taken off."""
-    late = low_pass(time, values, cutoff, order=order)
+    late = low_pass(time, values, cutoff, order=order, slopes=slopes)
     return resample(time, late, time + group_delay(cutoff, order))
 
 
@@ -149,12 +153,23 @@ def group_delay(cutoff: float, order: int) -> float:
     return (1.0, float(np.sqrt(2)))[order - 1] / (2 * np.pi * cutoff)
 
 
-def low_pass(time: FloatArray, values: FloatArray, cutoff: float, *, order: int) -> FloatArray:
-    """Return (n, k) values through the low-pass, which starts settled at the first of them."""
+def low_pass(
+    time: FloatArray,
+    values: FloatArray,
+    cutoff: float,
+    *,
+    order: int,
+    slopes: FloatArray | None = None,
+) -> FloatArray:
+    """Return (n, k) values through the low-pass, which starts settled at the first of them.
+
+    ``slopes`` are those of their spline, where they are known.
+    """
     if len(time) < 2:
         return values
     step = float(np.median(np.diff(time)))
-    slopes = spline_slopes(time, values) if len(time) > 3 else np.gradient(values, time, axis=0)
+    if slopes is None:
+        slopes = spline_slopes(time, values) if len(time) > 3 else np.gradient(values, time, axis=0)
     # One signal after the other in memory, as the solver has them.
     level, slope = (np.ascontiguousarray(x.T, np.float64) for x in (values, step * slopes))
     levels, ends, den = _discrete(2 * np.pi * cutoff, step, order)
