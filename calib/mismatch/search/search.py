@@ -203,12 +203,24 @@ def _most_probable(
         return best[top]
     # Two causes at once can look like one smooth rival: let physics try twice.
     if groups[top] > np.log(CLAIM):
-        stack = ranking.stack
-        pair = _accept(stack, best[top], 1.0)
-        second = rank(rows, stack, [*accepted, pair], ranking.levels_with(best[top]))
-        left = [v for g, v in second.groups.items() if second.best[g].physical]
-        if left and groups[top] + max(left) > for_rivals and max(left) > np.log(CLAIM):
-            return best[top]
+
+        def beside(first: Candidate) -> Ranking:
+            taken = _accept(ranking.stack, first, 1.0)
+            levels = ranking.levels_with(first)
+            return rank(rows, ranking.stack, [*accepted, taken], levels)
+
+        second = beside(best[top])
+        left = {g: v for g, v in second.groups.items() if second.best[g].physical}
+        also = max(left, key=lambda g: left[g], default=None)
+        if (
+            also is not None
+            and groups[top] + left[also] > for_rivals
+            and left[also] > np.log(CLAIM)
+        ):
+            # A cause that is there beside the rival as well speaks for neither.
+            apart = max(beside(best[other]).groups.get(also, 0.0), 0.0)
+            if groups[top] + left[also] > for_rivals + apart:
+                return best[top]
     return best[other]
 
 

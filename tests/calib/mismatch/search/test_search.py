@@ -18,6 +18,7 @@ from calib.mismatch.noise.noise import (
     range_basis,
 )
 from calib.mismatch.rows.grid import make_grid
+from calib.mismatch.search import search
 from calib.mismatch.search.ranking import (
     CLAIM,
     DRIFTING,
@@ -117,6 +118,24 @@ def test_a_name_that_is_less_probable_than_rivals_needs_the_claim_by_itself(stac
     assert chosen(1.5, 2.0) is effect
     assert chosen(0.6, 0.5) is effect
     assert chosen(0.6, 1.1) is wave
+
+
+def test_a_second_cause_outbids_a_rival_unless_it_is_there_beside_the_rival(stacked, monkeypatch):
+    rows, stack = stacked
+    effect = candidate(stack, "accel_settling", ("ky",))
+    rival = next(c for c in stack.candidates if c.group == "speed of rotation accel.y")
+    second = candidate(stack, "gyro_g_sensitivity", ("gxx",))
+
+    def chosen(beside_rival):
+        def again(rows, stack, accepted, start):
+            alone = accepted[-1].candidate is effect
+            return ranked(stacked, {second: 28.0 if alone else beside_rival})
+
+        monkeypatch.setattr(search, "rank", again)
+        return choose(rows, ranked(stacked, {rival: 48.0, effect: 30.0, second: 28.0}), [])
+
+    assert chosen(2.0) is effect
+    assert chosen(28.0) is rival
 
 
 def test_causes_on_other_channels_lend_no_weight(stacked):
