@@ -603,6 +603,36 @@ def rate_crosstalk(rng: np.random.Generator, m: Motion) -> Disturbance:
     return {int(rng.integers(3)): np.linalg.norm(m.rate, axis=1)}, (0.0, float(m.time[-1]))
 
 
+def slipped_die(rng: np.random.Generator, m: Motion) -> Disturbance:
+    """Return what one triad gains that turns against the other: at once, slowly, or and back."""
+    first = 3 * int(rng.integers(2))
+    signal = m.force if first == 0 else m.rate
+    window = _window(rng, m, (0.15, 0.4))
+    how = rng.integers(3)
+    share = 1.0 * _inside(m, window)
+    if how < 2:
+        begin = float(rng.uniform(0.25, 0.7) * m.time[-1])
+        pace = (window[1] - window[0]) if how else 1e-9
+        share = np.clip((m.time - begin) / pace, 0, 1)
+        window = (begin, float(m.time[-1]))
+    turned = share[:, None] * np.cross(rng.normal(size=3), signal)
+    return {first + i: turned[:, i] for i in range(3)}, window
+
+
+def growing_gain(rng: np.random.Generator, m: Motion) -> Disturbance:
+    """Return a gain that grows through one window and is then what it was."""
+    window, c = _window(rng, m, (0.15, 0.4)), int(rng.integers(6))
+    own = (m.force if c < 3 else m.rate)[:, c % 3]
+    return {c: _inside(m, window) * (m.time - window[0]) / (window[1] - window[0]) * own}, window
+
+
+def strained_by_speed(rng: np.random.Generator, m: Motion) -> Disturbance:
+    """Return an output of one axis of the gyroscope while it turns fast about another."""
+    c, other = rng.permutation(3)[:2]
+    speed = np.abs(m.rate[:, other])
+    return {3 + int(c): 1.0 * (speed > 0.4 * speed.max())}, (0.0, float(m.time[-1]))
+
+
 def bumped_pose(rng: np.random.Generator, m: Motion) -> Disturbance:
     """Return a push on the accelerometer alone through one rest."""
     window = tuple(m.rests[int(rng.integers(2, len(m.rests) - 2))])
@@ -622,6 +652,7 @@ OUTSIDE: dict[str, Callable[[np.random.Generator, Motion], Disturbance]] = {
     f.__name__: f
     for f in (
         interference, loose_connector, gain_window, magnet, rate_crosstalk, bumped_pose, hum,
+        slipped_die, growing_gain, strained_by_speed,
     )
 }  # fmt: skip
 
