@@ -145,7 +145,8 @@ def _place_turned(rows: Rows, candidate: Candidate, whitener: Whitener, y: Float
     """Return turned axes for the window that overlaps most, as `place_window` does.
 
     A window is no longer than half of the recording, but axes may stay turned for good; and what
-    turns at a pace does.
+    turns at a pace does. How far they are turned is one vector, and no sum of pulses: the evidence
+    counts in full.
     """
     edges, parts = turned_parts(rows, candidate)
     number = len(edges) - 1
@@ -154,9 +155,13 @@ def _place_turned(rows: Rows, candidate: Candidate, whitener: Whitener, y: Float
     some = (first > 0) & (stays | ((last - first <= number // 2) & (not candidate.shape)))
     first, last, stays = first[some], last[some], stays[some]
     value = _of_windows(parts, whitener, y, first, last)
-    # What stays turned is as probable as all windows, and of these every length.
+    # What stays turned, at any moment, is as probable as all windows; of these every length is, by
+    # its logarithm, and every place.
     prior = np.where(stays, 0.0, -np.log(last - first) - np.log(number + 1.0 - (last - first)))
-    weight = softmax(HEAVY * value + prior)
+    prior -= np.where(
+        stays, np.log(stays.sum()), logsumexp(prior[~stays]) if not stays.all() else 0.0
+    )
+    weight = softmax(value + prior)
     probable = weight > UNLIKELY * weight.max()
     where = expected_overlap(edges[first[probable]], edges[last[probable]], weight[probable])
     return moved_window(candidate, *where)

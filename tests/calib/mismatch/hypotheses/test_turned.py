@@ -106,3 +106,20 @@ def test_an_accelerometer_that_turns_within_a_rest_is_placed_within_it():
     y = whitener.project(30.0 * true / np.linalg.norm(whitener.project(true)))
     placed = place_window(rows, there, whitener, y)
     assert placed.interval == pytest.approx((moment, end), abs=1e-6)
+
+
+def test_axes_that_turn_and_turn_back_are_placed_in_their_window_and_not_for_good():
+    _, made = problem()
+    rows = made.rows()
+    stack = make_stack(rows, skip=(), reference=False)
+    candidate = next(c for c in turned_axes(stack, rows, RIVAL) if c.channels == CHANNELS[:3])
+    start, stop = float(rows.interval[14, 0]), float(rows.interval[24, 1])
+    there = type(candidate)(
+        TURNED, candidate.index, 1.0, False, CHANNELS[:3], interval=(start, stop)
+    )
+    true = window_columns(rows, there) @ [1.0, -0.6, 0.4]
+    whitener = make_whitener(rows, expected_levels(rows), rows.white_diagonal, fitted(rows, []))
+    y = whitener.project(8.0 * true / np.linalg.norm(whitener.project(true)))
+    placed = place_window(rows, there, whitener, y)
+    assert placed.interval is not None
+    assert overlap(placed.interval, (start, stop)) > 0.8
