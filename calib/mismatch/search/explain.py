@@ -37,6 +37,9 @@ UNIQUE = 1e-6
 COUNTED = 0.3
 """Standard error of a count of samples above which it is not known to be whole."""
 
+CERTAIN = 1e-3
+"""The same where it is known which: the probability of any other is less than a millionth."""
+
 
 def explain(
     outcome: Outcome, fit: Estimate, *, names: tuple[str, ...]
@@ -97,6 +100,7 @@ def explain(
             left = _unexplained(rows, a, rivals)
             unexplained.append(replace(left, intervals=where, follows="this one turn"))
             continue
+        parameters = {n: counted(q) if q.unit == "samples" else q for n, q in parameters.items()}
         if useless and effect.kind != "event":
             unexplained.append(
                 replace(
@@ -138,6 +142,19 @@ def _is_whole(q: Quantity) -> bool:
     """Whether a count is a whole number other than zero, and not any other."""
     near, sigma = round(q.value), q.sigma or 0.0
     return near != 0 and sigma < COUNTED and abs(q.value - near) < 4.0 * sigma + 0.05
+
+
+def counted(q: Quantity) -> Quantity:
+    """Return a count of samples as the most probable whole number, and how uncertain that is.
+
+    Its standard error is that of the whole numbers about it; None where no other is likely.
+    """
+    whole = round(q.value) + np.arange(-2, 3)
+    square = np.square((whole - q.value) / max(q.sigma or 0.0, 1e-9))
+    weight = np.exp(-0.5 * (square - square.min()))
+    value = whole[int(np.argmax(weight))]
+    sigma = float(np.sqrt(weight @ np.square(whole - value) / weight.sum()))
+    return Quantity(float(value), sigma if sigma > CERTAIN else None, q.unit)
 
 
 def _rivals(a: Accepted) -> tuple[Rival, ...]:

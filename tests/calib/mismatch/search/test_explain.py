@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from calib.calibration import Quantity
-from calib.mismatch.search.explain import _is_whole, _least_squares
+from calib.mismatch.search.explain import _is_whole, _least_squares, counted
 
 
 @pytest.mark.parametrize(
@@ -19,6 +19,21 @@ from calib.mismatch.search.explain import _is_whole, _least_squares
 )
 def test_samples_are_lost_whole_or_not_at_all(value, sigma, whole):
     assert _is_whole(Quantity(value, sigma, "samples")) is whole
+
+
+@pytest.mark.parametrize(
+    ("value", "sigma", "count", "known"),
+    [(-2.88, 0.02, -3.0, True), (1.02, 0.0, 1.0, True), (2.1, 0.29, 2.0, False)],
+)
+def test_a_count_is_a_whole_number(value, sigma, count, known):
+    said = counted(Quantity(value, sigma, "samples"))
+    assert said.value == count
+    assert (said.sigma is None) is known
+    if not known:
+        rng = np.random.default_rng(5)
+        truth = rng.integers(-3, 8, 2_000_000)
+        alike = np.abs(truth + sigma * rng.normal(size=len(truth)) - value) < 0.02
+        assert said.sigma == pytest.approx(np.sqrt(np.mean((truth[alike] - count) ** 2)), rel=0.2)
 
 
 def test_what_two_columns_share_is_not_determined():
