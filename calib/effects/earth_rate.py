@@ -26,13 +26,20 @@ class EarthRate(Effect):
     )
     kind = "setup"
     parameters = tuple(
-        Parameter(name, "rad/s", RATE / np.sqrt(2), ("gyro.x", "gyro.y", "gyro.z"))
+        Parameter(
+            name,
+            "rad/s",
+            RATE / np.sqrt(2),
+            ("gyro.x", "gyro.y", "gyro.z"),
+            least=-RATE,
+            most=RATE,
+        )
         for name in ("east", "north", "up")
     )
     follows = "heading and tilt at rest"
     needs = (
-        "a quiet gyro, long statics, several headings; its part up equals an isotropic "
-        "g-sensitivity"
+        "a quiet gyro, long statics, several headings, so that its north part shows, or a known "
+        "latitude: its part up equals an isotropic g-sensitivity"
     )
     sentence = "The gyro at rest senses the Earth's rotation."
     absorbed_by = ("gyro.bias",)

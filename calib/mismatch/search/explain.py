@@ -50,11 +50,13 @@ def explain(
     unexplained: list[Unexplained] = []
     known = list(names)
     index = list(range(len(names)))
+    tried = {c.name for c in outcome.candidates}
     for i, a in enumerate(accepted):
         rivals = _rivals(a)
-        if rows.state.temperature is None and a.candidate.name.endswith("_warm_up"):
-            # What warms up does so in time; without a thermometer nobody can tell which it follows.
-            heat = a.candidate.name.replace("_warm_up", "_bias_temperature")
+        heat = a.candidate.name.replace("_warm_up", "_bias_temperature")
+        if heat != a.candidate.name and heat not in tried:
+            # What warms up does so in time; without a thermometer, or with one that is stuck,
+            # nobody can tell which it follows.
             rivals = (Rival(heat, 1.0), *rivals)
         if not a.candidate.physical:
             unexplained.append(_unexplained(rows, a, rivals))

@@ -24,7 +24,7 @@ from calib.mismatch.noise.noise import (
     make_whitener,
 )
 from calib.mismatch.rows.rows import Rows
-from calib.mismatch.search.estimate import Estimate, estimate, settle
+from calib.mismatch.search.estimate import Estimate, estimate, pseudo_inverse, settle
 from calib.mismatch.search.ranking import (
     CLAIM,
     DRIFTING,
@@ -280,10 +280,10 @@ def _impossible(stack: Stack, candidate: Candidate, whitener: Whitener, y: Float
     if not np.isfinite([least, most]).any():
         return False
     columns = whitener.project(stack.of(candidate))
-    inverse = np.linalg.pinv(columns.T @ columns)
+    inverse = pseudo_inverse(columns)
     typical = np.array([about[n].typical for n in candidate.parameters])
-    value = typical * (inverse @ columns.T @ y)
-    sigma = typical * np.sqrt(np.diag(inverse))
+    value = typical * (inverse @ y)
+    sigma = typical * np.linalg.norm(inverse, axis=1)
     return bool(((value < least - SURE * sigma) | (value > most + SURE * sigma)).any())
 
 
@@ -405,5 +405,6 @@ def _posterior(
     out = {g: float(np.exp(v - total)) for g, v in groups.items() if v - total > np.log(SHOWN)}
     if own.candidate.physical:
         for g in twins(rows, stack, own, evidence, whitener, y, reference=reference):
-            out[g] = max(out.get(g, 0.0), 2 * TWIN)
+            if g in groups:
+                out[g] = max(out.get(g, 0.0), 2 * TWIN)
     return out

@@ -35,6 +35,12 @@ ALLOWED = 4.0
 """Power by which a shape may explain less than the best: two standard errors."""
 
 
+ALIKE, SHARE = 1.0, 1e-3
+"""Power of a finding, and as a share of it, that one of its known rivals with more parameters must
+leave at most: more parameters mimic more, but what they mimic wholly no recording like this one can
+tell (the Earth's rotation about the vertical, and a g-sensitivity that is alike on all axes)."""
+
+
 def twins(
     rows: Rows,
     stack: Stack,
@@ -45,7 +51,7 @@ def twins(
     *,
     reference: bool,
 ) -> list[str]:
-    """Return the groups of other effects that mimic a finding with no more parameters.
+    """Return the groups of other effects that mimic a finding with no more parameters, or wholly.
 
     Parameters
     ----------
@@ -75,7 +81,25 @@ def twins(
             left = min(_left(white, found) for found in allowed)
         if left < most:
             out.append(candidate.group)
+    whole = max(ALIKE, SHARE * float(np.square(explained).sum()))
+    for candidate in _wider(stack, own):
+        if candidate.group not in out and (
+            _left(whitener.project(stack.of(candidate)), explained) < whole
+        ):
+            out.append(candidate.group)
     return out
+
+
+def _wider(stack: Stack, own: Accepted) -> list[Candidate]:
+    """Return the known rivals of a finding that have more parameters, with all of these."""
+    known = get_effect(own.candidate.name).rivals
+    best: dict[str, Candidate] = {}
+    for c in stack.candidates:
+        if c.physical and c.name in known and len(c.index) > own.columns.shape[1]:
+            there = best.setdefault(c.group, c)
+            if len(c.index) > len(there.index):
+                best[c.group] = c
+    return list(best.values())
 
 
 def _rivals(stack: Stack, own: Accepted, evidence: FloatArray) -> list[Candidate]:

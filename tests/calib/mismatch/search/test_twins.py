@@ -55,3 +55,25 @@ def test_the_fullest_candidate_of_an_effect_is_compared_and_not_its_best_alone()
     evidence[alone] = evidence.max() + 1.0
     found = Accepted(own, stack.of(own), np.ones(3), np.zeros(3), False, 100.0)
     assert "accel_warm_up" in twins(rows, stack, found, evidence, whitener, y, reference=False)
+
+
+@pytest.mark.parametrize("north", [0.0, 1.0])
+def test_what_a_known_rival_mimics_wholly_is_a_tie_however_many_parameters_it_has(north):
+    """The Earth's rotation about the vertical is a g-sensitivity that is alike on all axes."""
+    _, made = problem()
+    rows = made.rows()
+    stack = make_stack(rows, skip=(), reference=False)
+    whitener = make_whitener(rows, expected_levels(rows), rows.white_diagonal, fitted(rows, []))
+    parts = ("up",) if not north else ("east", "north", "up")
+    candidate = next(
+        c for c in stack.candidates if c.name == "earth_rate" and c.parameters == parts
+    )
+    columns = stack.of(candidate)
+    white = whitener.project(columns)
+    y = 12.0 * white[:, -1] / np.linalg.norm(white[:, -1])
+    if north:
+        y = y + 12.0 * white[:, 1] / np.linalg.norm(white[:, 1])
+    found = Accepted(candidate, columns, np.ones(len(parts)), np.zeros(len(parts)), False, 100.0)
+    evidence = stack.log_bayes_factors(whitener, y)
+    names = twins(rows, stack, found, evidence, whitener, y, reference=False)
+    assert ("gyro_g_sensitivity" in names) is (not north)
