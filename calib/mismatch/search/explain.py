@@ -125,7 +125,7 @@ def explain(
                 held_out=None if reason else proof,
                 held_out_reason=reason,
                 rivals=rivals,
-                to_separate=_to_separate(effect, rivals),
+                to_separate=to_separate(effect, rivals),
                 sentence=sentence,
                 evidence=gather(rows, effect, predicted, before, fit.left),
             )
@@ -248,7 +248,22 @@ _CLOCK_LIKE = ("warm_up", "bias_step")
 _HEAT_LIKE = ("temperature", "temperature_rate")
 
 
-def _to_separate(effect: Effect, rivals: tuple[Rival, ...]) -> str:
+_AGAIN = "the same once more: what the sensor has comes back, what happened once does not"
+_OF_MOTION = {
+    "rate and direction of gravity": "turns at several rates about axes that point several ways",
+    "its own rate": "turns at several rates, both ways",
+    "rate about the other axes": "slow and fast turns about one axis at a time",
+    "speed of rotation": "slow and fast turns about every axis",
+    "direction of gravity": "more poses, spread over all directions",
+    "orientation": "the same poses with the bench turned to other headings",
+    "the pose before": "the same poses in another order",
+    "the turn before": "the same poses, reached by other turns",
+    "temperature": "the same poses at other temperatures",
+}
+"""What tells a function of the motion from physics; of time, a repetition does."""
+
+
+def to_separate(effect: Effect, rivals: tuple[Rival, ...]) -> str:
     """Say what to record so that a finding and its rivals come apart."""
     if not rivals:
         return ""
@@ -262,6 +277,8 @@ def _to_separate(effect: Effect, rivals: tuple[Rival, ...]) -> str:
         )
     known = effects()
     parts = [f"{known[s].title}: {known[s].needs}" for s in slugs if s in known]
+    for s in (s for s in slugs if s not in known):
+        parts.append(f"{s}: {_OF_MOTION.get(s.rpartition(' ')[0], _AGAIN)}")
     return "To tell them apart, record what each needs. " + "; ".join(parts) + "."
 
 

@@ -4,7 +4,18 @@ import numpy as np
 import pytest
 
 from calib.calibration import Quantity
-from calib.mismatch.search.explain import _is_whole, _least_squares, counted
+from calib.effects import get_effect
+from calib.mismatch.findings.diagnosis import Rival
+from calib.mismatch.search.explain import (
+    _OF_MOTION,
+    _is_whole,
+    _least_squares,
+    counted,
+    to_separate,
+)
+from calib.mismatch.search.ranking import make_stack
+
+from ..bench import problem
 
 
 @pytest.mark.parametrize(
@@ -45,3 +56,19 @@ def test_what_two_columns_share_is_not_determined():
     np.testing.assert_array_equal(determined, [False, False, True, False])
     np.testing.assert_allclose(solution, np.linalg.lstsq(design, y, rcond=1e-9)[0], atol=1e-12)
     assert _least_squares(design[:, :3], y)[1].all()
+
+
+def test_every_rival_comes_with_what_to_record():
+    _, made = problem()
+    stack = make_stack(made.rows(), skip=(), reference=False)
+    groups = sorted({c.group for c in stack.candidates if not c.physical})
+    own = get_effect("gyro_scale_asymmetry")
+    for group in groups:
+        said = to_separate(own, (Rival(group, 0.2),))
+        assert own.needs in said
+        assert f"{group}: " in said
+    # Those that follow the motion have words of their own, and no words are left over.
+    followed = {g.rpartition(" ")[0] for g in groups}
+    assert set(_OF_MOTION) <= followed
+    assert "turns at several rates" in to_separate(own, (Rival("its own rate gyro.z", 0.2),))
+    assert "happened once" in to_separate(own, (Rival("bias in a window gyro.z", 0.2),))
