@@ -465,8 +465,8 @@ def report(results: list[Result]) -> int:
     if single:
         ideal = any(r.known is not None for r in single)
         head = "| non-centrality | cases | found | right name | or among rivals | false name |"
-        print(head + " named if the noise were known |" * ideal)
-        print("|---|---|---|---|---|---|" + "---|" * ideal)
+        print(head + " more than one cause said |" + " named if the noise were known |" * ideal)
+        print("|---|---|---|---|---|---|---|" + "---|" * ideal)
         for power in sorted({r.case.power for r in single}):
             part = [r for r in single if r.case.power == power]
             n = len(part)
@@ -480,7 +480,9 @@ def report(results: list[Result]) -> int:
                 any(f != r.case.names[0] and r.case.names[0] not in rv for f, rv in r.found)
                 for r in part
             )
+            more = sum(len(r.found) + len(r.unexplained) > 1 for r in part)
             shares = f"{some / n:.0%} | {right / n:.0%} | {among / n:.0%} | {false / n:.1%}"
+            shares += f" | {more / n:.1%}"
             if ideal:
                 judged = [r.known for r in part if r.known is not None]
                 shares += f" | {np.mean(judged):.0%}"
