@@ -92,6 +92,7 @@ class Outcome:
 def search(problem: Problem, *, skip: tuple[str, ...] = ()) -> Outcome:
     """Find what was left out, one hypothesis after another."""
     accepted: list[Accepted] = []
+    dropped: set[str] = set()
     rows = problem.rows()
     stack, seen = make_stack(rows, skip=skip, reference=problem.reference), fitted(rows, [])
     ranking = rank(rows, stack, accepted, expected_levels(rows))
@@ -117,7 +118,10 @@ def search(problem: Problem, *, skip: tuple[str, ...] = ()) -> Outcome:
             fit = refit(problem, rows, accepted, beside)
         rows, accepted, levels, straight = fit
         extra = _superfluous(rows, accepted, levels)
-        if extra is not None:
+        if extra is not None and extra.candidate.group not in dropped:
+            if _lasting(extra.candidate):
+                # What is found again after that is there, and not dropped in turn.
+                dropped.add(extra.candidate.group)
             accepted = [a for a in accepted if a is not extra]
             if extra.in_model:
                 rows = put_back(problem, rows, accepted)
@@ -348,7 +352,8 @@ def _superfluous(rows: Rows, accepted: list[Accepted], levels: FloatArray) -> Ac
     worst: tuple[float, Accepted | None] = (KEEP, None)
     for a in earlier:
         others = [b for b in accepted if b is not a]
-        whitener = make_whitener(rows, levels, contrast, fitted(rows, others))
+        judged = rows.judging(a.candidate.name) if a.candidate.physical else rows
+        whitener = make_whitener(judged, levels, contrast, fitted(judged, others))
         own = Stack(len(rows.residual))
         index = own.columns.add(a.columns)
         own.candidates.append(replace(a.candidate, index=index, summed=False, mixing=None))
