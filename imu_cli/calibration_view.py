@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from calib.calibration import Calibration, TriadSummary, parameter_unit
+from calib.effects.base import PRESENCE
 from calib.gravity import STANDARD_GRAVITY
 
 if TYPE_CHECKING:
@@ -59,6 +60,8 @@ def parameter_table(calibration: Calibration) -> Table:
             table.add_row()
         previous = group
         unit = parameter_unit(name)
+        if unit == PRESENCE:  # what it is like is in the rows after it
+            continue
         unit = "" if unit == "1" else unit
         if status == "undetermined":
             table.add_row(name, "[yellow]undetermined[/]", unit)

@@ -105,7 +105,7 @@ def _finding(number: int, finding: Mapping[str, Any]) -> list[Block]:
         rivals = [f"{r['effect']} (odds {r['odds']:.2g})" for r in finding["rivals"]]
         sentences.append(f"It could as well be: {', '.join(rivals)}.")
     if finding["to_separate"]:
-        sentences.append(f"To tell them apart: {finding['to_separate']}")
+        sentences.append(finding["to_separate"])
     if finding["held_out"] is None and finding.get("held_out_reason"):
         sentences.append(f"Not checked on held-out data: {finding['held_out_reason']}.")
     rows = []

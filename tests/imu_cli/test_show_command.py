@@ -17,10 +17,13 @@ CALIBRATION = Calibration(
     SensorModel(
         Triad(np.array([0.0980665, 0.0, 0.0])),
         Triad(np.radians([0.5, 0.0, 0.0])),
-        (Term("gyro_g_sensitivity", {"gxx": 1e-4}),),
+        (
+            Term("gyro_g_sensitivity", {"gxx": 1e-4}),
+            Term("bandwidth", {"gyro": 1.0, "gyro_cutoff": 42.0, "order": 1.0}),
+        ),
     ),
-    ("accel.bias.x", "gyro.bias.x", "gyro_g_sensitivity.gxx"),
-    np.diag([1e-6, 1e-8, 1e-12]),
+    ("accel.bias.x", "gyro.bias.x", "gyro_g_sensitivity.gxx", "bandwidth.gyro_cutoff"),
+    np.diag([1e-6, 1e-8, 1e-12, 4.0]),
     ("gyro.scale_factor_error.z",),
     Gravity(9.80665),
 )
@@ -38,6 +41,8 @@ def test_table_in_si_and_everyday_units(tmp_path: Path) -> None:
     assert "0.5000 ± 0.0057" in text  # degrees a second
     assert "gyro_g_sensitivity.gxx" in text
     assert "gyro.scale_factor_error  z" in text
+    assert "42.0 ± 2.0" in text
+    assert "presence" not in text
     assert "…" not in text
 
 

@@ -171,7 +171,8 @@ class Diagnosis:
         Residuals before and after, on the rows that were fitted.
     log_likelihood : (before, after)
     model : SensorModel
-        With the findings that are terms of the sensor.
+        With the findings that are terms of the sensor, as they stood when the rows were made;
+        `calibration` has their values.
     names, covariance
         Of the model's determined parameters.
     summary : mapping

@@ -14,7 +14,7 @@ known.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -70,6 +70,8 @@ class Estimate:
         Where the coefficients of each finding start, and where the last ones end.
     shapes : mapping
         Standard error of a shape parameter, by number of the finding and name.
+    beside : mapping
+        Covariance (p,) of a shape parameter with all coefficients, likewise; none of a moment.
     forms : mapping
         Probability of the form that a finding has (the order of a filter), by number of the
         finding, where there are several.
@@ -81,8 +83,18 @@ class Estimate:
     covariance: FloatArray
     at: tuple[int, ...]
     shapes: Mapping[tuple[int, str], float]
+    beside: Mapping[tuple[int, str], FloatArray]
     forms: Mapping[int, float]
     left: FloatArray
+
+    def joint(self, which: Sequence[tuple[int, str]]) -> FloatArray:
+        """Return the covariance of all coefficients, and of some shapes after them.
+
+        Of two shapes it is not known, and taken as none.
+        """
+        beside = np.array([self.beside[key] for key in which]).reshape(len(which), len(self.step))
+        own = np.diag([self.shapes[key] ** 2 for key in which])
+        return np.block([[self.covariance, beside.T], [beside, own]])
 
 
 def settle(
@@ -122,6 +134,7 @@ def estimate(
     """Fit baseline, nuisances and all findings jointly, over all shapes that the rows allow."""
     best, covariance = _fit(rows, accepted, levels, contrast)
     total, shapes, of_form = covariance.copy(), {}, {}
+    beside: dict[tuple[int, str], FloatArray] = {}
     reach = 3.0 * np.sqrt(np.diag(covariance))
     for i, a in enumerate(accepted):
         for item in _shapes(a):
@@ -140,7 +153,10 @@ def estimate(
             if len(found) > 1:
                 # Its own form comes first.
                 of_form[i] = float(weights[: found[0].shape[1]].sum())
-            for shape, weight, lost in zip(tried, weights, drop, strict=True):
+            values = np.array([shape[item.name] for shape in tried])
+            off = values - a.candidate.shape[item.name]
+            along = np.zeros(len(best))
+            for shape, weight, lost, apart in zip(tried, weights, drop, off, strict=True):
                 if lost > REACH:
                     continue
                 other = _moved(rows, a, shape, reference=reference)
@@ -150,13 +166,14 @@ def estimate(
                 step, own = _fit(rows, there, levels, contrast)
                 shift = step - best
                 total += weight * (own - covariance + np.outer(shift, shift))
+                along += weight * apart * shift
                 if lost < WITHIN:
                     width = np.sqrt(2.0 * (WITHIN - lost) * np.diag(own))
                     reach = np.maximum(reach, np.abs(shift) + width)
-            values = np.array([shape[item.name] for shape in tried])
-            off = np.abs(values - a.candidate.shape[item.name])
-            mixed = np.sqrt(weights @ np.square(off))
-            shapes[i, item.name] = float(max(mixed, off[drop < WITHIN].max() / 3.0))
+            mixed = float(np.sqrt(weights @ np.square(off)))
+            sigma = max(mixed, float(np.abs(off[drop < WITHIN]).max()) / 3.0)
+            shapes[i, item.name] = sigma
+            beside[i, item.name] = along * (sigma / mixed) if mixed > 0 else along
         for item in _moments(a):
             shapes[i, item.name] = _of_moment(
                 rows, list(accepted), i, item, levels, contrast, reference=reference
@@ -169,9 +186,12 @@ def estimate(
     at = np.cumsum([start, *(a.columns.shape[1] for a in accepted)])
     for i, name in shapes:
         # What a shape changes is as slow as what it shapes.
-        shapes[i, name] *= float(unsure[at[i] : at[i + 1]].max())
+        wide = float(unsure[at[i] : at[i + 1]].max())
+        shapes[i, name] *= wide
+        if (i, name) in beside:
+            beside[i, name] *= wide * longer
     left = rows.residual - fitted(rows, accepted) @ best
-    return Estimate(best, total, tuple(int(k) for k in at), shapes, of_form, left)
+    return Estimate(best, total, tuple(int(k) for k in at), shapes, beside, of_form, left)
 
 
 def _unsure(

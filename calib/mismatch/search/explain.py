@@ -50,6 +50,7 @@ def explain(
     unexplained: list[Unexplained] = []
     known = list(names)
     index = list(range(len(names)))
+    shapes: list[tuple[int, str]] = []
     tried = {c.name for c in outcome.candidates}
     for i, a in enumerate(accepted):
         rivals = _rivals(a)
@@ -131,12 +132,16 @@ def explain(
             )
         )
         if effect.kind == "sensor":
-            known += [f"{effect.slug}.{n}" for n in a.candidate.parameters]
-            index += list(range(part.start, part.stop))
-    scale = np.ones(len(fit.step))
+            if not a.candidate.present:
+                known += [f"{effect.slug}.{n}" for n in a.candidate.parameters]
+                index += list(range(part.start, part.stop))
+            shapes += [key for key in fit.beside if key[0] == i]
+    known += [f"{accepted[i].candidate.name}.{name}" for i, name in shapes]
+    index += [len(fit.step) + k for k in range(len(shapes))]
+    scale = np.ones(len(fit.step) + len(shapes))
     for i, a in enumerate(accepted):
         scale[fit.at[i] : fit.at[i + 1]] = a.typical
-    covariance = (fit.covariance * np.outer(scale, scale))[np.ix_(index, index)]
+    covariance = (fit.joint(shapes) * np.outer(scale, scale))[np.ix_(index, index)]
     return findings, joined(unexplained), (tuple(known), covariance)
 
 

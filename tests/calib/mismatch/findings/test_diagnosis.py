@@ -194,7 +194,8 @@ def test_a_low_pass_that_is_as_good_as_a_delay_is_either() -> None:
 @pytest.mark.parametrize(("cutoff", "known"), [(10.0, True), (20.0, False)])
 def test_a_low_pass_is_there_or_not_and_its_cutoff_is_right(cutoff: float, known: bool) -> None:
     real = recording(Term("bandwidth", {"gyro_cutoff": cutoff, "order": 1}), rate=100.0, seed=5)
-    (finding,) = diagnose_recording(real, gravity=GRAVITY).findings
+    diagnosis = diagnose_recording(real, gravity=GRAVITY)
+    (finding,) = diagnosis.findings
     assert finding.effect == "bandwidth"
     assert finding.parameters["gyro"].value == 1.0
     found = finding.parameters["gyro_cutoff"]
@@ -203,6 +204,10 @@ def test_a_low_pass_is_there_or_not_and_its_cutoff_is_right(cutoff: float, known
     # By its delay alone it may be of second order, with a cut-off 1.4 times as high.
     assert (found.sigma < 0.03 * cutoff) == known
     assert (found.sigma > 0.3 / 3 * cutoff) == (not known)
+    # That it is there is no number with an error; what it is like is, in the calibration too.
+    model = diagnosis.calibration(real, gravity=Gravity(GRAVITY, 0.0, "standard gravity"))
+    assert model.status("bandwidth.gyro") == "fixed"
+    assert model.sigmas["bandwidth.gyro_cutoff"] == pytest.approx(found.sigma)
 
 
 def test_a_warm_up_is_counted_from_where_the_recording_begins() -> None:
