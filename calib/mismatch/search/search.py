@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import logsumexp
+from scipy.special import log_ndtr, logsumexp
 
 from calib.effects import get_effect
 from calib.mismatch.hypotheses.answers import evidence_near, grouped, leading, nearby
@@ -65,6 +65,9 @@ are near enough for the larger part of an effect to show at one of them."""
 
 SURE = 3.0
 """Standard errors by which an effect must be beyond what is physical to be none."""
+
+LEAST = float(log_ndtr(-SURE) - log_ndtr(0.0))
+"""Log probability of what is that far beyond."""
 
 ROUNDS = 8
 """At most so many findings are tried."""
@@ -162,12 +165,11 @@ def choose(rows: Rows, ranking: Ranking, accepted: list[Accepted]) -> Candidate 
     whitener = make_whitener(rows, ranking.levels, contrast, mean)
     y = whitener.project(rows.residual)
     groups = {
-        g: v
+        g: v + _possible(ranking.stack, best[g], whitener, y)
         for g, v in witnessed(rows, ranking, whitener, y).items()
-        if not _within(rows, best[g], accepted)
-        and not _again(best[g], accepted)
-        and not _impossible(ranking.stack, best[g], whitener, y)
+        if not _within(rows, best[g], accepted) and not _again(best[g], accepted)
     }
+    groups = {g: v for g, v in groups.items() if v > -np.inf}
     ranking = replace(ranking, groups=groups)
     if not ranking.claims:
         return None
@@ -272,23 +274,30 @@ def _again(candidate: Candidate, accepted: list[Accepted]) -> bool:
     )
 
 
-def _impossible(stack: Stack, candidate: Candidate, whitener: Whitener, y: FloatArray) -> bool:
-    """Whether an effect would have to be of a size that none has: it mimics something else."""
+def _possible(stack: Stack, candidate: Candidate, whitener: Whitener, y: FloatArray) -> float:
+    """Return how probable it is that an effect is no larger than any is, at best, as a logarithm.
+
+    What would have to be clearly larger mimics something else: -inf.
+    """
     if not candidate.physical:
-        return False
+        return 0.0
     about = {p.name: p for p in get_effect(candidate.name).parameters}
     least, most = (
         np.array([getattr(about[n], bound) for n in candidate.parameters])
         for bound in ("least", "most")
     )
     if not np.isfinite([least, most]).any():
-        return False
+        return 0.0
     columns = whitener.project(stack.of(candidate))
     inverse = pseudo_inverse(columns)
     typical = np.array([about[n].typical for n in candidate.parameters])
     value = typical * (inverse @ y)
     sigma = typical * np.linalg.norm(inverse, axis=1)
-    return bool(((value < least - SURE * sigma) | (value > most + SURE * sigma)).any())
+    beyond = np.maximum(np.maximum(value - most, least - value), 0.0)
+    beyond = np.divide(beyond, sigma, out=np.zeros(len(value)), where=beyond > 0)
+    if (beyond > SURE).any():
+        return -np.inf
+    return float((log_ndtr(-beyond) - log_ndtr(0.0)).sum())
 
 
 def _lasting(candidate: Candidate) -> bool:
@@ -377,6 +386,7 @@ def _posterior(
     """Return the posterior of every group in the place of one finding, the others kept.
 
     What would have to be of an impossible size is something else, beside the finding, and no rival.
+    The finding itself may have come to be so since it was chosen.
     """
     others = [b for i, b in enumerate(accepted) if i != which]
     own = accepted[which]
@@ -401,10 +411,11 @@ def _posterior(
             factors = near.log_bayes_factors(whitener, y)
             evidence[i] = max(evidence[i], evidence_near(rows, near, factors) + weight[i])
     best, groups = grouped(stack, evidence)
+    likely = {g: _possible(stack, best[g], whitener, y) for g in groups}
     groups = {
-        g: v
+        g: v + max(likely[g], LEAST if g == own.candidate.group else -np.inf)
         for g, v in groups.items()
-        if g == own.candidate.group or not _impossible(stack, best[g], whitener, y)
+        if g == own.candidate.group or likely[g] > -np.inf
     }
     total = logsumexp(list(groups.values()))
     out = {g: float(np.exp(v - total)) for g, v in groups.items() if v - total > np.log(SHOWN)}

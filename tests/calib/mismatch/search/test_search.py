@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 
 from calib.effects import get_effect
 from calib.effects.base import Term
@@ -32,7 +33,7 @@ from calib.mismatch.search.ranking import (
 from calib.mismatch.search.search import (
     _accept,
     _again,
-    _impossible,
+    _possible,
     _posterior,
     _with,
     choose,
@@ -273,4 +274,24 @@ def test_no_sensor_warms_up_by_more_than_temperature_does(slug, size, beyond):
     whitener = make_whitener(rows, levels, rows.white_diagonal, mean)
     typical = get_effect(slug).parameters[0].typical
     y = whitener.project(size / typical * stack.of(warm)[:, 0])
-    assert _impossible(stack, warm, whitener, y) is beyond
+    assert (_possible(stack, warm, whitener, y) == -np.inf) is beyond
+
+
+def test_what_is_a_little_larger_than_any_is_as_much_less_likely():
+    _, self_mode = problem()
+    rows = self_mode.rows()
+    stack = make_stack(rows, skip=(), reference=False)
+    warm = candidate(stack, "accel_warm_up", ("kx",))
+    levels, mean = expected_levels(rows), fitted(rows, [])
+    whitener = make_whitener(rows, levels, rows.white_diagonal, mean)
+    about = get_effect("accel_warm_up").parameters[0]
+    column = whitener.project(stack.of(warm)[:, 0])
+    sigma = about.typical / np.linalg.norm(column)
+
+    def likely(beyond: float) -> float:
+        size = (about.most + beyond * sigma) / about.typical
+        return _possible(stack, warm, whitener, size * column)
+
+    assert likely(-0.1) == 0.0
+    assert likely(2.0) == pytest.approx(np.log(norm.cdf(-2.0) / 0.5))
+    assert likely(3.1) == -np.inf
