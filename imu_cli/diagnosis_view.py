@@ -15,6 +15,9 @@ if TYPE_CHECKING:
 ABSORBED = 4
 """So many of the parameters that had absorbed an effect are said; the document has all."""
 
+NUMBER = 7
+"""Characters of a number in a table: a narrow window takes none of them away."""
+
 
 def diagnosis_lines(document: Mapping[str, Any]) -> Iterator[str | Table]:
     """Yield what a diagnosis document says (``imu-cal diagnose --json``), line by line."""
@@ -86,9 +89,11 @@ def _in_unit(unit: str, *values: float) -> str:
 def _residuals(residuals: Sequence[Mapping[str, Any]]) -> Table:
     from rich.table import Table
 
-    table = Table("residual", "unit", "before", "after", "noise floor", box=None)
+    table = Table("residual", box=None)
+    for name in ("before", "after", "noise floor"):
+        table.add_column(name, justify="right", min_width=NUMBER)
     for item in residuals:
         unit, factor = people_unit(item["unit"])
         values = (item[key] * factor for key in ("before", "after", "noise_floor"))
-        table.add_row(item["rows"], unit, *(f"{value:.4g}" for value in values))
+        table.add_row(f"{item['rows']}, {unit}", *(f"{value:.3g}" for value in values))
     return table

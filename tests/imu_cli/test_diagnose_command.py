@@ -43,10 +43,14 @@ def test_json_is_alone_on_stdout_and_the_model_is_written(log: Path, tmp_path: P
 
 
 def test_the_screen_says_what_where_and_how_sure(log: Path) -> None:
-    result = CliRunner().invoke(app, ["diagnose", str(log)])
+    result = CliRunner().invoke(app, ["diagnose", str(log)], env={"COLUMNS": "40"})
     assert result.exit_code == 0
     for words in ("Explained", "gyro misalignment", "Where:", "How sure:", "held-out"):
         assert words in result.stdout
+    table = result.stdout.partition("residual ")[2]
+    assert "floor" in table
+    # A narrow window takes no digits away.
+    assert "…" not in table
 
 
 def test_without_a_rest_the_verdict_says_so_and_no_model_is_written(tmp_path: Path) -> None:
