@@ -434,6 +434,10 @@ def _pair(scores: _Scores, hidden: list[_Hidden]) -> tuple[float, Candidate] | N
 
 
 def _swap(rows: Rows, base: FloatArray, every: FloatArray, channels: tuple[str, ...]) -> FloatArray:
-    """Return the levels of `every` for the drift of some channels, and of `base` for the rest."""
-    own = np.array([c.name.split(" ")[0] in channels for c in rows.components])
+    """Return the levels of `every` for the drift of some channels, and of `base` for the rest.
+
+    The closures' own errors are those of both triads, and so of any channel.
+    """
+    others = [c for c in CHANNELS if c not in channels]
+    own = np.array([c.name.split(" ")[0] not in others for c in rows.components])
     return np.where(own, np.minimum(base, every), base)

@@ -25,6 +25,7 @@ from calib.mismatch.search.ranking import (
     DRIFTING,
     PLAIN,
     Ranking,
+    _swap,
     chance,
     fitted,
     make_stack,
@@ -39,6 +40,7 @@ from calib.mismatch.search.search import (
     choose,
 )
 from calib.mismatch.twin.selfmode import SelfProblem
+from calib.recording import CHANNELS
 from calib.statics import find_poses
 
 from ..bench import GRAVITY, problem, recording
@@ -295,3 +297,13 @@ def test_what_is_a_little_larger_than_any_is_as_much_less_likely():
     assert likely(-0.1) == 0.0
     assert likely(2.0) == pytest.approx(np.log(norm.cdf(-2.0) / 0.5))
     assert likely(3.1) == -np.inf
+
+
+def test_levels_beside_an_effect_are_sought_from_closures_without_it():
+    _, self_mode = problem()
+    rows = self_mode.rows()
+    base = expected_levels(rows)
+    start = _swap(rows, base, 0.1 * base, ("gyro.x",))
+    for component, ratio in zip(rows.components, start / base, strict=True):
+        own = component.name.split(" ")[0] not in set(CHANNELS) - {"gyro.x"}
+        assert ratio == pytest.approx(0.1 if own else 1.0), component.name
