@@ -7,7 +7,16 @@ from typing import TYPE_CHECKING, Any
 
 from calib.effects.base import PRESENCE
 from imu_cli.report.units import people_unit, said
-from imu_cli.report.words import VERDICTS, alias_sentence, chance, likelihood, notes, spans, where
+from imu_cli.report.words import (
+    VERDICTS,
+    alias_sentence,
+    chance,
+    likelihood,
+    moved_sentence,
+    notes,
+    spans,
+    where,
+)
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -38,6 +47,9 @@ def diagnosis_lines(document: Mapping[str, Any]) -> Iterator[str | Table]:
         if alias["alike"]:
             yield ""
             yield f"[bold]Cannot be known[/]: {alias_sentence(alias)}"
+    if moved := moved_sentence(document):
+        yield ""
+        yield moved
     if document["findings"] or document["unexplained"]:
         yield ""
         yield _residuals(document["fit"]["residuals"])

@@ -108,6 +108,8 @@ def diagnose(
         found = diagnose_reference(real, other, gravity=local.value, model=model)
     else:
         found, real = _by_itself(recording, profile, imu, gravity=local.value, model=model)
+    if known is not None:
+        found = found.beside(known, real)
     if output is not None and found.names:
         save_calibration(_signed(found.calibration(real, gravity=local), recording), output)
     document = found.to_json()

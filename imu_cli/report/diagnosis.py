@@ -10,7 +10,16 @@ import numpy as np
 from calib.effects.base import PRESENCE
 from imu_cli.report.model import Block, Paragraph, Plot, Report, Series, Table
 from imu_cli.report.units import people_unit, with_error
-from imu_cli.report.words import VERDICTS, alias_sentence, chance, likelihood, notes, spans, where
+from imu_cli.report.words import (
+    VERDICTS,
+    alias_sentence,
+    chance,
+    likelihood,
+    moved_sentence,
+    notes,
+    spans,
+    where,
+)
 
 
 def diagnosis_report(document: Mapping[str, Any]) -> Report:
@@ -31,6 +40,8 @@ def diagnosis_report(document: Mapping[str, Any]) -> Report:
     for alias in document.get("aliases", ()):
         if alias["alike"]:
             blocks.append(Paragraph("What cannot be known", (alias_sentence(alias),)))
+    if moved := moved_sentence(document):
+        blocks.append(Paragraph("What the calibration has no more", (moved,)))
     said = notes(document)
     if said:
         blocks.append(Paragraph("What was done before", tuple(said)))

@@ -52,6 +52,17 @@ def alias_sentence(alias: Mapping[str, Any]) -> str:
     )
 
 
+def moved_sentence(document: Mapping[str, Any]) -> str:
+    """Return what has moved since a calibration; nothing where it still holds."""
+    moved = [
+        f"{item['parameter']} by {said(item['shift'], item['sigma'], item['unit'])}"
+        for item in document.get("moved", ())
+    ]
+    if not moved:
+        return ""
+    return f"Moved since the calibration: {', '.join(moved)}. Calibrate again."
+
+
 def notes(document: Mapping[str, Any]) -> list[str]:
     """Return what was done to the recording before it was judged, one sentence each."""
     recording = document.get("recording") or {}

@@ -3,6 +3,7 @@
 import json
 import os
 import threading
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ from calib.simulate import simulate
 from calib.simulation.bench import bench_protocol
 from calib.simulation.noise import CONSUMER, NoiseModel
 from drivers.calibration_file import load_calibration
-from drivers.formats import write_recording
+from drivers.formats import read_recording, write_recording
 from imu_cli.app import app
 
 
@@ -40,6 +41,25 @@ def test_json_is_alone_on_stdout_and_the_model_is_written(log: Path, tmp_path: P
     assert document["findings"][0]["effect"] == "gyro_misalignment"
     terms = load_calibration(out).model.terms
     assert abs(terms[0].parameters["mxy"] - 0.03) < 0.003
+
+
+def test_what_has_moved_since_a_calibration_is_no_effect_and_is_said(
+    log: Path, tmp_path: Path
+) -> None:
+    known, later = tmp_path / "model.json", tmp_path / "later.arrow"
+    assert CliRunner().invoke(app, ["diagnose", str(log), "-o", str(known)]).exit_code == 0
+    then = read_recording(log)
+    write_recording(replace(then, accel=then.accel + np.array([0.0, 0.05, 0.0])), later)
+    found = CliRunner().invoke(app, ["diagnose", str(later), "--calibration", str(known), "--json"])
+    document = json.loads(found.stdout)
+    assert document["verdict"] == "consistent"
+    (moved,) = document["moved"]
+    assert moved["parameter"] == "accel.bias.y"
+    assert moved["shift"] == pytest.approx(0.05, abs=3 * moved["sigma"])
+    said = CliRunner().invoke(app, ["diagnose", str(later), "--calibration", str(known)]).stdout
+    assert "Moved since the calibration: accel.bias.y by 5." in said
+    same = CliRunner().invoke(app, ["diagnose", str(log), "--calibration", str(known)]).stdout
+    assert "Moved" not in same
 
 
 def test_the_screen_says_what_where_and_how_sure(log: Path) -> None:

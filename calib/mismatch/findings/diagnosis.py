@@ -16,6 +16,7 @@ from calib.calibration import (
     Quantity,
     TemperatureRange,
 )
+from calib.compare import Difference, compare
 from calib.effects import get_effect
 from calib.effects.base import Term
 from calib.errors import InsufficientMotionError
@@ -179,6 +180,9 @@ class Diagnosis:
         Poses, turns, duration and clock of the recording.
     aliases : tuple of Alias
         Effects that would look like parameters of the twin.
+    moved : tuple of Difference
+        Parameters that are no longer what a calibration says, beyond what a sensor may do by
+        itself.
     """
 
     verdict: Verdict
@@ -193,6 +197,17 @@ class Diagnosis:
     covariance: FloatArray
     summary: Mapping[str, Any] = field(default_factory=dict)
     aliases: tuple[Alias, ...] = ()
+    moved: tuple[Difference, ...] = ()
+
+    def beside(self, known: Calibration, recording: Recording) -> Diagnosis:
+        """Return the diagnosis with what has moved since the calibration that the twin is under.
+
+        The twin is fitted to the recording, so that what moved is no effect, and leaves nothing.
+        """
+        if not self.names:
+            return self
+        now = self.calibration(recording, gravity=known.gravity)
+        return replace(self, moved=compare(known, now).changed)
 
     def calibration(self, recording: Recording, *, gravity: Gravity) -> Calibration:
         """Return the sensor model that was found, as a calibration; events are kept apart.
@@ -250,6 +265,16 @@ class Diagnosis:
             "missing": list(self.missing),
             "cannot_show": dict(self.hidden),
             "aliases": [a.to_json() for a in self.aliases],
+            "moved": [
+                {
+                    "parameter": d.name,
+                    "shift": d.difference,
+                    "sigma": d.sigma,
+                    "unit": d.unit,
+                    "standard_errors": abs(d.score),
+                }
+                for d in self.moved
+            ],
             "fit": {
                 "residuals": [vars(c) for c in self.changes],
                 "log_likelihood": None
