@@ -162,6 +162,7 @@ def conclude(
     if problem.judged is not None:
         skip += UNPLACED
     skip += ("clock_scale", *(("reference_misalignment",) if problem.turned else ()))
+    skip += ("gyro_misalignment",) if problem.full_gyro else ()
     outcome = search(problem, skip=skip)
     outcome, model = _in_samples(outcome, problem.setup.model, problem.thin)
     fit = outcome.fit(reference=True)

@@ -42,7 +42,7 @@ from calib.mismatch.reference.visible import catalogue_shapes
 from calib.mismatch.reference.windowed import Shapes, find_shapes, make_rows, robust_step
 from calib.mismatch.reference.witnessed import witnessed
 from calib.mismatch.rows.rows import Rows
-from calib.mismatch.twin.twin import ACCEL_MISALIGNMENT, baseline_column
+from calib.mismatch.twin.twin import ACCEL_MISALIGNMENT, GYRO_MISALIGNMENT, baseline_column
 from calib.model import SensorModel
 from calib.recording import AXES, Recording
 from calib.rotation import mat_from_rotvec
@@ -63,6 +63,7 @@ GYRO_BASELINE = (
     *(f"gyro.scale_factor_error.{a}" for a in AXES),
 )
 BASELINE = (*ACCEL_BASELINE, *GYRO_BASELINE)
+GYRO_ANGLES = tuple(f"gyro.misalignment.{p}" for p in GYRO_MISALIGNMENT)
 
 LOOSE = {
     "bias": 2.0,
@@ -101,7 +102,8 @@ class ComparisonProblem:
     alignment : Alignment
     gravity : float, m/s²
     model : SensorModel, optional
-        Where the baseline starts; its misalignment and further terms stay.
+        Where the baseline starts. The angles of its gyroscope are fitted too if it has them; its
+        further terms stay.
     mat_sr : (3, 3) array, optional
         From the truth's frame to s. Given, its three angles are fitted; else the frames are one.
     spoilt : (n,) array of bool, optional
@@ -198,7 +200,8 @@ class ComparisonProblem:
         self.gyroscopic = self.turned and truth.quat is None
         own = allowed(truth.recording) if self.gyroscopic else np.zeros(0)
         self.setup = Setup(start, alignment, mat, np.zeros(len(NAMES)))
-        self.names = BASELINE
+        self.full_gyro = bool(start.gyro.misalignment.any())
+        self.names = (*BASELINE, *GYRO_ANGLES) if self.full_gyro else BASELINE
         kinds = [n.split(".")[1] for n in (*self.names, *self.alignments)]
         self.loose = np.append([LOOSE[k] for k in kinds], own)
         self.moved = np.zeros(len(self.loose))

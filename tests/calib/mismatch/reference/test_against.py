@@ -93,6 +93,20 @@ def test_baseline_is_found_with_honest_errors():
     assert np.abs(off).max() < 4
 
 
+def test_angles_of_a_calibrated_gyroscope_are_fitted_and_no_effect():
+    """A calibration knows them to a few hundredths of a degree, a simulation far better."""
+    real = recorded(Term("gyro_misalignment", {"mxy": 0.005, "mzx": -0.004}))
+    angles = np.zeros((3, 3))
+    angles[0, 1], angles[2, 0] = 0.0054, -0.0043
+    known = SensorModel(gyro=Triad(misalignment=angles))
+    found = diagnose_against(real, simulation(), gravity=GRAVITY, model=known)
+    assert found.verdict == "consistent"
+    sigma = dict(zip(found.names, np.sqrt(np.diag(found.covariance)), strict=True))
+    left = found.model.gyro.misalignment - angles
+    assert left[0, 1] == pytest.approx(-0.0004, abs=3 * sigma["gyro.misalignment.xy"])
+    assert left[2, 0] == pytest.approx(0.0003, abs=3 * sigma["gyro.misalignment.zx"])
+
+
 @pytest.mark.parametrize(
     ("slug", "values"),
     [
