@@ -9,7 +9,7 @@ import numpy as np
 
 from calib.calibration import Quantity
 from calib.effects import effects
-from calib.effects.base import Effect, TransformEffect
+from calib.effects.base import Effect, State, TransformEffect
 from calib.mismatch.findings.aliases import find_aliases
 from calib.mismatch.findings.diagnosis import Diagnosis, Finding, Verdict, summarise
 from calib.mismatch.hypotheses.places import gathered, joined
@@ -127,7 +127,9 @@ def _diagnose(thinned: Thinned, *, gravity: float, model: SensorModel | None) ->
         poses = one_rest(poses)
     shortest = 0.0 if recording.clock == "invalid" else SHORTEST_CELL
     grid = make_grid(recording, poses, shortest_cell=shortest, began=thinned.start)
-    full = model is not None and bool(model.gyro.misalignment.any())
+    few_turns = int((~grid.is_rest).sum()) < LEAST_TURNS
+    # What a calibration has, and what so few turns leave open, is fitted with the baseline.
+    full = few_turns or (model is not None and bool(model.gyro.misalignment.any()))
     timeless = recording.clock == "invalid"
     problem = SelfProblem(
         grid, model, gravity=gravity, full_gyro=full, spread=UNKNOWN_DRIFT if timeless else None
@@ -152,9 +154,8 @@ def _diagnose(thinned: Thinned, *, gravity: float, model: SensorModel | None) ->
     skip: tuple[str, ...] = ("gyro_misalignment",) if full else ()
     if timeless:
         skip += ("time", *(k for k in effects() if k.endswith(_CLOCKED)))
-    if (~grid.is_rest).sum() < LEAST_TURNS:
-        # Delays and filters show in motion only.
-        skip += tuple(k for k, e in effects().items() if isinstance(e, TransformEffect))
+    if few_turns:
+        skip += tuple(k for k, e in effects().items() if _in_motion(e))
     skip += tuple(k for k, e in effects().items() if _acts_on(e, unhidden))
     outcome = search(problem, skip=skip)
     names = problem.twin.names
@@ -231,6 +232,17 @@ def _across_gravity(findings: Sequence[Finding], poses: Poses) -> bool:
     along = CHANNELS[int(np.argmax(np.abs(poses.accel.mean(axis=0))))]
     channels = {c for f in findings if f.held_out is not None for c in f.channels}
     return any(c.startswith("accel") and c != along for c in channels)
+
+
+def _in_motion(effect: Effect) -> bool:
+    """Whether an effect shows in motion alone, as delays, filters and functions of the rate do."""
+    if isinstance(effect, TransformEffect):
+        return True
+    if effect.shape:
+        return False
+    here, force = np.arange(8.0), np.outer(np.arange(1.0, 9.0), np.ones(3))
+    still = effect.columns(State(here, force, 0.0 * force, temperature=here), {})
+    return bool(still) and not any(v.any() for own in still.values() for v in own.values())
 
 
 def _acts_on(effect: Effect, triads: tuple[str, ...]) -> bool:

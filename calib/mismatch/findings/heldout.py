@@ -10,6 +10,7 @@ B determines (the attitude of a pose that is held out) have no prediction and ar
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -107,6 +108,25 @@ def fold_of(rows: Rows) -> IntArray:
     return np.asarray(order % FOLDS)
 
 
+def pose_levels(rows: Rows, channels: tuple[str, ...]) -> FloatArray:
+    """Return steps from pose to pose at rest, (m, k); none in one pose, or with enough of them.
+
+    Of fewer poses than folds none can be left out: what follows the direction of gravity or changes
+    between two of them fits any such steps. What these leave is seen within rests and in turns.
+    """
+    means = (rows.kind == Kind.MEAN) & rows.is_rest[rows.segment]
+    poses = np.unique(rows.block[means])
+    if not 1 < len(poses) < FOLDS:
+        return np.zeros((len(rows.kind), 0))
+    own = [means & (rows.channel == CHANNELS.index(c)) for c in channels]
+    steps = [
+        1.0 * (rest & (rows.block == a)) - (rest & (rows.block == b))
+        for rest in own
+        for a, b in pairwise(poses)
+    ]
+    return np.column_stack(steps)
+
+
 def _telling_rows(
     rows: Rows,
     mean: FloatArray,
@@ -162,7 +182,7 @@ def _leave_out(
         # Without walks the covariance does not couple segments, so neither does its factor.
         square[own] = np.square(_colour(rows, factor, whitener.scale, own, error[:, None])[:, 0])
         spread = np.square(_colour(rows, factor, whitener.scale, own, along)) @ more
-        floor[own] = spread + _variance(rows, factor, whitener.scale, own)
+        floor[own] = np.maximum(spread + _variance(rows, factor, whitener.scale, own), 0.0)
     return square, floor
 
 

@@ -36,6 +36,8 @@ def count_of(values: FloatArray) -> FloatArray:
 
     Without noise the smallest change may be one of motion, and says nothing of counts.
     """
+    if len(values) < 2:
+        return np.zeros(values.shape[1])
     step = faults.resolution(values)
     change = np.diff(values, axis=0) / np.where(step > 0, step, 1.0)
     whole = np.abs(change - np.rint(change)) < WHOLE

@@ -20,7 +20,7 @@ from calib.mismatch.findings.diagnosis import (
     Verdict,
 )
 from calib.mismatch.findings.evidence import gather
-from calib.mismatch.findings.heldout import HeldOut, held_out
+from calib.mismatch.findings.heldout import HeldOut, held_out, pose_levels
 from calib.mismatch.hypotheses.families import is_moment
 from calib.mismatch.hypotheses.places import joined
 from calib.mismatch.noise.noise import make_whitener, range_basis
@@ -28,7 +28,7 @@ from calib.mismatch.rows.rows import Kind, Rows
 from calib.mismatch.search.estimate import Estimate, pseudo_inverse
 from calib.mismatch.search.ranking import Accepted, chance, fitted
 from calib.mismatch.search.search import TIE, TWIN, Outcome
-from calib.recording import CHANNELS
+from calib.recording import CHANNELS, TRIADS
 from calib.types import BoolArray, FloatArray
 
 UNIQUE = 1e-6
@@ -39,6 +39,9 @@ COUNTED = 0.3
 
 CERTAIN = 1e-3
 """The same where it is known which: the probability of any other is less than a millionth."""
+
+FEW_POSES = float(np.log(100.0))
+"""Held-out log-likelihood that a name must gain where poses are too few for one to be left out."""
 
 
 def explain(
@@ -52,6 +55,7 @@ def explain(
     index = list(range(len(names)))
     shapes: list[tuple[int, str]] = []
     tried = {c.name for c in outcome.candidates}
+    of_poses: list[Unexplained] = []
     for i, a in enumerate(accepted):
         rivals = _rivals(a)
         heat = a.candidate.name.replace("_warm_up", "_bias_temperature")
@@ -90,6 +94,9 @@ def explain(
             sentence = f"{sentence} {effect.in_words(a.candidate.shape)}".rstrip()
         absorbed, proof, before = _proof(outcome, fit, i, names)
         predicted = a.columns @ fit.step[part]
+        if _only_levels(outcome, i, proof):
+            of_poses.append(_unexplained(rows, a, ()))
+            continue
         reason = ""
         if effect.kind == "event" and proof.gain <= 0:
             reason = "it happened once: no other pose or turn shows it"
@@ -142,7 +149,41 @@ def explain(
     for i, a in enumerate(accepted):
         scale[fit.at[i] : fit.at[i + 1]] = a.typical
     covariance = (fit.joint(shapes) * np.outer(scale, scale))[np.ix_(index, index)]
+    unexplained += _of_poses(of_poses)
     return findings, joined(unexplained), (tuple(known), covariance)
+
+
+def _only_levels(outcome: Outcome, which: int, proof: HeldOut) -> bool:
+    """Whether a finding's worth is gone beside free levels of the few poses there are."""
+    own = outcome.accepted[which]
+    levels = pose_levels(outcome.rows, own.candidate.channels)
+    if not levels.shape[1]:
+        return False
+    others = fitted(outcome.rows, [a for i, a in enumerate(outcome.accepted) if i != which])
+    beside = held_out(
+        outcome.rows,
+        np.hstack((others, levels)),
+        own.columns,
+        outcome.rows.residual,
+        levels=outcome.levels,
+        contrast=outcome.contrast,
+        channels=own.candidate.channels,
+    )
+    return beside.gain < FEW_POSES <= proof.gain
+
+
+def _of_poses(items: list[Unexplained]) -> list[Unexplained]:
+    """Return what differs between the few poses there are, one item a triad."""
+    out = []
+    for triad in TRIADS:
+        own = [u for u in items if u.channels[0].startswith(triad)]
+        if own:
+            channels = {c for u in own for c in u.channels}
+            first = min(own, key=lambda u: u.p_value)
+            follows = "the pose: too few of them to tell by what"
+            ordered = tuple(c for c in CHANNELS if c in channels)
+            out.append(replace(first, channels=ordered, follows=follows))
+    return out
 
 
 def _is_whole(q: Quantity) -> bool:
