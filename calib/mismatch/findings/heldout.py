@@ -234,7 +234,7 @@ def _gain(
     each = np.append(precision.diagonal(), 1.0 / contrast)
     sides = []
     for mean in (before, after):
-        whitener = make_whitener(rows, levels, contrast, mean, factor=factor, coupled=False)
+        whitener = make_whitener(rows, levels, contrast, mean, coupled=False)
         hidden = whitener.unwhiten_transposed(whitener.basis)
         sides.append((hidden, whitener.unwhiten_transposed(whitener.project(residual)[:, None])))
     gain, square, number = 0.0, np.zeros(2), 0

@@ -15,6 +15,9 @@ from calib.types import BoolArray, FloatArray, IntArray
 
 T = TypeVar("T", bound=Hashable)
 
+GAIN = "gain in a window"
+"""What multiplies a signal has columns of its own: all else in windows is the same on each part."""
+
 MANY = 256
 """Candidates that are mixed at a time: what they make of columns stays near the processor."""
 
@@ -168,37 +171,36 @@ def _numbered(values: Iterable[T]) -> tuple[list[T], IntArray]:
 def _makes(
     candidates: Sequence[Candidate], group: IntArray, channel: IntArray
 ) -> Iterator[Alike | Sums]:
-    sums: dict[int, list[int]] = {}
     alike: dict[tuple[int, ...], list[int]] = {}
-    mixed: dict[int, dict[tuple[int, ...], list[int]]] = {}
+    joint: dict[tuple[int, bool], dict[tuple[int, ...], list[int]]] = {}
     for i, c in enumerate(candidates):
-        if c.mixing is not None:
-            same = mixed.setdefault(int(channel[i]), {})
-            same.setdefault((int(group[i]), *c.mixing.shape), []).append(i)
-        elif c.summed:
-            sums.setdefault(int(group[i]), []).append(i)
+        if c.summed or c.mixing is not None:
+            same = joint.setdefault((int(channel[i]), c.name == GAIN), {})
+            size = () if c.mixing is None else c.mixing.shape
+            same.setdefault((int(group[i]), *size), []).append(i)
         else:
             alike.setdefault((len(c.index),), []).append(i)
-    for which in sums.values():
-        marked = [candidates[i].index for i in which]
-        columns, place = np.unique(np.concatenate(marked), return_inverse=True)
-        begins = np.append(0, np.cumsum([len(index) for index in marked]))
-        pick = sparse.csr_matrix(
-            (np.ones(len(place)), place, begins), shape=(len(which), len(columns))
-        )
-        yield Sums(np.array(which), columns, pick)
     for which in alike.values():
         own = [candidates[i] for i in which]
         columns, index = np.unique(np.stack([c.index for c in own]), return_inverse=True)
         present = np.array([c.present for c in own])
         yield Alike(np.array(which), columns, index.reshape(len(own), -1), None, present)
     known: dict[tuple[int, ...], FloatArray] = {}
-    for shapes in mixed.values():
+    for shapes in joint.values():
         # Those of the same channels share their columns, and the Gram matrix of these.
         every = [candidates[i].index for which in shapes.values() for i in which]
         columns = np.unique(np.concatenate(every))
         for which in shapes.values():
-            index = np.searchsorted(columns, np.stack([candidates[i].index for i in which]))
+            marked = [candidates[i].index for i in which]
+            if candidates[which[0]].summed:
+                place = np.searchsorted(columns, np.concatenate(marked))
+                begins = np.append(0, np.cumsum([len(index) for index in marked]))
+                pick = sparse.csr_matrix(
+                    (np.ones(len(place)), place, begins), shape=(len(which), len(columns))
+                )
+                yield Sums(np.array(which), columns, pick)
+                continue
+            index = np.searchsorted(columns, np.stack(marked))
             mixings = [m for i in which if (m := candidates[i].mixing) is not None]
             # And channels their mixings: what the same arrays make is kept once.
             key = tuple(map(id, mixings))

@@ -142,22 +142,36 @@ class Seen:
     power: FloatArray
     total: FloatArray
 
-    def gram(self, own: IntArray) -> FloatArray:
-        """Return the products of some columns with each other."""
-        white, inner = self._white(own), self.inner[:, own]
-        return np.asarray(white.T @ white - inner.T @ inner)
+    def grams(self, own: IntArray) -> FloatArray:
+        """Return the products of each of n sets of k columns, (n, k, k), from their (n, k) numbers.
 
-    def _white(self, own: IntArray) -> FloatArray:
-        """Return whitened columns on rows that hold all that they touch."""
-        support, slot = self.support[own], self.slot[own]
-        kinds = np.unique(support).tolist()
-        if len(kinds) == 1:
-            return self.white[kinds[0]][:, slot]
-        rows = np.unique(np.concatenate([self.supports[k] for k in kinds]))
-        out = np.zeros((len(own), len(rows))).T
-        for k in kinds:
-            mine = np.flatnonzero(support == k)
-            out[np.ix_(np.searchsorted(rows, self.supports[k]), mine)] = self.white[k][
-                :, slot[mine]
-            ]
+        Many at once where all touch the same rows.
+        """
+        kinds = np.unique(self.support[own]).tolist()
+        if len(kinds) > 1:
+            return np.stack([self.gram(each) for each in own])
+        (k,) = kinds
+        white, inner = (
+            values[:, where].transpose(1, 2, 0)
+            for values, where in ((self.white[k], self.slot[own]), (self.inner, own))
+        )
+        return np.asarray(white @ white.transpose(0, 2, 1) - inner @ inner.transpose(0, 2, 1))
+
+    def gram(self, own: IntArray) -> FloatArray:
+        """Return the products of some columns with each other: on the rows that both touch."""
+        inner, support = self.inner[:, own], self.support[own]
+        out = -np.asarray(inner.T @ inner)
+        parts: list[tuple[IntArray, IntArray, FloatArray]] = []
+        for k in np.unique(support).tolist():
+            mine, rows = np.flatnonzero(support == k), self.supports[k]
+            white = self.white[k][:, self.slot[own[mine]]]
+            out[np.ix_(mine, mine)] += white.T @ white
+            for others, there, known in parts:
+                _, first, second = np.intersect1d(
+                    rows, there, assume_unique=True, return_indices=True
+                )
+                both = white[first].T @ known[second]
+                out[np.ix_(mine, others)] += both
+                out[np.ix_(others, mine)] += both.T
+            parts.append((mine, rows, white))
         return out

@@ -28,7 +28,7 @@ import numpy as np
 from scipy.special import logsumexp, softmax
 
 from calib.mismatch.findings.diagnosis import Interval
-from calib.mismatch.hypotheses.candidates import Candidate
+from calib.mismatch.hypotheses.candidates import GAIN, Candidate
 from calib.mismatch.hypotheses.score import log_bayes_factor, log_bayes_factors
 from calib.mismatch.hypotheses.turned import turned_parts
 from calib.mismatch.hypotheses.wander import wandering
@@ -107,7 +107,7 @@ def _retuned(candidate: Candidate) -> list[Candidate]:
     return [replace(candidate, shape={"period": period * k}) for k in PERIODS]
 
 
-_SUMS = ("bias in a window", "gain in a window")
+_SUMS = ("bias in a window", GAIN)
 
 
 def _sums(

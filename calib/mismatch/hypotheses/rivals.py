@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from calib.effects import effects
-from calib.mismatch.hypotheses.candidates import Bank, Candidate
+from calib.mismatch.hypotheses.candidates import GAIN, Bank, Candidate
 from calib.mismatch.hypotheses.followed import (
     OWN_RIPPLES,
     RIPPLES,
@@ -57,7 +57,7 @@ FROM_START = "fading from the start"
 
 _KINDS = {
     "bias in a window": 0.15,
-    "gain in a window": 0.10,
+    GAIN: 0.10,
     "fluctuation in a window": 0.16,
     "wave in a window": 0.12,
     THROUGHOUT: 0.03,
@@ -78,7 +78,7 @@ catalogue, or is drift: only odd shapes are left."""
 
 _OF_TRIADS = {
     "bias in a window": 0.02,
-    "gain in a window": 0.02,
+    GAIN: 0.02,
     "fluctuation in a window": 0.05,
     TURNED: 0.02,
     FROM_START: 0.015,
@@ -234,7 +234,7 @@ def _drafts(
     for item in local:
         a, b = item.window
         kind, low, high = "slots", slots[a], slots[b]
-        if item.name == "gain in a window":
+        if item.name == GAIN:
             kind, low, high = "segments", a, b
         own = [every[start + low : start + high] for start in starts[kind]]
         index = own[0] if len(own) == 1 else np.concatenate(own)
@@ -271,7 +271,7 @@ def _waves(
 
 def _of_triad(item: Local, first: IntArray) -> Local:
     """Return what three channels have at once, each in a way of its own; but one gain."""
-    if item.name == "gain in a window":
+    if item.name == GAIN:
         mixing = item.mixing
         return item if mixing is None else replace(item, mixing=np.tile(mixing, (3, 1)))
     a, b = item.window

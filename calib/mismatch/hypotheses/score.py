@@ -129,19 +129,20 @@ class Stack:
         place = np.zeros(len(self.columns), np.int64)
         place[used] = np.arange(len(used))
         seen = self.columns.project(whitener, y, used)
-        gram: tuple[IntArray, FloatArray] = np.zeros(0, np.int64), np.zeros((0, 0))
+        grams: dict[bytes, FloatArray] = {}
         mixed: dict[int, list[tuple[FloatArray, IntArray, FloatArray, FloatArray]]] = {}
         for values, make in makes:
             columns = place[make.columns]
-            if isinstance(make, Sums):
-                values[make.which] = _sums(make, seen, columns)
-            elif make.mixing is not None:
-                if gram[0] is not make.columns:
-                    gram = make.columns, seen.gram(columns)
-                alike = mixed.setdefault(make.mixing.shape[2], [])
-                alike.append((values, make.which, *_mixed(make, gram[1], seen.match[columns])))
-            else:
+            if isinstance(make, Alike) and make.mixing is None:
                 values[make.which] = _several(make, seen, columns)
+                continue
+            if (key := columns.tobytes()) not in grams:
+                grams[key] = seen.gram(columns)
+            if isinstance(make, Sums):
+                values[make.which] = _sums(make, grams[key], seen, columns)
+                continue
+            inner, along = _mixed(make, grams[key], seen.match[columns])
+            mixed.setdefault(along.shape[1], []).append((values, make.which, inner, along))
         for alike in mixed.values():
             # Many at once: a few of them cost as much in calls as in numbers.
             found = log_bayes_factors(*map(np.concatenate, list(zip(*alike, strict=True))[2:]))
@@ -156,14 +157,14 @@ def _several(make: Alike, seen: Seen, columns: IntArray) -> FloatArray:
     own = columns[make.index]
     match = seen.match[own]
     if own.shape[1] > 1:
-        return log_bayes_factors(np.stack([seen.gram(each) for each in own]), match)
+        return log_bayes_factors(seen.grams(own), match)
     power = seen.power[own[:, 0]]
     return np.where(make.present, present_factors(power, match[:, 0]), _single(power, match[:, 0]))
 
 
-def _sums(make: Sums, seen: Seen, columns: IntArray) -> FloatArray:
+def _sums(make: Sums, gram: FloatArray, seen: Seen, columns: IntArray) -> FloatArray:
     """Return log B of candidates that are sums of columns."""
-    inner = make.pick @ seen.gram(columns)
+    inner = make.pick @ gram
     power = np.asarray(make.pick.multiply(inner).sum(axis=1)).ravel()
     lost = power < LOST * (make.pick @ seen.total[columns])
     along = make.pick @ seen.match[columns]

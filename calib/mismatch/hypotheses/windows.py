@@ -13,7 +13,7 @@ from scipy import sparse
 
 from calib.effects import effects
 from calib.effects.base import State
-from calib.mismatch.hypotheses.candidates import Candidate
+from calib.mismatch.hypotheses.candidates import GAIN, Candidate
 from calib.mismatch.rows.rows import Rows
 from calib.recording import CHANNELS
 from calib.types import FloatArray, IntArray
@@ -26,7 +26,7 @@ TURNED = "turned axes in a window"
 
 WINDOWED = (
     "bias in a window",
-    "gain in a window",
+    GAIN,
     "fluctuation in a window",
     "wave in a window",
     TURNED,
@@ -144,10 +144,10 @@ def in_windows(
         start, stop = float(interval[a, 0]), float(interval[b - 1, 1])
         time = middle[first[a] : first[b]]
         yield Local("bias in a window", (a, b), (start, stop), {}, None)
-        yield Local("gain in a window", (a, b), (start, stop), {}, None)
+        yield Local(GAIN, (a, b), (start, stop), {}, None)
         if b - a >= FLUCTUATION:
             ramp = function_of_time(RAMP, interval[a:b].mean(axis=1), start, stop)
-            yield Local("gain in a window", (a, b), (start, stop), dict(RAMP), ramp)
+            yield Local(GAIN, (a, b), (start, stop), dict(RAMP), ramp)
         if FLUCTUATION <= b - a <= MOST_APART:
             own = np.repeat(np.eye(b - a), np.diff(first[a : b + 1]), axis=0)
             yield Local("fluctuation in a window", (a, b), (start, stop), dict(APART), own)
@@ -239,7 +239,7 @@ def carried(state: State, candidate: Candidate) -> list[list[tuple[int, FloatArr
     turns it about one axis shows on the other two.
     """
     channels = [CHANNELS.index(c) for c in candidate.channels]
-    if candidate.name == "gain in a window":
+    if candidate.name == GAIN:
         return [[(c, own_signal(state, c)) for c in channels]]
     if candidate.name == TURNED:
         signal = np.stack([own_signal(state, c) for c in channels], axis=1)

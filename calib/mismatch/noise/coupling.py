@@ -17,6 +17,7 @@ References
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -72,13 +73,23 @@ class _Drifts(NamedTuple):
 
 
 def foretold(rows: Rows, levels: FloatArray) -> tuple[Foretold, ...]:
-    """Return what the means at rest foretell of the contrasts, for drift of these levels."""
+    """Return what the means at rest foretell of the contrasts, for drift of these levels.
+
+    The last of it is kept: with other columns in the mean it is the same.
+    """
     if not rows.is_rest.any() or rows.n_dense == len(rows.residual):
         return ()
+    key = levels.tobytes()
+    if rows.kept.get("foretold", (b"",))[0] != key:
+        rows.kept["foretold"] = key, tuple(_foretold(rows, levels))
+    known: tuple[Foretold, ...] = rows.kept["foretold"][1]
+    return known
+
+
+def _foretold(rows: Rows, levels: FloatArray) -> Iterator[Foretold]:
     if "drifts" not in rows.kept:
         rows.kept["drifts"] = [_drifts(rows, c) for c in range(len(CHANNELS))]
     level = {c.name: value for c, value in zip(rows.components, levels, strict=True)}
-    out = []
     for name, drift in zip(CHANNELS, rows.kept["drifts"], strict=True):
         leaning = name if name.startswith("gyro") else "accel"
         kinds = f"{name} flicker", f"{name} walk", f"{leaning} {LEAN}"
@@ -97,8 +108,7 @@ def foretold(rows: Rows, levels: FloatArray) -> tuple[Foretold, ...]:
         scale = np.sqrt(np.diag(left))
         root = linalg.cholesky(left / np.outer(scale, scale), lower=True, check_finite=False)
         root = linalg.lapack.dtrtri(root, lower=1)[0]
-        out.append(Foretold(drift.contrast, drift.mean, np.ascontiguousarray(weight), root))
-    return tuple(out)
+        yield Foretold(drift.contrast, drift.mean, np.ascontiguousarray(weight), root)
 
 
 def _drifts(rows: Rows, c: int) -> _Drifts | None:

@@ -34,6 +34,9 @@ further than it flickers (where an Allan plot begins to rise) differ from part t
 INDEPENDENT = 1e-5
 """Share of a column's length that those before it must leave for it to be clearly independent."""
 
+CLEAR = 0.1
+"""The same above which rounding leaves their basis orthogonal."""
+
 NEAR = 0.02
 """What the log-likelihood may be short of its maximum: evidence counts in nats."""
 
@@ -248,9 +251,9 @@ def range_basis(mean: FloatArray, *, tolerance: float = 1e-9) -> FloatArray:
 def _orthonormal(scaled: FloatArray) -> FloatArray | None:
     """Return an orthonormal basis of clearly independent columns; None of others.
 
-    Cholesky QR, twice if need be: the second makes up for the rounding of the first, which squares
-    how nearly dependent the columns are [1]_. It is products alone, many times faster than
-    pivoting.
+    Cholesky QR, twice unless they are `CLEAR`: the second makes up for the rounding of the first,
+    which squares how nearly dependent the columns are [1]_. It is products alone, many times faster
+    than pivoting.
 
     References
     ----------
@@ -272,6 +275,8 @@ def _orthonormal(scaled: FloatArray) -> FloatArray | None:
         if np.diag(inner).min() < INDEPENDENT:
             return None
         q = np.ascontiguousarray(linalg.blas.dtrsm(1.0, inner, q.T, lower=1).T)
+        if np.diag(inner).min() > CLEAR:
+            break
     return q
 
 
@@ -354,29 +359,25 @@ def make_whitener(
     contrast: FloatArray,
     fitted: FloatArray,
     *,
-    factor: Factor | None = None,
     coupled: bool = True,
 ) -> Whitener:
     """Return the whitener for these levels, with the (m, p) `fitted` columns projected out.
 
-    ``factor`` is what `Arrow.factorise` makes of the levels, where it is known. Unless ``coupled``,
-    contrasts are taken as they are: by what a part of the rows says alone.
+    Unless ``coupled``, contrasts are taken as they are: by what a part of the rows says alone.
     """
-    factor = rows.arrow.factorise(levels) if factor is None else factor
+    factor = rows.arrow.factorise(levels)
     known = foretold(rows, levels) if coupled else ()
     none = np.zeros((len(rows.residual), 0))
     plain = Whitener(factor, np.sqrt(contrast), none, rows.n_dense, known)
     return replace(plain, basis=range_basis(plain.whiten(fitted)))
 
 
-def level_likelihood(
-    rows: Rows, basis: FloatArray, levels: FloatArray, *, factor: Factor | None = None
-) -> float:
+def level_likelihood(rows: Rows, basis: FloatArray, levels: FloatArray) -> float:
     """Return the penalised restricted log-likelihood of given levels.
 
-    ``basis`` is the `range_basis` of the mean's dense rows; ``factor`` as in `make_whitener`.
+    ``basis`` is the `range_basis` of the mean's dense rows.
     """
-    factor = rows.arrow.factorise(levels) if factor is None else factor
+    factor = rows.arrow.factorise(levels)
     likelihood, _, _ = _restricted(factor, basis, rows.residual[: rows.n_dense])
     return likelihood - _penalty(rows, levels)
 

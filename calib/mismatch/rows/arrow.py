@@ -15,7 +15,7 @@ order of the rows this is the Cholesky factor of the whole, but for zeros that n
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -165,6 +165,7 @@ class Arrow:
     """Components that act on the border only."""
     number: int
     """Of components."""
+    _last: dict[bytes, Factor] = field(default_factory=dict)
 
     @classmethod
     def of(cls, white: FloatArray, channel: IntArray, components: Sequence[Part]) -> Arrow:
@@ -184,7 +185,14 @@ class Arrow:
         return cls(_side_by_side(blocks), border, inner, alone, len(components))
 
     def factorise(self, levels: FloatArray) -> Factor:
-        """Return the factor of the covariance at some levels."""
+        """Return the factor of the covariance at some levels; the last one is kept."""
+        key = levels.tobytes()
+        if key not in self._last:
+            self._last.clear()
+            self._last[key] = self._factorised(levels)
+        return self._last[key]
+
+    def _factorised(self, levels: FloatArray) -> Factor:
         blocks, last = [], self.white.copy()
         for block in self.blocks:
             own, cross, far = (

@@ -34,7 +34,6 @@ from calib.mismatch.noise.noise import (
     make_whitener,
     range_basis,
 )
-from calib.mismatch.rows.arrow import Factor
 from calib.mismatch.rows.rows import Rows
 from calib.recording import CHANNELS
 from calib.types import BoolArray, FloatArray
@@ -240,7 +239,7 @@ class _Scores:
     base: Levels
     basis: FloatArray
     weight: FloatArray
-    _factors: dict[bytes, tuple[Factor, dict[bytes, Whitener]]] = field(default_factory=dict)
+    _whiteners: dict[tuple[bytes, bytes], Whitener] = field(default_factory=dict)
 
     @classmethod
     def of(cls, rows: Rows, stack: Stack, accepted: list[Accepted], start: FloatArray) -> _Scores:
@@ -272,28 +271,21 @@ class _Scores:
         factors = self.stack.log_bayes_factors(whitener, y, which=which)
         return factors + (null - self.base.log_likelihood) + self.weight
 
-    def _factor(self, levels: FloatArray) -> tuple[Factor, dict[bytes, Whitener]]:
-        """Return the factor of the covariance at some levels, and whiteners that it made.
+    def whitener(self, levels: FloatArray, contrast: FloatArray) -> Whitener:
+        """Return the whitener at some levels, with what is fitted projected out.
 
         Those at the first levels are kept, and those at the last.
         """
-        key = levels.tobytes()
-        if key not in self._factors:
-            if len(self._factors) > 1:
-                self._factors.popitem()
-            self._factors[key] = self.rows.arrow.factorise(levels), {}
-        return self._factors[key]
-
-    def whitener(self, levels: FloatArray, contrast: FloatArray) -> Whitener:
-        """Return the whitener at some levels, with what is fitted projected out."""
-        (factor, known), key = self._factor(levels), contrast.tobytes()
+        known, key = self._whiteners, (levels.tobytes(), contrast.tobytes())
         if key not in known:
-            known[key] = make_whitener(self.rows, levels, contrast, self.mean, factor=factor)
+            for old in [k for k in known if k[0] not in (self.base.values.tobytes(), key[0])]:
+                del known[old]
+            known[key] = make_whitener(self.rows, levels, contrast, self.mean)
         return known[key]
 
     def _null(self, levels: FloatArray) -> float:
         """Return the log-likelihood of some levels."""
-        return level_likelihood(self.rows, self.basis, levels, factor=self._factor(levels)[0])
+        return level_likelihood(self.rows, self.basis, levels)
 
     def with_drift_of_all(
         self, evidence: FloatArray, running: BoolArray
@@ -305,7 +297,7 @@ class _Scores:
         Beside it the levels with all physics in the mean, and the evidence for physics there.
         """
         rows, stack, base = self.rows, self.stack, self.base
-        dense = self.mean[: rows.n_dense]
+        dense = self.basis
         wide = np.hstack((dense, physics(stack)[: rows.n_dense]))
         every = find_levels(rows, wide, base.values)
         rivals = strongest_rivals(stack, evidence - self.weight)
@@ -343,7 +335,7 @@ class _Scores:
             factors = moved.log_bayes_factors(whitener, whitener.project(rows.residual))
             here = moved.candidates[int(np.argmax(factors))]
             own = moved.of(here)
-        with_own = np.hstack((self.mean, own))[: rows.n_dense]
+        with_own = np.hstack((self.basis, own[: rows.n_dense]))
         start = _swap(rows, base.values, every.values, leader.channels)
         found = estimate_levels(rows, with_own, start)
         outside, cost = self._suited(found.values, here, own)

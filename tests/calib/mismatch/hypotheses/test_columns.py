@@ -39,6 +39,9 @@ def test_columns_on_few_rows_are_seen_as_those_on_all():
         size = expected.diagonal().max()
         np.testing.assert_allclose(seen.gram(own), expected, rtol=1e-9, atol=1e-12 * size)
         np.testing.assert_allclose(seen.power[own], expected.diagonal(), atol=1e-12 * size)
+    place = np.argsort(chosen)  # where each column is among those that were chosen
+    for sets in (place[[[0, 1], [2, 8]]], place[[[3, 5], [9, 12]]]):  # alike, and not
+        np.testing.assert_allclose(seen.grams(sets), [seen.gram(each) for each in sets], rtol=1e-9)
     np.testing.assert_allclose(
         seen.total, np.square(whitener.whiten(whole[:, chosen])).sum(axis=0), rtol=1e-9
     )
