@@ -21,7 +21,7 @@ import numpy as np
 from scipy.linalg import lapack
 from scipy.special import log_ndtr
 
-from calib.mismatch.hypotheses.candidates import MANY, Alike, Bank, Candidate, Sums
+from calib.mismatch.hypotheses.candidates import Alike, Bank, Candidate, Sums
 from calib.mismatch.hypotheses.columns import LOST, Columns, Seen
 from calib.mismatch.noise.noise import Whitener
 from calib.types import BoolArray, FloatArray, IntArray
@@ -45,6 +45,9 @@ _LOG_SHARES = np.log(SHARES)
 
 NOTHING = 1e-290
 """Square of a length that rounding leaves of none, and that has no inverse."""
+
+FEW = 4
+"""Candidates of the same columns up to which each takes its own Gram matrix, all at once."""
 
 ALL_AT_ONCE = 8
 """Columns of candidates up to which these are reduced side by side; of more, one by one."""
@@ -177,23 +180,19 @@ def _mixed(make: Alike, gram: FloatArray, match: FloatArray) -> tuple[FloatArray
     mixing, index = make.mixing, make.index
     n, k, r = mixing.shape
     inner, along = np.empty((n, r, r)), match[index][:, None] @ mixing
-    both = np.empty((MANY, k, r))
     for first, last, runs in make.parts:
-        for start, stop in runs:
-            # A window's columns lie side by side: no copy. And all at once: a product with each
-            # alone would be one with a few columns.
-            own = index[start]
-            side = slice(own[0], own[-1] + 1)
-            part = gram[side, side] if own[-1] - own[0] == k - 1 else gram[np.ix_(own, own)]
-            if stop - start == 1:
-                np.matmul(part, mixing[start], out=both[start - first])
-                continue
-            flat = mixing[start:stop].transpose(1, 0, 2).reshape(k, -1)
-            found = (part @ flat).reshape(k, stop - start, r)
-            both[start - first : stop - first] = found.transpose(1, 0, 2)
-        np.matmul(
-            mixing[first:last].transpose(0, 2, 1), both[: last - first], out=inner[first:last]
-        )
+        own, mine = index[first:last], mixing[first:last]
+        if FEW * len(runs) > last - first:
+            both = gram[own[:, :, None], own[:, None]] @ mine
+        else:
+            # Those with the same columns at once: a product with each would be one with a few.
+            both = np.empty(mine.shape)
+            for start, stop in runs:
+                flat = mixing[start:stop].transpose(1, 0, 2).reshape(k, -1)
+                found = gram[index[start][:, None], index[start]] @ flat
+                part = slice(start - first, stop - first)
+                both[part] = found.reshape(k, stop - start, r).transpose(1, 0, 2)
+        inner[first:last] = mine.transpose(0, 2, 1) @ both
     return inner, along[:, 0]
 
 
