@@ -69,8 +69,8 @@ WINDOW = 10
 GOLDEN, CLOSE = 0.5 * (np.sqrt(5.0) - 1.0), 0.1
 """The golden section, and the share of an interval of noises within which the best is found."""
 
-STEPS, PAST = 30, 10.0
-"""Newton's steps at most, and how far below its maximum the evidence is followed."""
+STEPS = 30
+"""Newton's steps at most."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -205,8 +205,6 @@ def _smoothest(readings: _Readings) -> FloatArray:
         path, evidence, noise = _likeliest(readings, path, low, high, length)
         if evidence > top:
             best, top = path, evidence
-        if evidence < top - PAST:
-            break
     return best
 
 

@@ -56,6 +56,16 @@ def test_rate_of_temperature_from_any_thermometer(kind: str) -> None:
         assert np.sqrt(np.mean(error**2)) < limit
 
 
+@pytest.mark.parametrize("step", [0.0, 0.01, 0.0625, 0.5])
+@pytest.mark.parametrize("cycles", [0.75, 1.5, 4.0])
+def test_a_cycle_is_followed(step: float, cycles: float) -> None:
+    """Of paths that are too smooth for it one may be worse than one that is smoother still."""
+    time = TIME[:12000]
+    cycle = 27.0 + 4.0 * np.sin(2 * np.pi * cycles * time / time[-1])
+    reading = step * np.round(cycle / step) if step else cycle
+    assert np.abs(smooth_temperature(time, reading) - cycle).max() < 0.1 + 0.3 * step
+
+
 def test_constant_temperature_has_no_rate() -> None:
     reading = 25.0 + np.random.default_rng(4).normal(0, 0.3, len(TIME))
     smooth = smooth_temperature(TIME, reading)
