@@ -141,6 +141,18 @@ class SensorModel:
         """Samples at the end of what `distort` returns that have no input: others went missing."""
         return sum(e.ahead(p) for e, p in self._transforms("readout"))
 
+    def with_terms_moved(self, steps: Mapping[str, float]) -> SensorModel:
+        """Return the model with parameters of its further terms moved, by their full names."""
+        terms = []
+        for term in self.terms:
+            values = dict(term.parameters)
+            for name, step in steps.items():
+                effect, parameter = name.split(".")
+                if effect == term.effect:
+                    values[parameter] = values.get(parameter, 0.0) + step
+            terms.append(Term(term.effect, values))
+        return replace(self, terms=tuple(terms))
+
     def felt(self, state: State) -> State:
         """Return the true state where the sensor is, from that where the setup was said to be.
 

@@ -161,10 +161,14 @@ def _diagnose(thinned: Thinned, *, gravity: float, model: SensorModel | None) ->
     names = problem.twin.names
     directions = distinct_directions(poses.accel)
     fit = outcome.fit(reference=False)
-    findings, unexplained, (known, covariance) = explain(outcome, fit, names=names)
+    found = {a.candidate.name for a in outcome.accepted}
+    shown = problem.shown(np.sqrt(np.diag(fit.covariance)))
+    further = {name: k for name, k in shown.items() if name.split(".")[0] not in found}
+    findings, unexplained, (known, covariance) = explain(outcome, fit, names=names, further=further)
     # Where shapes moved a little since the twin did, so did the baseline.
     still = np.zeros((grid.n_poses, 2))
     final = problem.twin.moved(dict(zip(names, fit.step, strict=False)), still).model
+    final = final.with_terms_moved({name: float(fit.step[k]) for name, k in further.items()})
     if timeless:
         known, covariance = _without_rates(known, covariance)
         final = replace(final, terms=tuple(t for t in final.terms if not _is_rate(t.effect)))

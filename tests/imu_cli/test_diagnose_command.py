@@ -20,15 +20,18 @@ from drivers.formats import read_recording, write_recording
 from imu_cli.app import app
 
 
-@pytest.fixture(scope="module")
-def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    rng = np.random.default_rng(5)
+def recorded(path: Path, *terms: Term, seed: int = 5) -> Path:
+    rng = np.random.default_rng(seed)
     motion = bench_protocol(rng, poses=12, first_pose=2.0, pose_duration=(3.0, 4.0))
-    term = Term("gyro_misalignment", {"mxy": 0.03})
-    model = SensorModel(Triad(), Triad(), (term,))
-    path = tmp_path_factory.mktemp("diagnose") / "log.arrow"
+    model = SensorModel(Triad(), Triad(), terms)
     write_recording(simulate(motion, model, CONSUMER, rng=rng, rate=50.0), path)
     return path
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("diagnose")
+    return recorded(folder / "log.arrow", Term("gyro_misalignment", {"mxy": 0.03}))
 
 
 def test_json_is_alone_on_stdout_and_the_model_is_written(log: Path, tmp_path: Path) -> None:
@@ -60,6 +63,16 @@ def test_what_has_moved_since_a_calibration_is_no_effect_and_is_said(
     assert "Moved since the calibration: accel.bias.y by 5." in said
     same = CliRunner().invoke(app, ["diagnose", str(log), "--calibration", str(known)]).stdout
     assert "Moved" not in same
+    # So is a term of the sensor that is there no more.
+    without = recorded(tmp_path / "without.arrow", seed=6)
+    found = CliRunner().invoke(
+        app, ["diagnose", str(without), "--calibration", str(known), "--json"]
+    )
+    document = json.loads(found.stdout)
+    assert document["verdict"] == "consistent"
+    moved = document["moved"][0]
+    assert moved["parameter"] == "gyro_misalignment.mxy"
+    assert moved["shift"] == pytest.approx(-0.03, abs=4 * moved["sigma"])
 
 
 def test_the_screen_says_what_where_and_how_sure(log: Path) -> None:

@@ -45,14 +45,21 @@ FEW_POSES = float(np.log(100.0))
 
 
 def explain(
-    outcome: Outcome, fit: Estimate, *, names: tuple[str, ...]
+    outcome: Outcome,
+    fit: Estimate,
+    *,
+    names: tuple[str, ...],
+    further: Mapping[str, int] | None = None,
 ) -> tuple[list[Finding], list[Unexplained], tuple[tuple[str, ...], FloatArray]]:
-    """Return findings, what is unexplained, and names and covariance of the model's parameters."""
+    """Return findings, what is unexplained, and names and covariance of the model's parameters.
+
+    The first coefficients are those of ``names``; ``further`` are others of a given model.
+    """
     rows, accepted = outcome.rows, outcome.accepted
     findings: list[Finding] = []
     unexplained: list[Unexplained] = []
-    known = list(names)
-    index = list(range(len(names)))
+    known = [*names, *(further or {})]
+    index = [*range(len(names)), *(further or {}).values()]
     shapes: list[tuple[int, str]] = []
     tried = {c.name for c in outcome.candidates}
     of_poses: list[Unexplained] = []

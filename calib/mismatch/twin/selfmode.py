@@ -7,8 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from calib.calibration import parameter_unit
 from calib.effects import get_effect
-from calib.effects.base import Term
+from calib.effects.base import PRESENCE, Term
 from calib.mismatch.noise.sensornoise import sample_noise
 from calib.mismatch.rows.grid import Grid
 from calib.mismatch.rows.rows import Kind, Rows
@@ -47,6 +48,8 @@ class SelfProblem:
         start = start_twin(grid, model, gravity=gravity, full_gyro=full_gyro)
         self.twin: Twin = fit_twin(grid, start, self.noise)
         self.given = () if model is None else model.terms
+        self.further: tuple[str, ...] = ()
+        """Parameters of the given model's further terms that the last rows are fitted with."""
         self.drop: BoolArray | None = None
         self.coarse: Mapping[int, float] = {}
         """Channels whose counts are coarse, and a count: at rest they stick to one, so that the
@@ -63,11 +66,13 @@ class SelfProblem:
     def rows(self) -> Rows:
         """Return recording minus twin; the given model's own terms are fitted along with it."""
         rows = build_rows(self.grid, self.twin, self.noise, spread=self.spread)
-        known = [
-            rows.column(signals)
+        further = {
+            f"{term.effect}.{name}": rows.column(signals)
             for term in self.given
-            for signals in get_effect(term.effect).columns(rows.state, _shape(term)).values()
-        ]
+            for name, signals in get_effect(term.effect).columns(rows.state, _shape(term)).items()
+        }
+        self.further = tuple(further)
+        known = list(further.values())
         known += [rows.functional[c] @ (self.grid.pose < 0) for c in self.coarse if c >= 3]
         if known:
             rows = replace(rows, nuisance=np.column_stack((rows.nuisance, *known)))
@@ -100,6 +105,18 @@ class SelfProblem:
         length = np.ptp(rows.interval, axis=1)
         long = rows.is_rest & (length > LONG * np.median(length[rows.is_rest]))
         return np.asarray(long[rows.segment] & (rows.kind == Kind.CONTRAST))
+
+    def shown(self, sigma: FloatArray) -> dict[str, int]:
+        """Return which coefficients of a fit are the given model's further terms, by name.
+
+        Those that the recording shows, by the standard errors (p,) of all coefficients.
+        """
+        first = len(self.twin.names) + 2 * self.grid.n_poses
+        return {
+            name: first + k
+            for k, name in enumerate(self.further)
+            if sigma[first + k] > 0 and parameter_unit(name) != PRESENCE
+        }
 
     def move(
         self, baseline: Mapping[str, float], nuisance: FloatArray, terms: tuple[Term, ...]
