@@ -27,6 +27,7 @@ from calib.mismatch.noise.noise import make_whitener, range_basis
 from calib.mismatch.rows.rows import Kind, Rows
 from calib.mismatch.search.estimate import Estimate, pseudo_inverse
 from calib.mismatch.search.ranking import Accepted, chance, fitted
+from calib.mismatch.search.returned import THERE, returned
 from calib.mismatch.search.search import TIE, TWIN, Outcome
 from calib.recording import CHANNELS, TRIADS
 from calib.types import BoolArray, FloatArray
@@ -63,8 +64,13 @@ def explain(
     shapes: list[tuple[int, str]] = []
     tried = {c.name for c in outcome.candidates}
     of_poses: list[Unexplained] = []
+    again = returned(fit, accepted)
     for i, a in enumerate(accepted):
         rivals = _rivals(a)
+        if i in again:
+            left = _unexplained(rows, a, ())
+            unexplained.append(replace(left, intervals=(again[i],), follows=THERE))
+            continue
         heat = a.candidate.name.replace("_warm_up", "_bias_temperature")
         if heat != a.candidate.name and heat not in tried:
             # What warms up does so in time; without a thermometer, or with one that is stuck,
