@@ -11,7 +11,7 @@ from calib.calibration import Quantity
 from calib.effects import effects
 from calib.effects.base import Effect, State, TransformEffect
 from calib.mismatch.findings.aliases import find_aliases
-from calib.mismatch.findings.diagnosis import Diagnosis, Finding, Verdict, summarise
+from calib.mismatch.findings.diagnosis import Diagnosis, Finding, Verdict, claimed, summarise
 from calib.mismatch.hypotheses.places import gathered, joined
 from calib.mismatch.realigned import coarse_delay, mostly_prompt, with_all
 from calib.mismatch.rows.choice import choose_poses, distinct_directions
@@ -200,7 +200,7 @@ def _diagnose(thinned: Thinned, *, gravity: float, model: SensorModel | None) ->
         hidden={**_hidden(outcome), **{a.effect: a.needs for a in aliases}},
         changes=change,
         log_likelihood=likelihood,
-        model=final,
+        model=claimed(final, problem.given, findings),
         names=known,
         covariance=covariance,
         summary=_summary(thinned, poses),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
@@ -283,6 +283,12 @@ class Diagnosis:
             },
             "recording": dict(self.summary),
         }
+
+
+def claimed(model: SensorModel, given: Sequence[Term], findings: Sequence[Finding]) -> SensorModel:
+    """Return a fitted model without the terms that were tried and have no name in the end."""
+    slugs = {t.effect for t in given} | {f.effect for f in findings}
+    return replace(model, terms=tuple(t for t in model.terms if t.effect in slugs))
 
 
 def summarise(recording: Recording) -> dict[str, object]:

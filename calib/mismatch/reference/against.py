@@ -10,7 +10,7 @@ import numpy as np
 from calib import faults
 from calib.calibration import Quantity
 from calib.effects import effects, get_effect
-from calib.mismatch.findings.diagnosis import Diagnosis, Finding, summarise
+from calib.mismatch.findings.diagnosis import Diagnosis, Finding, claimed, summarise
 from calib.mismatch.findings.heldout import HeldOut, held_out
 from calib.mismatch.hypotheses.families import PHYSICAL, tried_effects
 from calib.mismatch.hypotheses.score import SCALES, SHARES
@@ -198,7 +198,7 @@ def conclude(
         | (dict.fromkeys(UNPLACED, NOWHERE) if problem.judged is not None else {}),
         changes=change,
         log_likelihood=likelihood,
-        model=model,
+        model=claimed(model, problem.given, findings),
         names=known,
         covariance=covariance,
         summary={

@@ -28,6 +28,8 @@ def test_what_differs_between_few_poses_has_no_name(poses: int) -> None:
     assert left.follows == "the pose: too few of them to tell by what"
     assert set(left.channels) <= {"gyro.x", "gyro.y", "gyro.z"}
     assert any(text.startswith("enough poses") for text in found.missing)
+    # Nor is what has no name a term of the model, which is applied.
+    assert {t.effect for t in found.model.terms} == {f.effect for f in found.findings}
 
 
 def test_enough_poses_tell_it() -> None:
