@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any
 from calib.effects.base import PRESENCE
 from imu_cli.report.units import people_unit, said
 from imu_cli.report.words import (
-    VERDICTS,
     alias_sentence,
     chance,
+    headline,
     likelihood,
-    moved_sentence,
+    moved_lines,
     notes,
     spans,
     where,
@@ -30,7 +30,7 @@ NUMBER = 7
 
 def diagnosis_lines(document: Mapping[str, Any]) -> Iterator[str | Table]:
     """Yield what a diagnosis document says (``imu-cal diagnose --json``), line by line."""
-    yield f"[bold]{VERDICTS[document['verdict']][0]}[/]"
+    yield f"[bold]{headline(document)}[/]"
     for number, finding in enumerate(document["findings"], 1):
         yield ""
         yield f"[bold]{number}. {finding['title']}[/] ({finding['effect']})"
@@ -47,9 +47,10 @@ def diagnosis_lines(document: Mapping[str, Any]) -> Iterator[str | Table]:
         if alias["alike"]:
             yield ""
             yield f"[bold]Cannot be known[/]: {alias_sentence(alias)}"
-    if moved := moved_sentence(document):
+    if moved := moved_lines(document):
         yield ""
-        yield moved
+        yield "[bold]Moved since the calibration[/]; calibrate again:"
+        yield from (f"   {line}" for line in moved)
     if document["findings"] or document["unexplained"]:
         yield ""
         yield _residuals(document["fit"]["residuals"])

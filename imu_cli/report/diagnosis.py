@@ -14,8 +14,9 @@ from imu_cli.report.words import (
     VERDICTS,
     alias_sentence,
     chance,
+    headline,
     likelihood,
-    moved_sentence,
+    moved_lines,
     notes,
     spans,
     where,
@@ -24,7 +25,7 @@ from imu_cli.report.words import (
 
 def diagnosis_report(document: Mapping[str, Any]) -> Report:
     """Return the report of a diagnosis document (``imu-cal diagnose --json``)."""
-    verdict, tone = VERDICTS[document["verdict"]]
+    verdict, tone = headline(document), VERDICTS[document["verdict"]][1]
     findings = document["findings"]
     if findings:
         verdict += " Found: " + ", ".join(f.get("title", f["effect"]) for f in findings) + "."
@@ -40,8 +41,8 @@ def diagnosis_report(document: Mapping[str, Any]) -> Report:
     for alias in document.get("aliases", ()):
         if alias["alike"]:
             blocks.append(Paragraph("What cannot be known", (alias_sentence(alias),)))
-    if moved := moved_sentence(document):
-        blocks.append(Paragraph("What the calibration has no more", (moved,)))
+    if moved := moved_lines(document):
+        blocks.append(Paragraph("What has moved since the calibration", tuple(moved)))
     said = notes(document)
     if said:
         blocks.append(Paragraph("What was done before", tuple(said)))

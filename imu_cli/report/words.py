@@ -17,6 +17,13 @@ VERDICTS = {
 """Sentence and tone of each verdict."""
 
 
+def headline(document: Mapping[str, Any]) -> str:
+    """Return the verdict as a sentence."""
+    if document["verdict"] == "consistent" and document.get("moved"):
+        return "Consistent with a calibration brought up to date: nothing else beyond noise."
+    return VERDICTS[document["verdict"]][0]
+
+
 def chance(p_value: float) -> str:
     """Write a p-value; below a millionth the noise model is not to be trusted to the digit."""
     return "< 1e-6" if p_value < 1e-6 else f"{p_value:.2g}"
@@ -52,15 +59,12 @@ def alias_sentence(alias: Mapping[str, Any]) -> str:
     )
 
 
-def moved_sentence(document: Mapping[str, Any]) -> str:
-    """Return what has moved since a calibration; nothing where it still holds."""
-    moved = [
+def moved_lines(document: Mapping[str, Any]) -> list[str]:
+    """Return what has moved since a calibration, a parameter each; nothing where it still holds."""
+    return [
         f"{item['parameter']} by {said(item['shift'], item['sigma'], item['unit'])}"
         for item in document.get("moved", ())
     ]
-    if not moved:
-        return ""
-    return f"Moved since the calibration: {', '.join(moved)}. Calibrate again."
 
 
 def notes(document: Mapping[str, Any]) -> list[str]:
