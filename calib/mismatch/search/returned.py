@@ -5,25 +5,21 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 import numpy as np
-from scipy.special import chdtri
 
 from calib.mismatch.search.estimate import Estimate
 from calib.mismatch.search.ranking import Accepted
+from calib.types import FloatArray
 
 STEP = "_bias_step"
 
 THERE = "bias in a window"
 
-CHANCE = 1e-3
-"""Probability that noise makes a bias that went back look as if it had not. Two steps that have
-nothing to do with each other cancel only by chance, the less often the better they are known."""
-
 
 def returned(fit: Estimate, accepted: Sequence[Accepted]) -> Mapping[int, tuple[float, float]]:
     """Return which accepted explanations are a step and its way back, with when they were there.
 
-    A bias that goes back to what it was, to within the standard error of the sum of both steps, did
-    not change: one disturbance in a window has been fitted by its two ends.
+    A bias that goes back to what it was did not change: one disturbance in a window has been fitted
+    by its two ends.
     """
     out: dict[int, tuple[float, float]] = {}
     steps = sorted(
@@ -41,12 +37,24 @@ def returned(fit: Estimate, accepted: Sequence[Accepted]) -> Mapping[int, tuple[
 
 
 def _cancel(fit: Estimate, accepted: Sequence[Accepted], i: int, j: int) -> bool:
-    """Whether two steps add up to what noise would leave of nothing."""
+    """Whether it is more likely that two steps add up to nothing than to some step of their size.
+
+    The sum of their fitted sizes has the covariance of its error alone if they cancel; else that of
+    two independent steps comes to it, as large as these are.
+    """
     names = sorted({*accepted[i].candidate.parameters, *accepted[j].candidate.parameters})
     total = np.zeros((len(names), len(fit.step)))
+    size = np.zeros(len(names))
     for n in (i, j):
         for k, name in enumerate(accepted[n].candidate.parameters):
-            total[names.index(name), fit.at[n] + k] = accepted[n].typical[k]
-    left = total @ fit.step
-    spread = total @ fit.covariance @ total.T
-    return float(left @ np.linalg.solve(spread, left)) < float(chdtri(len(names), CHANCE))
+            own = names.index(name)
+            total[own, fit.at[n] + k] = accepted[n].typical[k]
+            size[own] += (accepted[n].typical[k] * fit.step[fit.at[n] + k]) ** 2
+    left, spread = total @ fit.step, total @ fit.covariance @ total.T
+    return _log_density(left, spread) > _log_density(left, spread + np.diag(size))
+
+
+def _log_density(value: FloatArray, covariance: FloatArray) -> float:
+    """Return the logarithm of a normal density about zero, but for a constant."""
+    log_det = float(np.linalg.slogdet(covariance)[1])
+    return -0.5 * (float(value @ np.linalg.solve(covariance, value)) + log_det)

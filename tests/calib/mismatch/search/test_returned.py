@@ -57,3 +57,10 @@ def test_both_must_be_of_one_triad_and_all_of_its_axes_go_back() -> None:
 def test_a_step_has_one_way_back() -> None:
     steps = [_step("gyro_bias_step", "y", t) for t in (10.0, 20.0, 30.0)]
     assert set(returned(_fit([2.0, -2.0, 2.0], (0, 1, 2, 3)), steps)) == {0, 1}
+
+
+def test_two_weak_steps_of_unlike_size_are_steps() -> None:
+    """Their sum is three standard errors: noise reaches that, and two steps far more often."""
+    steps = [_step("gyro_bias_step", "y", t) for t in (10.0, 20.0)]
+    assert returned(_fit([0.18, -0.10], (0, 1, 2)), steps) == {}
+    assert set(returned(_fit([0.18, -0.16], (0, 1, 2)), steps)) == {0, 1}
