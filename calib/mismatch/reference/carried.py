@@ -10,8 +10,9 @@ makes what it reads is that of the other one, and::
 
 A bias of half a degree per second at 180 dps and 10 cm is 5 mm/s² that follows the rate; a scale
 factor error of 3 % there is an axis of the accelerometer that sits 3 mm off the others. Where an
-arm is short little of that shows, and all of it could be an arm of another length: what is known of
-such parts beforehand keeps it apart.
+arm is short little of that shows, and all of it could be an arm of another length: what the other
+one's own rests and turns tell of it, as those of any recording that is calibrated, and what is
+known of such parts beforehand, keep it apart.
 
 K is a lower triangle as the accelerometer's own matrix is: the frame in which they are compared is
 the one in which that is so. The axes of the gyroscope may lie anyhow in it.
@@ -19,7 +20,8 @@ the one in which that is so. The axes of the gyroscope may lie anyhow in it.
 References
 ----------
 .. [1] InvenSense, "MPU-6000 and MPU-6050 product specification", rev. 3.4, 2013, p. 12 and 13:
-   sensitivity of both triads to 3 %, across axes to 2 %, output at no rate to 20 dps.
+   sensitivity of both triads to 3 %, across axes to 2 %, output at no rate to 20 dps; a gyroscope
+   is linear to 0.2 % of its full scale, an accelerometer to 0.5 %.
 """
 
 from __future__ import annotations
@@ -28,7 +30,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from calib.calibrate import calibrate
 from calib.effects.base import Column, State, Term
+from calib.errors import ImuError
 from calib.mismatch.twin.twin import ACCEL_MISALIGNMENT
 from calib.model import SensorModel
 from calib.recording import AXES, Recording
@@ -68,8 +72,14 @@ UNSETTLED = 0.35
 SIZES = np.array([LIMITS.get(n.split(".")[1], 0.0) / np.sqrt(3.0) or ZERO_RATE for n in NAMES])
 """What the errors typically are: the standard deviation of what is anywhere within its limits."""
 
+LINEAR = {"gyro": 2e-3, "accel": 5e-3}
+"""By how much a gain at rest, or in slow turns, may differ from that in fast motion: a part is no
+more linear than that [1]_."""
+
 TRIANGLE = [(AXES.index(p[0]), AXES.index(p[-1])) for p in (*AXES, *ACCEL_MISALIGNMENT)]
 """Where each of the errors of the accelerometer is in K."""
+
+_LOWER = tuple(np.transpose(TRIANGLE))
 
 SEEN = 5e-3
 """m: an arm shorter than that carries less than anybody sees."""
@@ -87,12 +97,54 @@ def settled(other: Recording) -> Recording:
     return replace(other, gyro=other.gyro - np.median(poses.gyro, axis=0))
 
 
-def allowed(other: Recording) -> FloatArray:
-    """Return how far the errors (18,) of another IMU may be from none, once it is `settled`."""
-    loose = SIZES.copy()
+def known_errors(
+    other: Recording, mat_sr: FloatArray, *, gravity: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return the errors (18,) of another IMU, once it is `settled`, and how far they may be off.
+
+    Both follow from what a data sheet allows and, where it has poses and turns enough, from its own
+    calibration. They are those in the sensor's frame, to which ``mat_sr`` (3, 3) leads.
+    """
+    sizes = SIZES.copy()
     if not len(find_poses(other).start):
-        loose[:3] = UNSETTLED
-    return loose
+        sizes[:3] = UNSETTLED
+    try:
+        own = calibrate(other, gravity=gravity)
+    except ImuError:
+        return np.zeros(len(NAMES)), sizes
+    sigma = dict(zip(own.names, np.sqrt(np.diag(own.covariance)), strict=True))
+    gyro = np.eye(3) - np.linalg.inv(own.model.gyro.matrix)
+    accel = (own.model.accel.matrix - np.eye(3))[_LOWER]
+    means, variances = np.concatenate((gyro.ravel(), accel)), np.zeros(len(NAMES) - 3)
+    for i, name in enumerate(NAMES[3:]):
+        name = name.removeprefix("reference_")
+        beyond = LINEAR[name.partition(".")[0]]
+        share = 1.0
+        if name in sigma:
+            share = (sigma[name] ** 2 + beyond**2) / (
+                sigma[name] ** 2 + beyond**2 + sizes[3 + i] ** 2
+            )
+        means[i] *= 1.0 - share
+        variances[i] = share * sizes[3 + i] ** 2
+    errors = np.concatenate((np.zeros(3), _turned(means, mat_sr)))
+    sizes[3:] = np.sqrt(_turned(variances, np.square(mat_sr), squares=True))
+    return errors, sizes
+
+
+def _turned(values: FloatArray, mat: FloatArray, *, squares: bool = False) -> FloatArray:
+    """Return E and K (15,) in another frame, or their variances with squares of its rotation.
+
+    There K is a lower triangle again after a further small turn, ``I + K = (I + L) (I + A)``: the
+    frame that makes it so is turned by A, and the gyroscope's axes lie by A less off it.
+    """
+    k = np.zeros((3, 3))
+    k[_LOWER] = values[9:]
+    e, k = mat @ values[:9].reshape(3, 3) @ mat.T, mat @ k @ mat.T
+    upper = np.triu(k, 1)
+    turn = upper + upper.T if squares else upper - upper.T
+    lower = np.tril(k) + upper.T
+    e = e + turn if squares else e - turn
+    return np.concatenate((e.ravel(), lower[_LOWER]))
 
 
 def rough_arm(state: State, left: FloatArray) -> FloatArray:
@@ -158,7 +210,7 @@ def _without(state: State, errors: FloatArray) -> tuple[FloatArray, FloatArray]:
 def _matrix_of(errors: FloatArray) -> FloatArray:
     """Return K, (3, 3)."""
     matrix = np.zeros((3, 3))
-    matrix[tuple(np.transpose(TRIANGLE))] = errors[OF_GYRO:]
+    matrix[_LOWER] = errors[OF_GYRO:]
     return matrix
 
 

@@ -26,7 +26,6 @@ from calib.mismatch.reference.captured import Known, known_noise, sensor_densiti
 from calib.mismatch.reference.carried import (
     NAMES,
     SIZES,
-    allowed,
     arm_of,
     arm_term,
     carried,
@@ -120,6 +119,8 @@ class ComparisonProblem:
         rest. The differences keep it: it is white there.
     stuck : six sparse matrices, optional
         By how much rounding may be off, as `calib.mismatch.reference.floor.Heard` has it.
+    other : two (18,) arrays, optional
+        Of another IMU as the truth: its errors, and how far they may be off (`known_errors`).
     notes : mapping, optional
         What was done to the truth before, for the summary.
     """
@@ -141,6 +142,7 @@ class ComparisonProblem:
         band: float = 0.0,
         raw: Recording | None = None,
         stuck: tuple[sparse.csr_matrix, ...] = (),
+        other: tuple[FloatArray, FloatArray] | None = None,
         notes: Mapping[str, object] | None = None,
     ) -> None:
         self.notes = notes or {}
@@ -197,9 +199,9 @@ class ComparisonProblem:
         self.given = start.terms
         self.power_on = float(real.time[0])
         mat = np.eye(3) if mat_sr is None else mat_sr
-        self.gyroscopic = self.turned and truth.quat is None
-        own = allowed(truth.recording) if self.gyroscopic else np.zeros(0)
-        self.setup = Setup(start, alignment, mat, np.zeros(len(NAMES)))
+        self.gyroscopic = other is not None
+        errors, own = (np.zeros(len(NAMES)), np.zeros(0)) if other is None else other
+        self.setup = Setup(start, alignment, mat, errors)
         self.full_gyro = bool(start.gyro.misalignment.any())
         self.names = (*BASELINE, *GYRO_ANGLES) if self.full_gyro else BASELINE
         kinds = [n.split(".")[1] for n in (*self.names, *self.alignments)]

@@ -26,7 +26,7 @@ from calib.mismatch.reference.against import (
 from calib.mismatch.reference.alignment import Alignment, align
 from calib.mismatch.reference.alike import check_apart
 from calib.mismatch.reference.band import BEYOND, Matched, limited, low_passed, matched, smoothed
-from calib.mismatch.reference.carried import settled
+from calib.mismatch.reference.carried import known_errors, settled
 from calib.mismatch.reference.comparison import ComparisonProblem
 from calib.mismatch.reference.swaps import swapped
 from calib.mismatch.reference.truths import DEGREE, RecordingTruth
@@ -243,6 +243,7 @@ def compared(
 ) -> tuple[ComparisonProblem, tuple[str, ...], Recording | ReferenceMotion]:
     """Return what `compare_reference` does, and the reference as it was used."""
     notes: dict[str, object] = {}
+    other = None
     if isinstance(reference, Recording):
         known = look_at_samples(reference, find_poses(audible(reference)))
         if known.fatal:
@@ -254,6 +255,7 @@ def compared(
         reference = settled(reference)
         alignment = align(real.time, real.gyro, reference.time, reference.gyro)
         mat = mounting(real, RecordingTruth(reference, gravity), alignment)[0]
+        other = known_errors(reference, mat, gravity=gravity)
         truth = RecordingTruth(reference, gravity, known.spoilt)
         common = matched(real, truth, alignment, mat, spoilt=seen.spoilt)
     else:
@@ -270,6 +272,7 @@ def compared(
         band=common.band,
         raw=real if common.limited else None,
         stuck=common.stuck,
+        other=other,
         notes=notes,
     )
     skip = []

@@ -11,9 +11,9 @@ from calib.mismatch.reference.carried import (
     NAMES,
     SIZES,
     UNSETTLED,
-    allowed,
     arm_of,
     carried,
+    known_errors,
     rough_arm,
     settled,
     true_force,
@@ -21,6 +21,7 @@ from calib.mismatch.reference.carried import (
 from calib.mismatch.reference.comparison import ComparisonProblem
 from calib.mismatch.reference.truths import RecordingTruth
 from calib.model import SensorModel, Triad
+from calib.rotation import mat_from_rotvec
 from calib.simulate import simulate
 from calib.simulation.bench import bench_protocol
 from calib.simulation.noise import CONSUMER
@@ -102,10 +103,52 @@ def test_what_it_reads_at_rest_is_taken_off_and_open_where_it_never_rests():
     turn = np.flatnonzero(moving)[0]
     restless = other.slice(turn, turn + 30)
     assert settled(restless) is restless
-    np.testing.assert_array_equal(allowed(restless), [*[UNSETTLED] * 3, *SIZES[3:]])
+    errors, sizes = known_errors(restless, np.eye(3), gravity=9.80665)
+    np.testing.assert_array_equal(errors, 0.0)
+    np.testing.assert_array_equal(sizes, [*[UNSETTLED] * 3, *SIZES[3:]])
+    known = known_errors(settled(other), np.eye(3), gravity=9.80665)
     truth = RecordingTruth(settled(other), 9.80665)
     problem = ComparisonProblem(
-        real, truth, Alignment(0.0, 0.0, 1.0), gravity=9.80665, mat_sr=np.eye(3)
+        real, truth, Alignment(0.0, 0.0, 1.0), gravity=9.80665, mat_sr=np.eye(3), other=known
     )
     own = [n.startswith(("reference_gyro", "reference_accel")) for n in problem.aligned]
-    np.testing.assert_array_equal(problem.loose[len(problem.names) :][own], SIZES)
+    np.testing.assert_array_equal(problem.loose[len(problem.names) :][own], known[1])
+    np.testing.assert_array_equal(problem.setup.errors, known[0])
+
+
+def test_what_its_own_rests_and_turns_tell_of_another_imu():
+    rng = np.random.default_rng(5)
+    motion = bench_protocol(rng, poses=25, first_pose=2.0, pose_duration=(2.0, 3.0))
+    gyro, accel = rng.normal(0, 0.01, (3, 3)), np.tril(rng.normal(0, 0.01, (3, 3)))
+    sensor = SensorModel(
+        accel=Triad.from_matrix(np.eye(3) + accel, np.zeros(3)),
+        gyro=Triad.from_matrix(np.eye(3) + gyro, np.zeros(3)),
+    )
+    other = simulate(motion, sensor, CONSUMER, rng=rng, rate=100.0)
+    # The other one lies turned by (0.5, -1, 2) rad: what it reads, in the frame beside it.
+    mat = mat_from_rotvec(np.array([0.5, -1.0, 2.0]))
+    errors, sizes = known_errors(settled(other), mat, gravity=9.80665)
+    arm = mat @ ARM
+    true = state()
+    turned = replace(
+        true,
+        force=true.force @ mat.T,
+        rate=true.rate @ mat.T,
+        angular_acceleration=true.rate_dot @ mat.T,
+    )
+    measured = replace(
+        turned,
+        force=true.force @ (np.eye(3) + accel).T @ mat.T,
+        rate=true.rate @ (np.eye(3) + gyro).T @ mat.T,
+        angular_acceleration=true.rate_dot @ (np.eye(3) + gyro).T @ mat.T,
+    )
+    # The frame in which its accelerometer's matrix is a lower triangle is turned a little, too.
+    upper = np.triu(mat @ accel @ mat.T, 1)
+    arm_there = arm + (upper - upper.T) @ arm
+    felt = true_force(measured, arm_there, errors) + measured.gradient @ arm_there
+    expected = measured.force + (turned.gradient @ arm) @ (mat @ (np.eye(3) + accel) @ mat.T).T
+    without = measured.force + measured.gradient @ arm
+    size = np.linalg.norm(turned.gradient @ arm)
+    assert np.linalg.norm(without - expected) > 0.01 * size
+    assert np.linalg.norm(felt - expected) < 0.003 * size
+    assert (sizes[3:] < 0.6 * SIZES[3:]).all()
