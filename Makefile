@@ -43,6 +43,7 @@ $(STAMP): pyproject.toml .ci/constraints.txt
 	  { echo "imu-cal needs Python 3.11 or newer; set PYTHON=/path/to/python3.11"; exit 1; }
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --quiet -c .ci/constraints.txt -e '.[all,docs,dev]'
+	$(BIN)/python -m compileall -q calib drivers imu_cli
 	@touch $@
 
 clean:

@@ -7,7 +7,6 @@ turn gravity does not show (about the vertical) changes their sizes, not when th
 from __future__ import annotations
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
 
 from calib.recording import Recording
 from calib.types import FloatArray
@@ -60,6 +59,15 @@ def gyro_delay(recording: Recording) -> float | None:
     return delay
 
 
+def _averaged(values: FloatArray, width: int) -> FloatArray:
+    """Return means (n, k) of as many neighbours, mirrored at the ends."""
+    before = width // 2
+    padded = np.pad(values, ((before + 1, width - 1 - before), (0, 0)), "symmetric")
+    padded[0] = 0.0
+    total = np.cumsum(padded, axis=0)
+    return np.asarray((total[width:] - total[:-width]) / width)
+
+
 def _speeds(recording: Recording) -> tuple[FloatArray, FloatArray]:
     """Return how fast the sensor turns by either of its triads, at even times."""
     start = recording.time[0]
@@ -68,7 +76,7 @@ def _speeds(recording: Recording) -> tuple[FloatArray, FloatArray]:
 
     def even(values: FloatArray) -> FloatArray:
         columns = [np.interp(at, recording.time, column) for column in values.T]
-        return np.asarray(uniform_filter1d(np.stack(columns, axis=1), width, axis=0))
+        return _averaged(np.stack(columns, axis=1), width)
 
     rate: FloatArray = np.linalg.norm(
         even(recording.gyro - np.median(recording.gyro, axis=0)), axis=1

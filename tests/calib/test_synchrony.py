@@ -5,6 +5,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from scipy.ndimage import uniform_filter1d
 
 from calib import calibrate
 from calib.errors import NoCommonMotionError
@@ -14,7 +15,7 @@ from calib.recording import Recording
 from calib.simulate import simulate
 from calib.simulation.library import MOTIONS, make_motion
 from calib.simulation.noise import CONSUMER
-from calib.synchrony import LEAST, gyro_delay
+from calib.synchrony import LEAST, _averaged, gyro_delay
 
 GRAVITY = 9.80665
 
@@ -70,3 +71,10 @@ def test_a_late_gyroscope_is_named_and_not_calibrated(delay: float) -> None:
     said = "late" if delay > 0 else "early"
     with pytest.raises(NoCommonMotionError, match=rf"{abs(delay):.0f}\.\d\d s {said}|s {said}"):
         calibrate.calibrate(late, gravity=GRAVITY)
+
+
+@pytest.mark.parametrize("width", [1, 2, 5, 8])
+def test_neighbours_are_averaged_and_mirrored_at_the_ends(width):
+    values = np.random.default_rng(2).normal(size=(40, 3))
+    expected = uniform_filter1d(values, width, axis=0)
+    np.testing.assert_allclose(_averaged(values, width), expected, atol=1e-14)
