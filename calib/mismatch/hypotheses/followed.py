@@ -129,10 +129,12 @@ def own_rate(state: State, c: int) -> FloatArray:
 def other_rates(state: State, c: int) -> FloatArray:
     """Return what a channel may see of the rates about the other axes, (n, k).
 
-    What a gyroscope sees of them in proportion is its misalignment: even functions are left.
+    What a gyroscope sees of them in proportion is its misalignment: even functions are left. Of an
+    accelerometer's it is their squares, which are a force on it somewhere.
     """
     other = np.delete(scaled_rates(state), c % 3, axis=1)
-    return other if c < 3 else np.hstack((np.abs(other), other**2, np.abs(other) ** 3))
+    size = np.abs(other)
+    return np.hstack((other, size) if c < 3 else (size, size**2, size**3))
 
 
 def scaled_rates(state: State) -> FloatArray:

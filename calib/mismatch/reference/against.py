@@ -168,7 +168,8 @@ def conclude(
     fit = outcome.fit(reference=True)
     findings, unexplained, (known, covariance) = explain(outcome, fit, names=problem.names)
     found = _setups(outcome, fit, problem, setups)
-    findings = [f for f in findings if not any(_the_same(f, item) for item in seen.findings)]
+    begin = outcome.rows.interval[:, 0]
+    findings = [f for f in findings if not any(_the_same(f, g, begin) for g in seen.findings)]
     findings = [*seen.findings, *found, *findings]
     unexplained = [*seen.unexplained, *unexplained]
     slugs = {f.effect for f in findings}
@@ -242,12 +243,19 @@ def _in_samples(outcome: Outcome, model: SensorModel, thin: int) -> tuple[Outcom
     return replace(outcome, accepted=accepted), replace(model, terms=terms)
 
 
-def _the_same(finding: Finding, seen: Finding) -> bool:
-    """Whether the samples themselves show an event, at a moment that is exact there."""
+def _the_same(finding: Finding, seen: Finding, begin: FloatArray) -> bool:
+    """Whether the samples themselves show an event, at a moment that is exact there.
+
+    By rows it is at the same one within its error; or, as in a rest nothing but its ends tells when
+    it was, in the same rest or turn, or in the next one. They ``begin`` at these times, (s,).
+    """
     if finding.effect != seen.effect or "moment" not in finding.parameters:
         return False
-    own = finding.parameters["moment"]
-    return abs(own.value - seen.parameters["moment"].value) <= 3.0 * (own.sigma or 0.0)
+    own, exact = finding.parameters["moment"], seen.parameters["moment"]
+    if abs(own.value - exact.value) <= 3.0 * (own.sigma or 0.0):
+        return True
+    first, second = np.searchsorted(begin, [own.value, exact.value], side="right")
+    return bool(abs(first - second) <= 1)
 
 
 def _unplaced(problem: ComparisonProblem, poses: list[str]) -> tuple[str, ...]:

@@ -33,6 +33,9 @@ parameter more would fit. A delay times half a metre of arm is beyond in the fir
 misalignment of a tenth."""
 
 
+PLACED = 0.5
+"""Log-likelihood that another moment must gain: less is no parameter's worth."""
+
 SAME = 1e-3
 """Change of columns, relative to them, that is none: of an effect of 100 standard errors it leaves
 the tenth part of one."""
@@ -91,7 +94,69 @@ def refit(
         # What a shape that was not yet right had left is noise no more.
         levels = estimate_levels(rows, fitted(rows, accepted)[: rows.n_dense], levels).values
     rows, accepted, steps, off = _stepped(problem, rows, accepted, levels, contrast)
+    for _ in range(REFINED if rough else 0):
+        placed, levels = _placed_anew(problem, rows, accepted, levels, contrast)
+        if placed is None:
+            break
+        accepted = [*accepted[:-1], placed]
+        rows = put_back(problem, rows, accepted)
+        accepted = [_renew(a, rows, reference=problem.reference) for a in accepted]
+        rows, accepted, steps, off = _stepped(problem, rows, accepted, levels, contrast)
     return Refit(rows, accepted, levels, straight=steps == 1 and off < BENT)
+
+
+def _placed_anew(
+    problem: Problem,
+    rows: Rows,
+    accepted: list[Accepted],
+    levels: FloatArray,
+    contrast: FloatArray,
+) -> tuple[Accepted | None, FloatArray]:
+    """Return the last finding at a better moment, if there is one, and the levels beside it.
+
+    What is late by a sample is not so in proportion, if a hand trembles: what the line leaves in
+    all later turns hides in which sample it began, until the model has taken it up as it is. Nor
+    does the line tell where a turn sets in whether that was late. In a rest all moments are alike:
+    one beside it is as probable as it is longer than a sample.
+    """
+    last = accepted[-1]
+    if not last.in_model or "moment" not in last.candidate.shape:
+        return None, levels
+    effect = get_effect(last.candidate.name)
+    if not isinstance(effect, TransformEffect):
+        return None, levels
+    mean = fitted(rows, accepted)
+    levels = estimate_levels(rows, mean[: rows.n_dense], levels).values
+    whitener = make_whitener(rows, levels, contrast, mean)
+    y, size = whitener.project(rows.residual), last.values / last.typical
+
+    def at(shape: dict[str, float]) -> Accepted:
+        return replace(last, candidate=replace(last.candidate, shape=shape))
+
+    best, value = None, PLACED
+    for shape in neighbours(effect, rows, last.candidate.shape):
+        there = candidate_columns(rows, last.candidate, shape, reference=problem.reference)
+        if there is None:
+            continue
+        moved = whitener.project((there - last.columns) @ size)
+        gain = likelihood_gain(moved[:, None], y, present=True)
+        if gain > value:
+            best, value = at(shape), gain
+    own = (best or last).candidate.shape
+    k = max(int(np.searchsorted(rows.interval[:, 0], own["moment"], side="right")) - 1, 0)
+    sample = float(np.median(np.diff(rows.state.time)))
+    beside = rows.interval[max(k - 1, 0) : k + 2]
+    if np.abs(beside.mean(axis=1) - own["moment"]).min() < 0.5 * sample:
+        beside = beside[:0]  # it is in the middle of one
+    for start, stop in beside.tolist():
+        tried = at({**own, "moment": 0.5 * (start + stop)})
+        left = whitener.project(put_back(problem, rows, [*accepted[:-1], tried]).residual)
+        gain = 0.5 * float(y @ y - left @ left) + float(np.log((stop - start) / sample))
+        if gain > value:
+            best, value = tried, gain
+    if best is None:
+        put_back(problem, rows, accepted)
+    return best, levels
 
 
 def _stepped(
