@@ -80,6 +80,7 @@ def smooth(state: State) -> Iterator[tuple[str, FloatArray]]:
     yield "speed of rotation", np.stack((speed, speed**2, speed**3, np.sqrt(speed)), axis=1)
     both = state.gravity_direction[:, :, None] * scaled_rates(state)[:, None]
     yield "rate and direction of gravity", both.reshape(-1, 9)
+    yield "rate and direction of gravity", state.gravity_direction * speed[:, None]
 
 
 def history(rows: Rows) -> Iterator[tuple[str, FloatArray]]:
@@ -129,12 +130,24 @@ def own_rate(state: State, c: int) -> FloatArray:
 def other_rates(state: State, c: int) -> FloatArray:
     """Return what a channel may see of the rates about the other axes, (n, k).
 
-    What a gyroscope sees of them in proportion is its misalignment: even functions are left. Of an
-    accelerometer's it is their squares, which are a force on it somewhere.
+    What a gyroscope sees of them in proportion is its misalignment, and of two of them their
+    product is one of rates. Of an accelerometer's it is squares, which are a force on it somewhere.
     """
     other = np.delete(scaled_rates(state), c % 3, axis=1)
     size = np.abs(other)
-    return np.hstack((other, size) if c < 3 else (size, size**2, size**3))
+    if c < 3:
+        return np.hstack((other, size, other[:, :1] * other[:, 1:]))
+    return np.hstack((size, size**2, size**3, other * size))
+
+
+def paired_rates(state: State, c: int) -> FloatArray:
+    """Return what a channel may see of its own rate and another's together, (n, 4).
+
+    But for their product, which has names.
+    """
+    rates = scaled_rates(state)
+    own, other = rates[:, [c % 3]], np.delete(rates, c % 3, axis=1)
+    return np.hstack((own * np.abs(other), np.abs(own) * other))
 
 
 def scaled_rates(state: State) -> FloatArray:

@@ -23,6 +23,7 @@ from calib.mismatch.hypotheses.followed import (
     history,
     other_rates,
     own_rate,
+    paired_rates,
     ripples,
     smooth,
     wave,
@@ -141,7 +142,8 @@ def _add_columns(stack: Stack, rows: Rows, slots: Slots) -> tuple[tuple[_Place, 
             *((n, rows.columns(c, values)) for n, values in followed),
             ("its own rate", rows.columns(c, own_rate(state, c))),
         ]
-        parts.append(("rate about the other axes", rows.columns(c, other_rates(state, c))))
+        for basis in (other_rates, paired_rates):
+            parts.append(("rate about the other axes", rows.columns(c, basis(state, c))))
         places = []
         for label, columns in parts:
             index = stack.columns.add(size * columns, _touched(rows, c))

@@ -252,7 +252,8 @@ def _the_same(finding: Finding, seen: Finding, begin: FloatArray) -> bool:
     if finding.effect != seen.effect or "moment" not in finding.parameters:
         return False
     own, exact = finding.parameters["moment"], seen.parameters["moment"]
-    if abs(own.value - exact.value) <= 3.0 * (own.sigma or 0.0):
+    # What is anywhere in a rest is at most the square root of 12 of its standard errors off.
+    if abs(own.value - exact.value) <= np.sqrt(12.0) * (own.sigma or 0.0):
         return True
     first, second = np.searchsorted(begin, [own.value, exact.value], side="right")
     return bool(abs(first - second) <= 1)

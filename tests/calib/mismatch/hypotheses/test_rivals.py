@@ -198,12 +198,25 @@ def swing(real: Recording) -> FloatArray:
     return np.asarray(np.sin(2 * np.pi * real.time / 17.0))
 
 
+def rate(real: Recording, axis: int) -> FloatArray:
+    """Return the true rate about an axis."""
+    return np.asarray(motion_of(real).rate[:, axis])
+
+
 LASTING: list[tuple[str, str, Callable[[Recording], FloatArray]]] = [
     ("wave throughout", "gyro.x", lambda r: 6e-4 * swing(r)),
     ("the pose before", "accel.y", lambda r: 0.02 * before(r)[:, 0]),
     ("the pose before", "accel.z", lambda r: 0.03 * creeping(r)),
-    ("rate about the other axes", "accel.x", lambda r: 0.02 * motion_of(r).rate[:, 2]),
-    ("rate about the other axes", "gyro.x", lambda r: 3e-3 * (abs(motion_of(r).rate[:, 2]) > 1)),
+    ("rate about the other axes", "accel.x", lambda r: 0.02 * rate(r, 2)),
+    ("rate about the other axes", "gyro.x", lambda r: 3e-3 * (abs(rate(r, 2)) > 1)),
+    ("rate about the other axes", "accel.x", lambda r: 0.02 * abs(rate(r, 2))),
+    ("rate about the other axes", "accel.y", lambda r: 0.02 * rate(r, 0) * rate(r, 2)),
+    ("rate about the other axes", "gyro.x", lambda r: 1e-3 * abs(rate(r, 0)) * rate(r, 1)),
+    (
+        "rate and direction of gravity",
+        "accel.z",
+        lambda r: 2e-3 * motion_of(r).force[:, 2] * np.linalg.norm(motion_of(r).rate, axis=1),
+    ),
     (
         "rate and direction of gravity",
         "gyro.y",
