@@ -19,6 +19,7 @@ from calib.types import FloatArray
 
 GRAVITY = 9.80665
 TURNING = 100.0
+BURSTS = ["in bursts of 4", "in bursts of 10", "in bursts of 30"]
 
 
 def bench(rate: float = 100.0, *, time=None, poses: int = 10) -> Recording:
@@ -42,14 +43,15 @@ def stamps(kind: str, time: np.ndarray, rng: np.random.Generator) -> np.ndarray:
         # Whether a computer catches up, or has lost what came, is seen in what follows.
         late[: -round(0.5 / interval)][rng.random(n - round(0.5 / interval)) < 3e-4] += 0.15
         return np.maximum.accumulate(time + late) + 1e-9 * np.arange(n)
-    if kind == "in bursts":
-        last = np.minimum(np.arange(n) // 4 * 4 + 3, n - 1)
-        return time[last] + 1e-5 * (np.arange(n) % 4)
+    if kind.startswith("in bursts of"):
+        size = int(kind.split()[-1])
+        last = np.minimum(np.arange(n) // size * size + size - 1, n - 1)
+        return time[last] + 1e-5 * (np.arange(n) % size)
     assert kind == "drifting"
     return time * (1 + 3e-5) + 2e-3 * np.sin(time / 30) + rng.normal(0, 3e-4, n)
 
 
-@pytest.mark.parametrize("kind", ["jitter", "rounded", "held up", "in bursts", "drifting"])
+@pytest.mark.parametrize("kind", ["jitter", "rounded", "held up", *BURSTS, "drifting"])
 @pytest.mark.parametrize("rate", [64.0, 104.0, 416.0])
 def test_even_times_come_back(kind: str, rate: float) -> None:
     true = bench(rate)
