@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import gc
 import os
 import sys
 from pathlib import Path
@@ -18,6 +19,9 @@ Exit codes: 0 done · 1 a bug in imu-cal · 2 wrong usage · 3 recording refused
 possible · 5 partial calibration · 6 a check said no (verify, --strict, FAIL) · 7 device ·
 8 flash failed, old values restored · 9 flash failed, device state changed · 10 calibration file
 refused · 11 a run of the line ended in ERROR · 130 interrupted"""
+
+GARBAGE = 100_000
+"""Objects between two searches for cycles of garbage: looking at all of them takes time."""
 
 
 class LazyGroup(TyperGroup):
@@ -113,6 +117,8 @@ def main() -> NoReturn:
     """Run the command line."""
     # Our matrices are small: threads would cost more than they bring. Numpy is not loaded yet.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    # A diagnosis makes tens of thousands of candidates, and no cycle among them is ever left.
+    gc.set_threshold(GARBAGE)
     try:
         app()
     except KeyboardInterrupt:
