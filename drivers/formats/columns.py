@@ -144,9 +144,14 @@ def assembler_of(schema: pa.Schema, *, name: str, drop_invalid: bool) -> Assembl
 def column_values(table: Any, column: str) -> FloatArray:
     """Return one column of a table or batch as float64; nulls are NaN."""
     values = table.column(column)
-    if values.type != pa.float64():
+    if not _converts(values.type):
         values = values.cast(pa.float64(), safe=False)
     return np.asarray(values.to_numpy(zero_copy_only=False), np.float64)
+
+
+def _converts(kind: Any) -> bool:
+    """Whether Numpy takes values as they are: a cast loads all that Arrow can compute."""
+    return bool(pa.types.is_integer(kind) or pa.types.is_floating(kind))
 
 
 def stack_columns(table: Any, names: tuple[str, ...]) -> FloatArray:
@@ -156,7 +161,7 @@ def stack_columns(table: Any, names: tuple[str, ...]) -> FloatArray:
         values = table.column(name)
         at = 0
         for chunk in values.chunks if hasattr(values, "chunks") else (values,):
-            if chunk.type != pa.float64():
+            if not _converts(chunk.type):
                 chunk = chunk.cast(pa.float64(), safe=False)
             out[at : at + len(chunk), k] = chunk.to_numpy(zero_copy_only=False)
             at += len(chunk)
