@@ -18,6 +18,9 @@ T = TypeVar("T", bound=Hashable)
 GAIN = "gain in a window"
 """What multiplies a signal has columns of its own: all else in windows is the same on each part."""
 
+GAIN_IN_TIME = "gain in time"
+"""The same for a gain that changes for good, or is another one in each segment."""
+
 MANY = 256
 """Candidates that are mixed at a time: what they make of columns stays near the processor."""
 
@@ -175,7 +178,7 @@ def _makes(
     joint: dict[tuple[int, bool], dict[tuple[int, ...], list[int]]] = {}
     for i, c in enumerate(candidates):
         if c.summed or c.mixing is not None:
-            same = joint.setdefault((int(channel[i]), c.name == GAIN), {})
+            same = joint.setdefault((int(channel[i]), c.name in (GAIN, GAIN_IN_TIME)), {})
             size = () if c.mixing is None else c.mixing.shape
             same.setdefault((int(group[i]), *size), []).append(i)
         else:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from calib.effects import effects
-from calib.mismatch.hypotheses.candidates import GAIN, Bank, Candidate
+from calib.mismatch.hypotheses.candidates import GAIN, GAIN_IN_TIME, Bank, Candidate
 from calib.mismatch.hypotheses.followed import (
     OWN_RIPPLES,
     RIPPLES,
@@ -39,6 +39,7 @@ from calib.mismatch.hypotheses.windows import (
     TURNED,
     Local,
     Slots,
+    gains_in_time,
     in_segments,
     in_windows,
     is_step,
@@ -58,7 +59,8 @@ FROM_START = "fading from the start"
 
 _KINDS = {
     "bias in a window": 0.15,
-    GAIN: 0.10,
+    GAIN: 0.08,
+    GAIN_IN_TIME: 0.02,
     "fluctuation in a window": 0.16,
     "wave in a window": 0.12,
     THROUGHOUT: 0.03,
@@ -178,6 +180,7 @@ def _sorted(
         if item.name in _OF_TRIADS and item.window[1] - item.window[0] >= FLUCTUATION
         if item.shape != APART
     ]
+    gains = list(gains_in_time(times))
     waves = [] if THROUGHOUT in skip else list(throughout(times, slots[0]))
     found: list[_Draft] = []
     for k, triad in enumerate((CHANNELS[:3], CHANNELS[3:])):
@@ -190,6 +193,7 @@ def _sorted(
         places = layout[3 * k : 3 * k + 3]
         for channel, mine in zip(triad, places, strict=True):
             found += _drafts((channel,), (mine,), slots[1], own)
+            found += _gains(channel, mine, gains)
             found += _smooth_drafts(channel, mine)
             found += _waves(channel, mine, waves)
         found += _drafts(triad, places, slots[1], alike)
@@ -258,6 +262,22 @@ def _smooth_drafts(channel: str, places: tuple[_Place, ...]) -> Iterator[_Draft]
         if name == "direction of gravity":
             # Harmonics come in the order of their degree: 3 + 6 of degrees 1 and 2.
             yield "quadratic", name, (channel,), np.arange(start, start + 9), {}
+
+
+def _gains(
+    channel: str, places: tuple[_Place, ...], gains: list[tuple[str, Local]]
+) -> Iterator[_Draft]:
+    """Yield how a channel's gain may change in a whole recording."""
+    begin = next(start for name, start, _ in places if name == "segments")
+    for part, item in gains:
+        a, b = item.window
+        about = {
+            "summed": item.mixing is None,
+            "interval": item.interval,
+            "shape": item.shape,
+            "mixing": item.mixing,
+        }
+        yield part, item.name, (channel,), np.arange(begin + a, begin + b), about
 
 
 def _waves(

@@ -13,7 +13,7 @@ from scipy import sparse
 
 from calib.effects import effects
 from calib.effects.base import State
-from calib.mismatch.hypotheses.candidates import GAIN, Candidate
+from calib.mismatch.hypotheses.candidates import GAIN, GAIN_IN_TIME, Candidate
 from calib.mismatch.rows.rows import Rows
 from calib.recording import CHANNELS
 from calib.types import FloatArray, IntArray
@@ -38,6 +38,9 @@ RAMP = {"ramp": 1.0}
 
 THROUGHOUT = "wave throughout"
 """A rival that is a wave in time, from the first segment to the last."""
+
+EARLIEST = 0.25
+"""Share of the recording before the first moment at which a gain changes for good."""
 
 FLUCTUATION = 4
 """Segments in a window of fluctuation, fewest."""
@@ -300,6 +303,24 @@ def throughout(
     for cycles in np.arange(1.0, len(interval) / SHORTEST_WAVE + 0.25, 0.5):
         shape = {"period": (stop - start) / cycles}
         yield shape, function_of_time(shape, middle, start, stop)
+
+
+def gains_in_time(interval: FloatArray) -> Iterator[tuple[str, Local]]:
+    """Yield how a gain may change in a recording of (s, 2) segments, and what part that is of.
+
+    For good from a moment on, at once or at a steady pace: a crack, or a reference that ages. Or
+    every segment makes it anew: a loose part. A gain that follows temperature has a name.
+    """
+    middle, n = interval.mean(axis=1), len(interval)
+    begin, end = float(interval[0, 0]), float(interval[-1, 1])
+    for k in range(max(int(EARLIEST * n), 1), n):
+        start = float(interval[k, 0])
+        place = (k, n), (start, end)
+        yield "at once", Local(GAIN_IN_TIME, *place, {}, None)
+        if n - k >= FLUCTUATION:
+            pace = (middle[k:, None] - start) / (end - begin)
+            yield "at a pace", Local(GAIN_IN_TIME, *place, dict(RAMP), pace)
+    yield "apart", Local(GAIN_IN_TIME, (0, n), (begin, end), dict(APART), np.eye(n))
 
 
 def own_signal(state: State, c: int) -> FloatArray:

@@ -10,7 +10,7 @@ import pytest
 from calib.effects import get_effect
 from calib.effects.base import State, Term
 from calib.mismatch import diagnose_recording
-from calib.mismatch.hypotheses.candidates import Candidate
+from calib.mismatch.hypotheses.candidates import GAIN_IN_TIME, Candidate
 from calib.mismatch.hypotheses.rivals import FADED, FADING, FROM_START, RIVAL
 from calib.mismatch.hypotheses.score import Stack
 from calib.mismatch.hypotheses.windows import (
@@ -268,6 +268,32 @@ def test_a_gain_that_grows_in_a_window_and_snaps_back_is_unexplained_there():
     (left,) = found.unexplained
     assert (left.follows, left.channels) == ("gain in a window", ("accel.y",))
     assert overlap(left.intervals[0], (start, stop)) > 0.6
+
+
+def test_a_gain_that_every_turn_makes_anew_is_unexplained_throughout():
+    real = recording(seed=8)
+    turn = np.searchsorted(find_poses(real).stop, np.arange(len(real)))
+    gain = 3e-3 * np.random.default_rng(2).normal(size=turn[-1] + 1)[turn]
+    odd = with_added(real, {"gyro.y": gain * rate(real, 1)})
+    found = diagnose_recording(odd, gravity=GRAVITY)
+    assert not found.findings
+    (left,) = found.unexplained
+    assert (left.follows, left.channels) == (GAIN_IN_TIME, ("gyro.y",))
+    assert overlap(left.intervals[0], (0.0, real.time[-1])) > 0.95
+
+
+@pytest.mark.parametrize(("since", "form"), [(0.4, np.ones_like), (0.55, lambda share: share)])
+def test_a_gain_that_changes_for_good_is_unexplained_from_then_on(since, form):
+    real = recording(seed=8)
+    begin = since * real.time[-1]
+    changed = form((real.time - begin) / (real.time[-1] - begin)) * (real.time > begin)
+    force = motion_of(real).force[:, 1]
+    odd = with_added(real, {"accel.y": 4e-3 * changed * force})
+    found = diagnose_recording(odd, gravity=GRAVITY)
+    assert not found.findings
+    (left,) = found.unexplained
+    assert (left.follows, left.channels) == (GAIN_IN_TIME, ("accel.y",))
+    assert overlap(left.intervals[0], (begin, real.time[-1])) > 0.7
 
 
 def test_one_lost_sample_is_found_at_its_moment_in_the_turn():
