@@ -70,7 +70,7 @@ def place_window(rows: Rows, candidate: Candidate, whitener: Whitener, y: FloatA
     """Return a candidate for the window that overlaps most, on average over what is probable.
 
     It is of the kind that is most probable there. No window is longer than half of the recording:
-    the others are the rule there, and not it.
+    the others are the rule there, and not it. But a gain may have changed for good.
     """
     if candidate.name == TURNED:
         return _place_turned(rows, candidate, whitener, y)
@@ -82,10 +82,10 @@ def place_window(rows: Rows, candidate: Candidate, whitener: Whitener, y: FloatA
     alike = Counter(c.name for c in kinds)
     summed = [_sums(rows, c, whitener, y, longest) - np.log(alike[c.name]) for c in kinds]
     wander = _wanders(rows, candidate, whitener, y, longest)
-    first, last = np.nonzero(np.isfinite(wander))
+    first, last = np.nonzero(np.isfinite([*summed, wander]).any(axis=0))
     value = np.stack([*summed, wander])[:, first, last]
-    # Every length, by its logarithm, is as likely as any other, and so is every place.
-    prior = -np.log(last - first) - np.log(number + 1.0 - (last - first))
+    may_stay = [*map(_may_stay, kinds), False]
+    prior = np.stack([_of_place(first, last, number, stays=stays) for stays in may_stay])
     of_kind = softmax(logsumexp(value + prior, axis=1))
     weight = of_kind @ softmax(HEAVY * value + prior, axis=1)
     probable = weight > UNLIKELY * weight.max()
@@ -116,14 +116,36 @@ def _sums(
     """Return log B in each window [a, b) of what is a sum over the segments in it."""
     parts = segment_columns(rows, candidate)
     number = parts.shape[1]
-    # Open at one end a bias in a window would be a step, which has a name.
-    low = 1 if candidate.name == "bias in a window" else 0
     first, last = np.triu_indices(number + 1, 1)
-    some = (last - first <= longest) & (first >= low) & (last <= number - low)
+    some = (last - first <= longest) & (first > 0) & (last < number)
+    if _may_stay(candidate):
+        # Open at one end a bias in a window would be a step, which has a name. Another gain until a
+        # moment is, beside the scale factor, another one from then on.
+        some |= (first > 0) & (last == number)
+    elif candidate.name != "bias in a window":
+        some = last - first <= longest
     first, last = first[some], last[some]
     out = np.full((number + 1, number + 1), -np.inf)
     out[first, last] = _of_windows(parts, whitener, y, first, last)
     return out
+
+
+def _of_place(first: IntArray, last: IntArray, number: int, *, stays: bool) -> FloatArray:
+    """Return the logarithm of how probable windows [first, last) of so many segments are.
+
+    Every length, by its logarithm, is as likely as any other, and so is every place. What
+    ``stays``, from any moment on, is as probable as all windows that end.
+    """
+    prior = -np.log(last - first) - np.log(number + 1.0 - (last - first))
+    open_ = last == number
+    if stays and open_.any() and not open_.all():
+        prior[open_] = logsumexp(prior[~open_]) - np.log(open_.sum())
+    return np.asarray(prior)
+
+
+def _may_stay(candidate: Candidate) -> bool:
+    """Whether it may have begun at a moment and not ended: a bias that did is a step by name."""
+    return candidate.name == GAIN and not candidate.shape
 
 
 def _of_windows(
@@ -155,13 +177,7 @@ def _place_turned(rows: Rows, candidate: Candidate, whitener: Whitener, y: Float
     some = (first > 0) & (stays | ((last - first <= number // 2) & (not candidate.shape)))
     first, last, stays = first[some], last[some], stays[some]
     value = _of_windows(parts, whitener, y, first, last)
-    # What stays turned, at any moment, is as probable as all windows; of these every length is, by
-    # its logarithm, and every place.
-    prior = np.where(stays, 0.0, -np.log(last - first) - np.log(number + 1.0 - (last - first)))
-    prior -= np.where(
-        stays, np.log(stays.sum()), logsumexp(prior[~stays]) if not stays.all() else 0.0
-    )
-    weight = softmax(value + prior)
+    weight = softmax(value + _of_place(first, last, number, stays=True))
     probable = weight > UNLIKELY * weight.max()
     where = expected_overlap(edges[first[probable]], edges[last[probable]], weight[probable])
     return moved_window(candidate, *where)

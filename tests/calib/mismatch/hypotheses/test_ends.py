@@ -131,6 +131,29 @@ def test_a_short_bias_keeps_its_window():
     assert np.mean(overlaps) > 0.8
 
 
+def test_a_gain_that_changed_for_good_is_placed_from_then_on():
+    """Beside the scale factor another gain before is the same, and its window is no place."""
+    _, made = problem()
+    rows = made.rows()
+    stack = make_stack(rows, skip=(), reference=False)
+    number = len(rows.interval)
+    whitener = make_whitener(rows, expected_levels(rows), rows.white_diagonal, fitted(rows, []))
+    own = [c for c in stack.candidates if c.name == "gain in a window"]
+    found = next(c for c in own if c.channels == ("accel.y",) and not c.shape)
+    overlaps = []
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        first = int(rng.integers(number // 4, number // 2))
+        true = whitener.project(segment_columns(rows, found)[:, first:, 0].sum(axis=1))
+        noise = rng.normal(size=len(true))
+        noise -= whitener.basis @ (whitener.basis.T @ noise)
+        placed = place_window(rows, found, whitener, 12.0 * true / np.linalg.norm(true) + noise)
+        assert placed.interval is not None
+        truth = float(rows.interval[first, 0]), float(rows.interval[-1, 1])
+        overlaps.append(overlap(placed.interval, truth))
+    assert np.median(overlaps) > 0.8
+
+
 def test_a_wave_throughout_gets_its_period_between_those_of_the_grid():
     _, made = problem()
     rows = made.rows()
