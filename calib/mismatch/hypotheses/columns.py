@@ -23,6 +23,14 @@ PART = 256
 """Columns that are worked on at a time: whitening needs copies."""
 
 
+def run(index: IntArray) -> IntArray | slice:
+    """Return numbers as a slice where they follow one another: taking that copies nothing."""
+    first, last = int(index[0]), int(index[-1])
+    if last - first + 1 == len(index) and (np.diff(index) == 1).all():
+        return slice(first, last + 1)
+    return index
+
+
 class Columns:
     """Columns of m rows, in the order of their coming."""
 
@@ -76,11 +84,11 @@ class Columns:
             whole = self._whole(k)
             mine = np.flatnonzero(support == k)
             slot[mine] = np.arange(len(mine))
-            white[k] = np.empty((len(mine), len(rows))).T
+            white[k] = np.empty((len(rows), len(mine)))
             for first in range(0, len(mine), PART):
                 part = slice(first, first + PART)
                 own = mine[part]
-                found = here.whiten(whole[:, place[own]])
+                found = here.whiten(whole[:, run(place[own])])
                 inner[:, own] = here.basis.T @ found
                 total[own] = np.einsum("ij,ij->j", found, found)
                 power[own] = total[own] - np.square(inner[:, own]).sum(axis=0)
@@ -104,7 +112,7 @@ class Columns:
         if len(parts) > 1:
             # One part after the other, so that they are not in memory twice.
             number, at = sum(part.shape[1] for part in parts), 0
-            whole = np.empty((number, len(self._supports[k]))).T
+            whole = np.empty((len(self._supports[k]), number))
             while parts:
                 part = parts.pop(0)
                 whole[:, at : at + part.shape[1]] = part
@@ -145,26 +153,37 @@ class Seen:
     def grams(self, own: IntArray) -> FloatArray:
         """Return the products of each of n sets of k columns, (n, k, k), from their (n, k) numbers.
 
-        Many at once where all touch the same rows.
+        Many at once where all of a set touch the same rows.
         """
-        kinds = np.unique(self.support[own]).tolist()
-        if len(kinds) > 1:
-            return np.stack([self.gram(each) for each in own])
-        (k,) = kinds
-        white, inner = (
-            values[:, where].transpose(1, 2, 0)
-            for values, where in ((self.white[k], self.slot[own]), (self.inner, own))
-        )
-        return np.asarray(white @ white.transpose(0, 2, 1) - inner @ inner.transpose(0, 2, 1))
+        n, k = own.shape
+        out, support = np.empty((n, k, k)), self.support[own]
+        alike = (support == support[:, :1]).all(axis=1)
+        for kind in np.unique(support[alike, 0]).tolist():
+            mine = np.flatnonzero(alike & (support[:, 0] == kind))
+            white, inner = (
+                values[:, where].transpose(1, 2, 0)
+                for values, where in (
+                    (self.white[kind], self.slot[own[mine]]),
+                    (self.inner, own[mine]),
+                )
+            )
+            out[mine] = white @ white.transpose(0, 2, 1) - inner @ inner.transpose(0, 2, 1)
+        for i in np.flatnonzero(~alike):
+            out[i] = self.gram(own[i])
+        return out
 
     def gram(self, own: IntArray) -> FloatArray:
         """Return the products of some columns with each other: on the rows that both touch."""
-        inner, support = self.inner[:, own], self.support[own]
+        inner, support = self.inner[:, run(own)], self.support[own]
+        kinds = np.unique(support).tolist()
+        if len(kinds) == 1:
+            white = self.white[kinds[0]][:, run(self.slot[own])]
+            return np.asarray(white.T @ white - inner.T @ inner)
         out = -np.asarray(inner.T @ inner)
         parts: list[tuple[IntArray, IntArray, FloatArray]] = []
-        for k in np.unique(support).tolist():
+        for k in kinds:
             mine, rows = np.flatnonzero(support == k), self.supports[k]
-            white = self.white[k][:, self.slot[own[mine]]]
+            white = self.white[k][:, run(self.slot[own[mine]])]
             out[np.ix_(mine, mine)] += white.T @ white
             for others, there, known in parts:
                 _, first, second = np.intersect1d(
