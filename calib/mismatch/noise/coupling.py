@@ -89,26 +89,35 @@ def foretold(rows: Rows, levels: FloatArray) -> tuple[Foretold, ...]:
 def _foretold(rows: Rows, levels: FloatArray) -> Iterator[Foretold]:
     if "drifts" not in rows.kept:
         rows.kept["drifts"] = [_drifts(rows, c) for c in range(len(CHANNELS))]
+        rows.kept["alone"] = {}
     level = {c.name: value for c, value in zip(rows.components, levels, strict=True)}
+    kept: dict[str, tuple[bytes, Foretold | None]] = rows.kept["alone"]
     for name, drift in zip(CHANNELS, rows.kept["drifts"], strict=True):
         leaning = name if name.startswith("gyro") else "accel"
-        kinds = f"{name} flicker", f"{name} walk", f"{leaning} {LEAN}"
+        kinds = f"{name} flicker", f"{name} walk", f"{leaning} {LEAN}", f"{name} jitter"
         size = np.array([level.get(kind, 0.0) for kind in kinds])
-        if (
-            drift is None
-            or not (np.einsum("k,kii->i", size, drift.own) > SLIGHT * drift.noise).any()
-        ):
-            continue
-        means = drift.white + np.tensordot(size, drift.means, 1)
-        means[np.diag_indices_from(means)] += level.get(f"{name} jitter", 0.0)
-        crossed = np.tensordot(size, drift.crossed, 1)
-        weight = linalg.cho_solve(linalg.cho_factor(means), crossed.T).T
-        left = np.tensordot(size, drift.own, 1) - weight @ crossed.T
-        left[np.diag_indices_from(left)] += drift.noise
-        scale = np.sqrt(np.diag(left))
-        root = linalg.cholesky(left / np.outer(scale, scale), lower=True, check_finite=False)
-        root = linalg.lapack.dtrtri(root, lower=1)[0]
-        yield Foretold(drift.contrast, drift.mean, np.ascontiguousarray(weight), root)
+        # Where one channel's levels are tried, those of the others stay.
+        if drift is not None and kept.get(name, (b"",))[0] != size.tobytes():
+            kept[name] = size.tobytes(), _alone(drift, size[:3], float(size[3]))
+        known = None if drift is None else kept[name][1]
+        if known is not None:
+            yield known
+
+
+def _alone(drift: _Drifts, size: FloatArray, jitter: float) -> Foretold | None:
+    """Return what is foretold on one channel; None where that is not worth it."""
+    if not (np.einsum("k,kii->i", size, drift.own) > SLIGHT * drift.noise).any():
+        return None
+    means = drift.white + np.tensordot(size, drift.means, 1)
+    means[np.diag_indices_from(means)] += jitter
+    crossed = np.tensordot(size, drift.crossed, 1)
+    weight = linalg.cho_solve(linalg.cho_factor(means), crossed.T).T
+    left = np.tensordot(size, drift.own, 1) - weight @ crossed.T
+    left[np.diag_indices_from(left)] += drift.noise
+    scale = np.sqrt(np.diag(left))
+    root = linalg.cholesky(left / np.outer(scale, scale), lower=True, check_finite=False)
+    root = linalg.lapack.dtrtri(root, lower=1)[0]
+    return Foretold(drift.contrast, drift.mean, np.ascontiguousarray(weight), root)
 
 
 def _drifts(rows: Rows, c: int) -> _Drifts | None:
