@@ -47,9 +47,16 @@ def leading(best: Mapping[str, Candidate], groups: Mapping[str, float]) -> list[
 def strongest_rivals(stack: Stack, evidence: FloatArray) -> dict[tuple[str, ...], Candidate]:
     """Return the rival with the largest Bayes factor of each channel, and of each triad."""
     best: dict[tuple[str, ...], int] = {}
-    for i, c in enumerate(stack.candidates):
-        if not c.physical and evidence[i] > evidence[best.setdefault(c.channels, i)]:
-            best[c.channels] = i
+    at = 0
+    for bank in stack.banks:
+        rivals = np.flatnonzero(~bank.physical)
+        for k, channels in enumerate(bank.channels):
+            own = at + rivals[bank.channel[rivals] == k]
+            if len(own):
+                top = int(own[np.argmax(evidence[own])])
+                if evidence[top] > evidence[best.setdefault(channels, top)]:
+                    best[channels] = top
+        at += len(bank.candidates)
     return {channels: stack.candidates[i] for channels, i in best.items()}
 
 
