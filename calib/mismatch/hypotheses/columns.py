@@ -10,6 +10,7 @@ fitted is projected out of products alone: with B its orthonormal basis, and W w
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import combinations_with_replacement
 
 import numpy as np
 
@@ -25,9 +26,8 @@ PART = 256
 
 def run(index: IntArray) -> IntArray | slice:
     """Return numbers as a slice where they follow one another: taking that copies nothing."""
-    first, last = int(index[0]), int(index[-1])
-    if last - first + 1 == len(index) and (np.diff(index) == 1).all():
-        return slice(first, last + 1)
+    if len(index) and (np.diff(index) == 1).all():
+        return slice(int(index[0]), int(index[-1]) + 1)
     return index
 
 
@@ -153,24 +153,35 @@ class Seen:
     def grams(self, own: IntArray) -> FloatArray:
         """Return the products of each of n sets of k columns, (n, k, k), from their (n, k) numbers.
 
-        Many at once where all of a set touch the same rows.
+        Many at once where the first of each touch the same rows, the second of each, and so on;
+        unless there are fewer of these than products to be made.
         """
         n, k = own.shape
-        out, support = np.empty((n, k, k)), self.support[own]
-        alike = (support == support[:, :1]).all(axis=1)
-        for kind in np.unique(support[alike, 0]).tolist():
-            mine = np.flatnonzero(alike & (support[:, 0] == kind))
-            white, inner = (
-                values[:, where].transpose(1, 2, 0)
-                for values, where in (
-                    (self.white[kind], self.slot[own[mine]]),
-                    (self.inner, own[mine]),
-                )
-            )
-            out[mine] = white @ white.transpose(0, 2, 1) - inner @ inner.transpose(0, 2, 1)
-        for i in np.flatnonzero(~alike):
-            out[i] = self.gram(own[i])
+        pairs = list(combinations_with_replacement(range(k), 2))
+        out = np.empty((n, k, k))
+        patterns, which = np.unique(self.support[own], axis=0, return_inverse=True)
+        for number, pattern in enumerate(patterns.tolist()):
+            mine = np.flatnonzero(which.ravel() == number)
+            if len(mine) < len(pairs):
+                out[mine] = [self.gram(each) for each in own[mine]]
+                continue
+            white = [self.white[s][:, self.slot[own[mine, i]]] for i, s in enumerate(pattern)]
+            inner = [self.inner[:, own[mine, i]] for i in range(k)]
+            for i, j in pairs:
+                first, second = self._shared(pattern[i], pattern[j])
+                both = np.einsum("rn,rn->n", white[i][first], white[j][second])
+                both -= np.einsum("rn,rn->n", inner[i], inner[j])
+                out[mine, i, j] = out[mine, j, i] = both
         return out
+
+    def _shared(self, one: int, other: int) -> tuple[IntArray | slice, IntArray | slice]:
+        """Return where the rows of two supports that both have are in each."""
+        if one == other:
+            return slice(None), slice(None)
+        _, first, second = np.intersect1d(
+            self.supports[one], self.supports[other], assume_unique=True, return_indices=True
+        )
+        return run(first), run(second)
 
     def gram(self, own: IntArray) -> FloatArray:
         """Return the products of some columns with each other: on the rows that both touch."""
@@ -180,17 +191,15 @@ class Seen:
             white = self.white[kinds[0]][:, run(self.slot[own])]
             return np.asarray(white.T @ white - inner.T @ inner)
         out = -np.asarray(inner.T @ inner)
-        parts: list[tuple[IntArray, IntArray, FloatArray]] = []
+        parts: list[tuple[IntArray, int, FloatArray]] = []
         for k in kinds:
-            mine, rows = np.flatnonzero(support == k), self.supports[k]
+            mine = np.flatnonzero(support == k)
             white = self.white[k][:, run(self.slot[own[mine]])]
             out[np.ix_(mine, mine)] += white.T @ white
             for others, there, known in parts:
-                _, first, second = np.intersect1d(
-                    rows, there, assume_unique=True, return_indices=True
-                )
+                first, second = self._shared(k, there)
                 both = white[first].T @ known[second]
                 out[np.ix_(mine, others)] += both
                 out[np.ix_(others, mine)] += both.T
-            parts.append((mine, rows, white))
+            parts.append((mine, k, white))
         return out

@@ -15,6 +15,7 @@ from calib.mismatch.hypotheses.score import LARGE, Stack
 from calib.mismatch.rows.onset import Onset
 from calib.mismatch.rows.restored import whole_changes
 from calib.mismatch.rows.rows import Kind, Rows
+from calib.recording import CHANNELS
 from calib.types import FloatArray
 
 SHAPES = 7
@@ -109,10 +110,16 @@ def _add(
 
 
 def _added(stack: Stack, rows: Rows, found: list[FloatArray]) -> Iterator[int]:
-    """Add columns; return the number of each."""
+    """Add columns, each on the rows of turns and of the channels that feel it; return numbers."""
     columns = np.stack(found, axis=1)
-    felt = np.append(rows.channel[columns.any(axis=1)], -1)
-    return iter(stack.columns.add(columns, np.flatnonzero(np.isin(rows.channel, felt))).tolist())
+    own = [rows.channel == c for c in range(len(CHANNELS))]
+    felt = np.stack([columns[here].any(axis=0) for here in own], axis=1)
+    number = np.empty(len(found), np.int64)
+    for pattern in np.unique(felt, axis=0):
+        mine = np.flatnonzero((felt == pattern).all(axis=1))
+        touched = np.flatnonzero(np.isin(rows.channel, [-1, *np.flatnonzero(pattern)]))
+        number[mine] = stack.columns.add(columns[:, mine], touched)
+    return iter(number.tolist())
 
 
 def effect_columns(
