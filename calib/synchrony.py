@@ -89,12 +89,10 @@ def _speeds(recording: Recording) -> tuple[FloatArray, FloatArray]:
 
 def _correlation(first: FloatArray, second: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return delays of the second, s, and its correlation with the first at each of them."""
-    from scipy import fft
-
     a, b = first - first.mean(), second - second.mean()
     scale = float(np.sqrt((a @ a) * (b @ b))) or 1.0
     most = min(round(MOST / STEP), len(a) // 2)
-    size = fft.next_fast_len(2 * len(a))
-    product = fft.irfft(np.conj(fft.rfft(a, size)) * fft.rfft(b, size), size) / scale
+    size = 1 << (2 * len(a)).bit_length()
+    product = np.fft.irfft(np.conj(np.fft.rfft(a, size)) * np.fft.rfft(b, size), size) / scale
     lag = np.arange(-most, most + 1)
     return np.asarray(STEP * lag, np.float64), np.asarray(product[lag], np.float64)
