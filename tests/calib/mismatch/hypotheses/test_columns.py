@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calib.mismatch.hypotheses.columns import Columns
+from calib.mismatch.hypotheses.columns import Columns, Seen
 from calib.mismatch.noise.contrast import contrast_variance
 from calib.mismatch.noise.noise import expected_levels, make_whitener
 from calib.mismatch.search.ranking import fitted
@@ -60,3 +60,26 @@ def test_a_part_of_a_channel_cannot_be_whitened_by_itself():
     for some in (touched[1:], touched[:-1]):
         with pytest.raises(ValueError, match="whole blocks"):
             factor.restricted(some)
+
+
+@pytest.mark.parametrize("number", [1, 2, 9])
+def test_products_of_columns_that_share_some_rows_or_none(number):
+    rng = np.random.default_rng(4)
+    supports = [np.arange(6), np.arange(6, 10), np.array([1, 3, 8])]
+    width = [5, 4, 7]
+    support = np.repeat([0, 1, 2], width)
+    white = {k: rng.normal(size=(len(supports[k]), width[k])) for k in range(3)}
+    slot = np.concatenate([np.arange(w) for w in width])
+    inner = rng.normal(size=(2, len(support)))
+    none = np.zeros(len(support))
+    seen = Seen(supports, white, support, slot, inner, none, none, none)
+    whole = np.zeros((10, len(support)))
+    for i, (k, at) in enumerate(zip(support, slot, strict=True)):
+        whole[supports[k], i] = white[k][:, at]
+    every = whole.T @ whole - inner.T @ inner
+    sets = rng.permuted(np.tile(np.arange(len(support)), (number, 1)), axis=1)[:, :3]
+    alike = np.stack([rng.integers(0, 5, number), rng.integers(5, 9, number)], axis=1)
+    for own in (sets, alike):
+        expected = [every[np.ix_(each, each)] for each in own]
+        np.testing.assert_allclose(seen.grams(own), expected, atol=1e-12)
+        np.testing.assert_allclose([seen.gram(each) for each in own], expected, atol=1e-12)
