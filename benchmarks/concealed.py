@@ -6,7 +6,8 @@ which an oracle that knows the term (its shape, and the noise) has a given non-c
 baseline and attitudes have absorbed what they can. Then the recording alone goes through the
 diagnosis.
 
-``--quick`` takes minutes on one core; ``--seeds 20`` is the full table.
+``--quick`` takes minutes on one core; ``--seeds 20`` is the full table. ``--parts crosstalk`` are
+further kinds outside the catalogue: what a channel hears of the motion of other axes.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from zlib import crc32
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
+from _crosstalk import CROSSTALK
 from _outside import OUTSIDE, detectable
 from scipy.special import logsumexp
 
@@ -110,12 +112,13 @@ def main() -> int:
         rng = np.random.default_rng(7 + args.first)
         pairs = [tuple(rng.choice(names, 2, replace=False)) for _ in range(max(4, 2 * seeds))]
         cases += [Case("pairs", p, 80.0, 20_000 + args.first + i) for i, p in enumerate(pairs)]
-    if "outside" in args.parts:
-        cases += [
-            Case("outside", (n,), 100.0, 30_000 + args.first + s)
-            for n in OUTSIDE
-            for s in range(max(2, seeds))
-        ]
+    for part, kinds in (("outside", OUTSIDE), ("crosstalk", CROSSTALK)):
+        if part in args.parts:
+            cases += [
+                Case("outside", (n,), 100.0, 30_000 + args.first + s)
+                for n in kinds
+                for s in range(max(2, seeds))
+            ]
     results = list(run_all(cases, args.jobs, verbose=args.verbose))
     return report(results)
 
@@ -189,7 +192,7 @@ def run(case: Case) -> Result:
         rows, whitener, problem = oracle(clean, motion)
         for name in case.names:
             if case.kind == "outside":
-                made = OUTSIDE[name](rows, rng)
+                made = (OUTSIDE | CROSSTALK)[name](rows, rng)
                 interval = made.interval
                 column = rows.column(made.add(rows.state))
                 size = float(np.sqrt(case.power / np.square(whitener.project(column)).sum()))
