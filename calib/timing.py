@@ -126,6 +126,8 @@ def sample_numbers(time: FloatArray, lost: IntArray | None = None) -> IntArray:
     # come in bursts. That is so where fewer lost ones leave no more scatter.
     short = float(np.median(_intervals(time, BESIDE)))
     many = _numbered(time, known, short, BESIDE)
+    if many[-1] == number[-1]:
+        return many
     long = _intervals(time, min(BURSTS, len(time) // 2))
     usual = np.abs(long / np.median(long) - 1.0) < LONGEST / BURSTS
     few = _numbered(time, known, float(long[usual].mean()), LONGEST)
