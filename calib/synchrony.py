@@ -7,6 +7,7 @@ turn gravity does not show (about the vertical) changes their sizes, not when th
 from __future__ import annotations
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from calib.recording import Recording
 from calib.types import FloatArray
@@ -62,10 +63,8 @@ def gyro_delay(recording: Recording) -> float | None:
 def _averaged(values: FloatArray, width: int) -> FloatArray:
     """Return means (n, k) of as many neighbours, mirrored at the ends."""
     before = width // 2
-    padded = np.pad(values, ((before + 1, width - 1 - before), (0, 0)), "symmetric")
-    padded[0] = 0.0
-    total = np.cumsum(padded, axis=0)
-    return np.asarray((total[width:] - total[:-width]) / width)
+    padded = np.pad(values, ((before, width - 1 - before), (0, 0)), "symmetric")
+    return np.asarray(sliding_window_view(padded, width, axis=0).mean(axis=-1))
 
 
 def _speeds(recording: Recording) -> tuple[FloatArray, FloatArray]:
