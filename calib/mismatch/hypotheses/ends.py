@@ -117,13 +117,13 @@ def _sums(
     parts = segment_columns(rows, candidate)
     number = parts.shape[1]
     first, last = np.triu_indices(number + 1, 1)
-    some = (last - first <= longest) & (first > 0) & (last < number)
-    if _may_stay(candidate):
-        # Open at one end a bias in a window would be a step, which has a name. Another gain until a
-        # moment is, beside the scale factor, another one from then on.
-        some |= (first > 0) & (last == number)
-    elif candidate.name != "bias in a window":
-        some = last - first <= longest
+    some = last - first <= longest
+    if candidate.name == "bias in a window":
+        # Open at one end it would be a step, which has a name.
+        some &= (first > 0) & (last < number)
+    elif _may_stay(candidate):
+        # Another gain until a moment is, beside the scale factor, another one from then on.
+        some = (first > 0) & (some | (last == number))
     first, last = first[some], last[some]
     out = np.full((number + 1, number + 1), -np.inf)
     out[first, last] = _of_windows(parts, whitener, y, first, last)
@@ -175,7 +175,7 @@ def _place_turned(rows: Rows, candidate: Candidate, whitener: Whitener, y: Float
     first, last = np.triu_indices(number + 1, 1)
     stays = last == number
     some = (first > 0) & (stays | ((last - first <= number // 2) & (not candidate.shape)))
-    first, last, stays = first[some], last[some], stays[some]
+    first, last = first[some], last[some]
     value = _of_windows(parts, whitener, y, first, last)
     weight = softmax(value + _of_place(first, last, number, stays=True))
     probable = weight > UNLIKELY * weight.max()
