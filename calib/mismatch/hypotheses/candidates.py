@@ -21,6 +21,8 @@ GAIN = "gain in a window"
 GAIN_IN_TIME = "gain in time"
 """The same for a gain that changes for good, or is another one in each segment."""
 
+GAINS = (GAIN, GAIN_IN_TIME)
+
 MANY = 256
 """Candidates that are mixed at a time: what they make of columns stays near the processor."""
 
@@ -178,7 +180,7 @@ def _makes(
     joint: dict[tuple[int, bool], dict[tuple[int, ...], list[int]]] = {}
     for i, c in enumerate(candidates):
         if c.summed or c.mixing is not None:
-            same = joint.setdefault((int(channel[i]), c.name in (GAIN, GAIN_IN_TIME)), {})
+            same = joint.setdefault((int(channel[i]), c.name in GAINS), {})
             size = () if c.mixing is None else c.mixing.shape
             same.setdefault((int(group[i]), *size), []).append(i)
         else:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from calib.effects import effects
-from calib.mismatch.hypotheses.candidates import GAIN, GAIN_IN_TIME, Bank, Candidate
+from calib.mismatch.hypotheses.candidates import GAIN, GAIN_IN_TIME, GAINS, Bank, Candidate
 from calib.mismatch.hypotheses.followed import (
     OWN_RIPPLES,
     RIPPLES,
@@ -173,14 +173,13 @@ def _sorted(
     """
     times = np.frombuffer(interval).reshape(-1, 2)
     slots = np.frombuffer(middle), np.frombuffer(first, np.int64)
-    local = list(in_windows(times, *slots, CORNERS))
+    local = [*in_windows(times, *slots, CORNERS), *gains_in_time(times)]
     joint = [
         _of_triad(item, slots[1])
         for item in in_windows(times, *slots, MIDDLE)
         if item.name in _OF_TRIADS and item.window[1] - item.window[0] >= FLUCTUATION
         if item.shape != APART
     ]
-    gains = list(gains_in_time(times))
     waves = [] if THROUGHOUT in skip else list(throughout(times, slots[0]))
     found: list[_Draft] = []
     for k, triad in enumerate((CHANNELS[:3], CHANNELS[3:])):
@@ -193,7 +192,6 @@ def _sorted(
         places = layout[3 * k : 3 * k + 3]
         for channel, mine in zip(triad, places, strict=True):
             found += _drafts((channel,), (mine,), slots[1], own)
-            found += _gains(channel, mine, gains)
             found += _smooth_drafts(channel, mine)
             found += _waves(channel, mine, waves)
         found += _drafts(triad, places, slots[1], alike)
@@ -240,7 +238,7 @@ def _drafts(
     for item in local:
         a, b = item.window
         kind, low, high = "slots", slots[a], slots[b]
-        if item.name == GAIN:
+        if item.name in GAINS:
             kind, low, high = "segments", a, b
         own = [every[start + low : start + high] for start in starts[kind]]
         index = own[0] if len(own) == 1 else np.concatenate(own)
@@ -250,7 +248,7 @@ def _drafts(
             "shape": item.shape,
             "mixing": item.mixing,
         }
-        yield f"{b - a} segments", item.name, channels, index, about
+        yield item.part or f"{b - a} segments", item.name, channels, index, about
 
 
 def _smooth_drafts(channel: str, places: tuple[_Place, ...]) -> Iterator[_Draft]:
@@ -262,22 +260,6 @@ def _smooth_drafts(channel: str, places: tuple[_Place, ...]) -> Iterator[_Draft]
         if name == "direction of gravity":
             # Harmonics come in the order of their degree: 3 + 6 of degrees 1 and 2.
             yield "quadratic", name, (channel,), np.arange(start, start + 9), {}
-
-
-def _gains(
-    channel: str, places: tuple[_Place, ...], gains: list[tuple[str, Local]]
-) -> Iterator[_Draft]:
-    """Yield how a channel's gain may change in a whole recording."""
-    begin = next(start for name, start, _ in places if name == "segments")
-    for part, item in gains:
-        a, b = item.window
-        about = {
-            "summed": item.mixing is None,
-            "interval": item.interval,
-            "shape": item.shape,
-            "mixing": item.mixing,
-        }
-        yield part, item.name, (channel,), np.arange(begin + a, begin + b), about
 
 
 def _waves(

@@ -128,6 +128,8 @@ class Local:
     interval: tuple[float, float]
     shape: Mapping[str, float]
     mixing: FloatArray | None
+    part: str = ""
+    """Of its kind; that of its length where there is none."""
 
 
 def is_step(item: Local, segments: int) -> bool:
@@ -305,8 +307,8 @@ def throughout(
         yield shape, function_of_time(shape, middle, start, stop)
 
 
-def gains_in_time(interval: FloatArray) -> Iterator[tuple[str, Local]]:
-    """Yield how a gain may change in a recording of (s, 2) segments, and what part that is of.
+def gains_in_time(interval: FloatArray) -> Iterator[Local]:
+    """Yield how a gain may change in a recording of (s, 2) segments.
 
     For good from a moment on, at once or at a steady pace: a crack, or a reference that ages. Or
     every segment makes it anew: a loose part. A gain that follows temperature has a name.
@@ -316,11 +318,11 @@ def gains_in_time(interval: FloatArray) -> Iterator[tuple[str, Local]]:
     for k in range(max(int(EARLIEST * n), 1), n):
         start = float(interval[k, 0])
         place = (k, n), (start, end)
-        yield "at once", Local(GAIN_IN_TIME, *place, {}, None)
+        yield Local(GAIN_IN_TIME, *place, {}, None, "at once")
         if n - k >= FLUCTUATION:
             pace = (middle[k:, None] - start) / (end - begin)
-            yield "at a pace", Local(GAIN_IN_TIME, *place, dict(RAMP), pace)
-    yield "apart", Local(GAIN_IN_TIME, (0, n), (begin, end), dict(APART), np.eye(n))
+            yield Local(GAIN_IN_TIME, *place, dict(RAMP), pace, "at a pace")
+    yield Local(GAIN_IN_TIME, (0, n), (begin, end), dict(APART), np.eye(n), "apart")
 
 
 def own_signal(state: State, c: int) -> FloatArray:
