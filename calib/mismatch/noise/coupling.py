@@ -17,7 +17,6 @@ References
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -75,33 +74,22 @@ class _Drifts(NamedTuple):
 def foretold(rows: Rows, levels: FloatArray) -> tuple[Foretold, ...]:
     """Return what the means at rest foretell of the contrasts, for drift of these levels.
 
-    The last of it is kept: with other columns in the mean it is the same.
+    The last is kept of each channel: where one's levels are tried, those of the others stay.
     """
     if not rows.is_rest.any() or rows.n_dense == len(rows.residual):
         return ()
-    key = levels.tobytes()
-    if rows.kept.get("foretold", (b"",))[0] != key:
-        rows.kept["foretold"] = key, tuple(_foretold(rows, levels))
-    known: tuple[Foretold, ...] = rows.kept["foretold"][1]
-    return known
-
-
-def _foretold(rows: Rows, levels: FloatArray) -> Iterator[Foretold]:
     if "drifts" not in rows.kept:
         rows.kept["drifts"] = [_drifts(rows, c) for c in range(len(CHANNELS))]
-        rows.kept["alone"] = {}
+        rows.kept["foretold"] = {}
     level = {c.name: value for c, value in zip(rows.components, levels, strict=True)}
-    kept: dict[str, tuple[bytes, Foretold | None]] = rows.kept["alone"]
+    kept: dict[str, tuple[bytes, Foretold | None]] = rows.kept["foretold"]
     for name, drift in zip(CHANNELS, rows.kept["drifts"], strict=True):
         leaning = name if name.startswith("gyro") else "accel"
         kinds = f"{name} flicker", f"{name} walk", f"{leaning} {LEAN}", f"{name} jitter"
         size = np.array([level.get(kind, 0.0) for kind in kinds])
-        # Where one channel's levels are tried, those of the others stay.
         if drift is not None and kept.get(name, (b"",))[0] != size.tobytes():
             kept[name] = size.tobytes(), _alone(drift, size[:3], float(size[3]))
-        known = None if drift is None else kept[name][1]
-        if known is not None:
-            yield known
+    return tuple(known for _, known in kept.values() if known is not None)
 
 
 def _alone(drift: _Drifts, size: FloatArray, jitter: float) -> Foretold | None:
