@@ -106,45 +106,38 @@ def known_errors(
     calibration. They are those in the sensor's frame, to which ``mat_sr`` (3, 3) leads.
     """
     sizes = SIZES.copy()
-    if not len(find_poses(other).start):
+    poses = find_poses(other)
+    if not len(poses.start):
         sizes[:3] = UNSETTLED
     try:
-        own = calibrate(other, gravity=gravity)
+        own = calibrate(other, gravity=gravity, poses=poses)
     except ImuError:
         return np.zeros(len(NAMES)), sizes
-    sigma = dict(zip(own.names, np.sqrt(np.diag(own.covariance)), strict=True))
     gyro = np.eye(3) - np.linalg.inv(own.model.gyro.matrix)
     accel = (own.model.accel.matrix - np.eye(3))[_LOWER]
-    means, variances = np.concatenate((gyro.ravel(), accel)), np.zeros(len(NAMES) - 3)
-    for i, name in enumerate(NAMES[3:]):
-        name = name.removeprefix("reference_")
-        beyond = LINEAR[name.partition(".")[0]]
-        share = 1.0
-        if name in sigma:
-            share = (sigma[name] ** 2 + beyond**2) / (
-                sigma[name] ** 2 + beyond**2 + sizes[3 + i] ** 2
-            )
-        means[i] *= 1.0 - share
-        variances[i] = share * sizes[3 + i] ** 2
-    errors = np.concatenate((np.zeros(3), _turned(means, mat_sr)))
-    sizes[3:] = np.sqrt(_turned(variances, np.square(mat_sr), squares=True))
-    return errors, sizes
+    found = np.concatenate((np.zeros(3), gyro.ravel(), accel))
+    names = [n.removeprefix("reference_") for n in NAMES]
+    sigma = dict(zip(own.names, np.sqrt(np.diag(own.covariance)), strict=True))
+    beyond = np.array([LINEAR[n.partition(".")[0]] for n in names])
+    variance = np.square([sigma.get(n, np.inf) for n in names]) + beyond**2
+    share = 1.0 / (1.0 + sizes**2 / variance)
+    spread = np.sqrt(_turned(share * sizes**2, np.square(mat_sr), squares=True))
+    return _turned((1.0 - share) * found, mat_sr), spread
 
 
-def _turned(values: FloatArray, mat: FloatArray, *, squares: bool = False) -> FloatArray:
-    """Return E and K (15,) in another frame, or their variances with squares of its rotation.
+def _turned(errors: FloatArray, mat: FloatArray, *, squares: bool = False) -> FloatArray:
+    """Return errors (18,) in another frame, or their variances with squares of its rotation.
 
     There K is a lower triangle again after a further small turn, ``I + K = (I + L) (I + A)``: the
     frame that makes it so is turned by A, and the gyroscope's axes lie by A less off it.
     """
-    k = np.zeros((3, 3))
-    k[_LOWER] = values[9:]
-    e, k = mat @ values[:9].reshape(3, 3) @ mat.T, mat @ k @ mat.T
+    e, k = errors[3:OF_GYRO].reshape(3, 3), _matrix_of(errors)
+    e, k = mat @ e @ mat.T, mat @ k @ mat.T
     upper = np.triu(k, 1)
     turn = upper + upper.T if squares else upper - upper.T
     lower = np.tril(k) + upper.T
     e = e + turn if squares else e - turn
-    return np.concatenate((e.ravel(), lower[_LOWER]))
+    return np.concatenate((mat @ errors[:3], e.ravel(), lower[_LOWER]))
 
 
 def rough_arm(state: State, left: FloatArray) -> FloatArray:
