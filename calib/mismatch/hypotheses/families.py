@@ -275,7 +275,7 @@ def neighbours(
         if here is None or len(grid) < 2 or item.spacing == "integer":
             continue
         if is_moment(item):
-            k = max(int(np.searchsorted(rows.interval[:, 0], here, side="right")) - 1, 0)
+            k = rows.segment_at(here)
             if isinstance(effect, TransformEffect):
                 # What a delay leaves goes with the rate at its moment: a hand's tremor changes that
                 # from sample to sample. A turn has rests beside it, a window has more of a turn.

@@ -231,6 +231,10 @@ class Rows:
             out[c.index] += level * c.variance
         return out
 
+    def segment_at(self, moment: float) -> int:
+        """Return the segment that a moment lies in, or behind; the first of one before it."""
+        return max(int(np.searchsorted(self.interval[:, 0], moment, side="right")) - 1, 0)
+
     def column(self, signals: Mapping[str, FloatArray]) -> FloatArray:
         """Return the (m,) row column of what a term adds to the signals, by channel."""
         out = np.zeros(len(self.residual))

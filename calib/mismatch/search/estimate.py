@@ -344,7 +344,7 @@ def _of_moment(
     others = [a for i, a in enumerate(accepted) if i != which]
     whitener = make_whitener(rows, levels, contrast, fitted(rows, others))
     y = whitener.project(rows.residual)
-    k = max(int(np.searchsorted(rows.interval[:, 0], here, side="right")) - 1, 0)
+    k = rows.segment_at(here)
     values, length = rows.interval.mean(axis=1), np.ptp(rows.interval, axis=1)
     near = slice(max(k - 1, 0), k + 2)
     begin, end = around(rows, k)

@@ -94,6 +94,7 @@ def refit(
         # What a shape that was not yet right had left is noise no more.
         levels = estimate_levels(rows, fitted(rows, accepted)[: rows.n_dense], levels).values
     rows, accepted, steps, off = _stepped(problem, rows, accepted, levels, contrast)
+    straight = steps == 1 and off < BENT
     for _ in range(REFINED if rough else 0):
         placed, levels = _placed_anew(problem, rows, accepted, levels, contrast)
         if placed is None:
@@ -102,7 +103,8 @@ def refit(
         rows = put_back(problem, rows, accepted)
         accepted = [_renew(a, rows, reference=problem.reference) for a in accepted]
         rows, accepted, steps, off = _stepped(problem, rows, accepted, levels, contrast)
-    return Refit(rows, accepted, levels, straight=steps == 1 and off < BENT)
+        straight = straight and steps == 1 and off < BENT
+    return Refit(rows, accepted, levels, straight)
 
 
 def _placed_anew(
@@ -143,7 +145,7 @@ def _placed_anew(
         if gain > value:
             best, value = at(shape), gain
     own = (best or last).candidate.shape
-    k = max(int(np.searchsorted(rows.interval[:, 0], own["moment"], side="right")) - 1, 0)
+    k = rows.segment_at(own["moment"])
     sample = float(np.median(np.diff(rows.state.time)))
     beside = rows.interval[max(k - 1, 0) : k + 2]
     if np.abs(beside.mean(axis=1) - own["moment"]).min() < 0.5 * sample:
