@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from _outside import Case, Disturbance
+from _outside import Case, Disturbance, whole
 
 from calib.effects.base import State
 from calib.mismatch.rows.rows import Rows
@@ -48,8 +48,7 @@ def _made(name: str, heard: Heard) -> Callable[[Rows, np.random.Generator], Case
         j = (k + 1 + int(rng.integers(2))) % 3
         channel = f"{name.partition('_')[0]}.{'xyz'[k]}"
         add: Disturbance = lambda state: {channel: heard(state, k, j, 3 - k - j)}  # noqa: E731
-        whole = float(rows.interval[0, 0]), float(rows.interval[-1, 1])
-        return Case(add, whole, lambda _: add)
+        return Case(add, whole(rows), lambda _: add)
 
     return case
 

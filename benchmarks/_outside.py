@@ -89,7 +89,8 @@ def _window(rows: Rows, rng: np.random.Generator) -> tuple[float, float]:
     return float(begin), float(begin + length)
 
 
-def _whole(rows: Rows) -> tuple[float, float]:
+def whole(rows: Rows) -> tuple[float, float]:
+    """Return when a recording begins and ends, s."""
     return float(rows.interval[0, 0]), float(rows.interval[-1, 1])
 
 
@@ -154,7 +155,7 @@ def _magnet(rows: Rows, rng: np.random.Generator) -> Case:
 
         return add
 
-    return Case(draw(rng), _whole(rows), draw)
+    return Case(draw(rng), whole(rows), draw)
 
 
 def _speed_crosstalk(rows: Rows, rng: np.random.Generator) -> Case:
@@ -163,7 +164,7 @@ def _speed_crosstalk(rows: Rows, rng: np.random.Generator) -> Case:
     def add(state: State) -> dict[str, np.ndarray]:
         return {channel: np.linalg.norm(state.rate, axis=1)}
 
-    return Case(add, _whole(rows), lambda _: add)
+    return Case(add, whole(rows), lambda _: add)
 
 
 def _supply_dips(rows: Rows, rng: np.random.Generator) -> Case:
@@ -230,7 +231,7 @@ def _room_field(rows: Rows, rng: np.random.Generator) -> Case:
 
         return add
 
-    return Case(draw(rng), _whole(rows), draw)
+    return Case(draw(rng), whole(rows), draw)
 
 
 def _passing_magnet(rows: Rows, rng: np.random.Generator) -> Case:

@@ -17,14 +17,15 @@ import os
 import subprocess
 import sys
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
+from concealed import random_sensor
 
 from calib.effects.base import Term
-from calib.model import SensorModel, Triad
 from calib.recording import Recording
 from calib.simulate import simulate
 from calib.simulation.bench import bench_protocol
@@ -85,14 +86,7 @@ def left_of(
 
     Behind what is named those that explain it as well.
     """
-    sensor = SensorModel(
-        Triad(
-            rng.normal(0, 0.2, 3), rng.normal(0, 0.01, 3), np.tril(rng.normal(0, 0.01, (3, 3)), -1)
-        ),
-        Triad(rng.normal(0, 0.02, 3), rng.normal(0, 0.01, 3)),
-        () if term is None else (term,),
-        28.0,
-    )
+    sensor = replace(random_sensor(rng), terms=() if term is None else (term,))
     first = bench_protocol(rng, poses=30)
     second = bench_protocol(rng, poses=15, temperature=26.0, warm_up=9.0)
     with tempfile.TemporaryDirectory() as name:
