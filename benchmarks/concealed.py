@@ -321,9 +321,9 @@ def named_with_noise_known(
         rows, true_levels(rows, noise), contrast_of(rows, reference=reference), fitted(rows, [])
     )
     evidence = stack.log_bayes_factors(whitener, whitener.project(rows.residual))
-    evidence += np.log([c.weight for c in stack.candidates])
+    evidence += stack.weight
     total = logsumexp(evidence)
-    scored = zip(evidence, stack.candidates, strict=True)
+    scored = zip(evidence, stack, strict=True)
     own = logsumexp([e for e, c in scored if name in ("", c.name)])
     return bool(total > np.log(CLAIM) and own - total > np.log(TIE))
 

@@ -57,7 +57,7 @@ def main() -> int:
     rows = SelfProblem(grid, None, gravity=GRAVITY, full_gyro=False).rows()
     stack = make_stack(rows, skip=(), reference=False)
     logs, alike = e_values(rows, stack, rng, args.draws)
-    print(f"{len(stack.candidates)} candidates, {args.draws} draws of normal errors")
+    print(f"{len(stack)} candidates, {args.draws} draws of normal errors")
     print(f"mean e-value {np.exp(logs).mean():.2f} (at most 1 by construction)\n")
     print("| e-value | reached by | on channels of the strongest | Markov's bound |")
     print("|---|---|---|---|")
@@ -93,7 +93,7 @@ def e_values(
         if not first:
             # All draws at once are a sum of their own: the first is scored by the engine as well.
             engine = stack.log_bayes_factors(whitener, y[:, 0])
-            weight = np.log([c.weight for c in stack.candidates])
+            weight = stack.weight
             assert np.isclose(np.log(out[0]), logsumexp(engine + weight), atol=1e-6)
     return np.log(out), np.log(alike)
 

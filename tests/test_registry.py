@@ -179,7 +179,7 @@ def test_an_effect_is_found_when_injected_silent_when_absent_and_not_blamed_on_a
     rows, stack, clean = clean_rank
     assert clean.groups[effect.slug] < np.log(CLAIM)
     assert clean.total < np.log(CLAIM)
-    single = [c for c in stack.candidates if c.name == effect.slug and len(c.index) == 1]
+    single = [c for c in stack if c.name == effect.slug and len(c.index) == 1]
     # The middle shape of the first parameter.
     first = [c for c in single if c.parameters == single[0].parameters]
     own = first[len(first) // 2]

@@ -359,9 +359,8 @@ def _missing(recording: Recording, poses: Poses) -> tuple[str, ...]:
 
 def _hidden(outcome: Outcome) -> dict[str, str]:
     """Return the effects that these rows cannot show, with what they would need."""
-    shown = {c.name for c in outcome.candidates if c.physical}
     return {
         slug: effect.needs
         for slug, effect in effects().items()
-        if slug not in shown and effect.kind == "sensor"
+        if slug not in outcome.tried and effect.kind == "sensor"
     }

@@ -32,7 +32,7 @@ def grouped(stack: Stack, evidence: FloatArray) -> tuple[dict[str, Candidate], d
     top = evidence[best]
     total = top + np.log(np.bincount(code, np.exp(evidence - top[code])))
     return (
-        {g: stack.candidates[i] for g, i in zip(names, best, strict=True)},
+        {g: stack[i] for g, i in zip(names, best.tolist(), strict=True)},
         {g: float(v) for g, v in zip(names, total, strict=True)},
     )
 
@@ -56,17 +56,17 @@ def strongest_rivals(stack: Stack, evidence: FloatArray) -> dict[tuple[str, ...]
                 top = int(own[np.argmax(evidence[own])])
                 if evidence[top] > evidence[best.setdefault(channels, top)]:
                     best[channels] = top
-        at += len(bank.candidates)
-    return {channels: stack.candidates[i] for channels, i in best.items()}
+        at += len(bank)
+    return {channels: stack[i] for channels, i in best.items()}
 
 
 def physics(stack: Stack) -> FloatArray:
     """Return the physical columns, thinned where an effect has many shapes."""
     index: list[int] = []
     shapes: dict[str, list[Candidate]] = {}
-    for c in stack.candidates:
+    for c in stack.physics.values():
         # Every parameter is tried alone, but for refinements of others.
-        if c.physical and c.is_single:
+        if c.is_single:
             shapes.setdefault(c.name, []).append(c)
     for items in shapes.values():
         each = list(dict.fromkeys(int(k) for c in items for k in c.index))
@@ -86,14 +86,12 @@ def nearby(rows: Rows, leader: Candidate) -> Stack:
         for shape in neighbours(get_effect(leader.name), rows, leader.shape):
             columns = candidate_columns(rows, leader, shape, reference=True)
             if columns is not None:
-                stack.candidates.append(
-                    replace(leader, index=stack.columns.add(columns), shape=shape)
-                )
+                stack.add(replace(leader, index=stack.columns.add(columns), shape=shape))
     if leader.name in WINDOWED:
         for window in nearby_windows(rows, leader):
             there = moved_window(leader, *window)
             index = stack.columns.add(window_columns(rows, there))
-            stack.candidates.append(replace(there, index=index, mixing=None, summed=False))
+            stack.add(replace(there, index=index, mixing=None, summed=False))
     return stack
 
 
@@ -111,7 +109,7 @@ def evidence_near(rows: Rows, near: Stack, factors: FloatArray) -> float:
     factors : (n,) array
         log B of each.
     """
-    moments = np.array([c.shape.get("moment", -np.inf) for c in near.candidates])
+    moments = np.array([c.shape.get("moment", -np.inf) for c in near])
     place = np.searchsorted(rows.interval[:, 0], moments, side="right")
     return max(
         float(logsumexp(factors[place == k]) - np.log((place == k).sum())) for k in np.unique(place)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from copy import copy
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
 from typing import TypeVar
@@ -143,7 +144,7 @@ class Sums:
 
 
 class Bank:
-    """Candidates as arrays.
+    """Candidates, one by one and as arrays.
 
     Parameters
     ----------
@@ -151,12 +152,44 @@ class Bank:
     """
 
     def __init__(self, candidates: Sequence[Candidate]) -> None:
-        self.candidates = tuple(candidates)
+        self._candidates = tuple(candidates)
+        self._by, self._moved = 0, dict[int, Candidate]()
         self.weight = np.log(np.array([c.weight for c in candidates]))
         self.physical = np.array([c.physical for c in candidates], bool)
         self.groups, self.group = _numbered(c.group for c in candidates)
         self.channels, self.channel = _numbered(c.channels for c in candidates)
-        self._makes = list(_makes(self.candidates, self.group, self.channel))
+        self._makes = list(_makes(self._candidates, self.group, self.channel))
+
+    def moved(self, channels: tuple[str, ...], by: int) -> Bank:
+        """Return the same on other channels, whose columns come `by` later.
+
+        Only of candidates that all have the same channels. They are made when one is asked for.
+        """
+        out = copy(self)
+        out._by, out._moved, out.channels = self._by + by, {}, [channels]
+        _, first = np.unique(self.group, return_index=True)
+        out.groups = [out[i].group for i in first.tolist()]
+        out._makes = [replace(make, columns=make.columns + by) for make in self._makes]
+        return out
+
+    def __len__(self) -> int:
+        return len(self._candidates)
+
+    def __getitem__(self, i: int) -> Candidate:
+        own = self._candidates[i]
+        if not self._by:
+            return own
+        if i not in self._moved:
+            self._moved[i] = replace(own, channels=self.channels[0], index=own.index + self._by)
+        return self._moved[i]
+
+    def __iter__(self) -> Iterator[Candidate]:
+        return (self[i] for i in range(len(self)))
+
+    def find(self, candidate: Candidate) -> int | None:
+        """Return the number of a candidate that came from here."""
+        known = self._moved.items() if self._by else enumerate(self._candidates)
+        return next((i for i, c in known if c is candidate), None)
 
     def made(self, own: BoolArray) -> Iterator[Alike | Sums]:
         """Yield the candidates that are marked in `own`, those of one make side by side."""
@@ -190,7 +223,6 @@ def _makes(
         columns, index = np.unique(np.stack([c.index for c in own]), return_inverse=True)
         present = np.array([c.present for c in own])
         yield Alike(np.array(which), columns, index.reshape(len(own), -1), None, present)
-    known: dict[tuple[int, ...], FloatArray] = {}
     for shapes in joint.values():
         # Those of the same channels share their columns, and the Gram matrix of these.
         every = [candidates[i].index for which in shapes.values() for i in which]
@@ -206,12 +238,10 @@ def _makes(
                 yield Sums(np.array(which), columns, pick)
                 continue
             index = np.searchsorted(columns, np.stack(marked))
-            mixings = [m for i in which if (m := candidates[i].mixing) is not None]
-            # And channels their mixings: what the same arrays make is kept once.
-            key = tuple(map(id, mixings))
-            if key not in known:
-                known[key] = narrowed(np.stack(mixings))
-            yield Alike(np.array(which), columns, index, known[key], np.zeros(len(which), bool))
+            mixing = narrowed(
+                np.stack([m for i in which if (m := candidates[i].mixing) is not None])
+            )
+            yield Alike(np.array(which), columns, index, mixing, np.zeros(len(which), bool))
 
 
 def narrowed(mixing: FloatArray) -> FloatArray:

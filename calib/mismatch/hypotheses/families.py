@@ -95,7 +95,7 @@ def _add(
         index = dict(zip(columns, number, strict=False))
         for names, share in _subsets(tuple(columns), refining):
             touched: tuple[str, ...] = tuple(dict.fromkeys(c for n in names for c in channels[n]))
-            stack.candidates.append(
+            stack.add(
                 Candidate(
                     name=effect.slug,
                     index=np.array([index[n] for n in names]),

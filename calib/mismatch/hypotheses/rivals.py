@@ -7,10 +7,10 @@ channel, this span or regime, follows this", and not the nearest name.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -95,11 +95,21 @@ That is what warming up looks like; only it takes longer, and shows in other res
 FADED = 3.0
 """Time constants after which it is gone."""
 
-_Place = tuple[str, int, int]
-"""What a rival follows, and its columns ``[first, stop)`` in the stack."""
 
-_Draft = tuple[str, str, tuple[str, ...], IntArray, Mapping[str, Any]]
-"""The part of its kind that a candidate belongs to, its name, channels, index, and the rest."""
+_Draft = tuple[str, str, IntArray, Mapping[str, Any]]
+"""The part of its kind that a candidate belongs to, its name, index, and the rest."""
+
+
+class _Layout(NamedTuple):
+    """Where columns are in the stack: the first `width` are those in windows of the first channel.
+
+    Of these `slots` are parts of time, the others the signal in each segment; then come the other
+    channels'. ``smooth`` has what a rival follows, the channel, and its columns ``[first, stop)``.
+    """
+
+    slots: int
+    width: int
+    smooth: tuple[tuple[str, int, int, int], ...]
 
 
 def add_rivals(stack: Stack, rows: Rows, *, skip: tuple[str, ...] = ()) -> None:
@@ -110,48 +120,50 @@ def add_rivals(stack: Stack, rows: Rows, *, skip: tuple[str, ...] = ()) -> None:
     slots = make_slots(rows)
     layout = _add_columns(stack, rows, slots)
     times = rows.interval.tobytes(), slots.middle.tobytes(), slots.first.tobytes()
-    bank, weights = _sorted(*times, layout, skip)
-    stack.extend(bank)
+    banks, weights = _sorted(*times, layout, skip)
+    for bank in banks:
+        stack.extend(bank)
     if "time" not in skip:
-        stack.candidates += list(_fading(stack, rows))
+        stack.add(*_fading(stack, rows))
     if "time" not in skip and not rows.aligned:
         # Beside a truth both triads turn against that.
-        stack.candidates += list(turned_axes(stack, rows, RIVAL * _OF_TRIADS[TURNED]))
+        stack.add(*turned_axes(stack, rows, RIVAL * _OF_TRIADS[TURNED]))
     if "direction of gravity" in skip:
         return
     up = _up(rows, slots)
     every = list(ripples(up))
-    for c, (channel, places) in enumerate(zip(CHANNELS, layout, strict=True)):
-        (parts,) = (np.arange(a, b) for name, a, b in places if name == "slots")
+    for c, channel in enumerate(CHANNELS):
+        parts = c * layout.width + np.arange(layout.slots)
         own = [(ripple, wave(ripple * up[:, c])) for ripple in OWN_RIPPLES.tolist() if c < 3]
-        stack.candidates += [
-            Candidate(
-                "direction of gravity", parts, weights[ripple], False, (channel,), mixing=mixing
+        stack.add(
+            *(
+                Candidate(
+                    "direction of gravity", parts, weights[ripple], False, (channel,), mixing=mixing
+                )
+                for ripple, mixing in [*every, *own]
             )
-            for ripple, mixing in [*every, *own]
-        ]
+        )
 
 
-def _add_columns(stack: Stack, rows: Rows, slots: Slots) -> tuple[tuple[_Place, ...], ...]:
-    """Add the columns of all rivals, and return where those of each channel are."""
-    state, layout = rows.state, []
+def _add_columns(stack: Stack, rows: Rows, slots: Slots) -> _Layout:
+    """Add the columns of all rivals: those in windows, then smooth functions of something."""
+    state, smooth_ones = rows.state, []
+    for c, name in enumerate(CHANNELS):
+        size = typical_size(name.split(".")[0])
+        in_slots = (rows.functional[c] @ slots.member).toarray()
+        stack.columns.add(size * in_slots, _touched(rows, c))
+        signal = in_segments(rows, c, own_signal(state, c))
+        stack.columns.add(size * signal, _touched(rows, c))
+    width = in_slots.shape[1] + signal.shape[1]
     followed = [*smooth(state), *history(rows)]
     for c, name in enumerate(CHANNELS):
-        size, own = typical_size(name.split(".")[0]), own_signal(state, c)
-        parts = [
-            ("slots", (rows.functional[c] @ slots.member).toarray()),
-            ("segments", in_segments(rows, c, own)),
-            *((n, rows.columns(c, values)) for n, values in followed),
-            ("its own rate", rows.columns(c, own_rate(state, c))),
-        ]
-        for basis in (other_rates, paired_rates):
-            parts.append(("rate about the other axes", rows.columns(c, basis(state, c))))
-        places = []
-        for label, columns in parts:
-            index = stack.columns.add(size * columns, _touched(rows, c))
-            places.append((label, int(index[0]), int(index[-1]) + 1))
-        layout.append(tuple(places))
-    return tuple(layout)
+        size = typical_size(name.split(".")[0])
+        own = [("its own rate", own_rate(state, c))]
+        own += [("rate about the other axes", f(state, c)) for f in (other_rates, paired_rates)]
+        for label, values in [*followed, *own]:
+            index = stack.columns.add(size * rows.columns(c, values), _touched(rows, c))
+            smooth_ones.append((label, c, int(index[0]), int(index[-1]) + 1))
+    return _Layout(in_slots.shape[1], width, tuple(smooth_ones))
 
 
 def _touched(rows: Rows, c: int) -> IntArray:
@@ -164,12 +176,13 @@ def _sorted(
     interval: bytes,
     middle: bytes,
     first: bytes,
-    layout: tuple[tuple[_Place, ...], ...],
+    layout: _Layout,
     skip: tuple[str, ...],
-) -> tuple[Bank, dict[float, float]]:
+) -> tuple[list[Bank], dict[float, float]]:
     """Return all candidates but ripples, and the weight of one of each ripple.
 
     They depend on when segments were, which no fit changes: from round to round they are the same.
+    And from channel to channel: they are made for one, and moved.
     """
     times = np.frombuffer(interval).reshape(-1, 2)
     slots = np.frombuffer(middle), np.frombuffer(first, np.int64)
@@ -180,24 +193,27 @@ def _sorted(
         if item.name in _OF_TRIADS and item.window[1] - item.window[0] >= FLUCTUATION
         if item.shape != APART
     ]
-    waves = [] if THROUGHOUT in skip else list(throughout(times, slots[0]))
-    found: list[_Draft] = []
-    for k, triad in enumerate((CHANNELS[:3], CHANNELS[3:])):
-        # Beside the bias, a window that is open at one end is a step of it, which has a name.
-        name = f"{triad[0].split('.')[0]}_bias_step"
-        step = name in effects() and name not in skip
-        own, alike = (
-            [w for w in items if not (step and is_step(w, len(times)))] for items in (local, joint)
-        )
-        places = layout[3 * k : 3 * k + 3]
-        for channel, mine in zip(triad, places, strict=True):
-            found += _drafts((channel,), (mine,), slots[1], own)
-            found += _smooth_drafts(channel, mine)
-            found += _waves(channel, mine, waves)
-        found += _drafts(triad, places, slots[1], alike)
-    found = [draft for draft in found if draft[1] not in skip]
+    # Beside the bias, a window that is open at one end is a step of it, which has a name.
+    steps = {"accel_bias_step", "gyro_bias_step"} <= effects().keys() - set(skip)
+    local, joint = (
+        [w for w in items if not (steps and is_step(w, len(times)))] for items in (local, joint)
+    )
+    waves = throughout(times, slots[0])
+    alone = *_drafts(1, layout, slots[1], local), *_waves(layout, waves)
+    drafts = {
+        many: [draft for draft in found if draft[1] not in skip]
+        for many, found in ((1, alone), (3, _drafts(3, layout, slots[1], joint)))
+    }
+    followed = [item for item in layout.smooth if item[0] in _KINDS and item[0] not in skip]
     # Every kind has its share, each of its parts (one length of window, say) the same of that.
-    number = Counter((name, len(channels), part) for part, name, channels, *_ in found)
+    number = Counter[tuple[str, int, str]]()
+    for many, found in drafts.items():
+        for part, name, *_ in found:
+            number[name, many, part] += len(CHANNELS) // many
+    for name, *_ in followed:
+        number[name, 1, "smooth"] += 1
+        if name == "direction of gravity":
+            number[name, 1, "quadratic"] += 1
     if "direction of gravity" not in skip:
         for ripple in (0.0, *RIPPLES):
             count = len(CHANNELS) * len(axes(ripple))
@@ -209,68 +225,64 @@ def _sorted(
         share = (_KINDS if many == 1 else _OF_TRIADS)[name]
         return RIVAL * share / lengths[name, many] / number[name, many, part]
 
-    bank = Bank(
-        [
-            Candidate(name, index, weight(name, len(own), part), False, own, **about)
-            for part, name, own, index, about in found
-        ]
-    )
+    banks = []
+    for many, found in drafts.items():
+        bank = Bank(
+            [
+                Candidate(name, index, weight(name, many, part), False, CHANNELS[:many], **about)
+                for part, name, index, about in found
+            ]
+        )
+        for c in range(0, len(CHANNELS), many):
+            banks.append(bank.moved(CHANNELS[c : c + many], c * layout.width))
+    banks.append(Bank(list(_smooth(followed, weight))))
     if "direction of gravity" in skip:
-        return bank, {}
+        return banks, {}
     known = {r: weight("direction of gravity", 1, f"ripple {r}") for r in (0.0, *RIPPLES)}
     known |= dict.fromkeys(OWN_RIPPLES.tolist(), weight("direction of gravity", 1, "own ripples"))
-    return bank, known
+    return banks, known
 
 
-def _drafts(
-    channels: tuple[str, ...],
-    places: tuple[tuple[_Place, ...], ...],
-    first: IntArray,
-    local: list[Local],
-) -> Iterator[_Draft]:
-    """Yield what windows may hold on one channel, or on three at once."""
-    starts = {
-        kind: [start for own in places for name, start, _ in own if name == kind]
-        for kind in ("slots", "segments")
-    }
-    every = np.arange(max(stop for own in places for _, _, stop in own))
+def _drafts(many: int, layout: _Layout, first: IntArray, local: list[Local]) -> Iterator[_Draft]:
+    """Yield what windows may hold on the first channel, or on as `many`."""
+    later = layout.width * np.arange(many)
+    every = np.arange(layout.width)
     slots = first.tolist()
     for item in local:
         a, b = item.window
-        kind, low, high = "slots", slots[a], slots[b]
+        low, high = slots[a], slots[b]
         if item.name in GAINS:
-            kind, low, high = "segments", a, b
-        own = [every[start + low : start + high] for start in starts[kind]]
-        index = own[0] if len(own) == 1 else np.concatenate(own)
+            low, high = layout.slots + a, layout.slots + b
+        index = every[low:high]
         about = {
             "summed": item.mixing is None,
             "interval": item.interval,
             "shape": item.shape,
             "mixing": item.mixing,
         }
-        yield item.part or f"{b - a} segments", item.name, channels, index, about
-
-
-def _smooth_drafts(channel: str, places: tuple[_Place, ...]) -> Iterator[_Draft]:
-    """Yield what follows something smoothly on a channel."""
-    for name, start, stop in places:
-        if name not in _KINDS:
-            continue
-        yield "smooth", name, (channel,), np.arange(start, stop), {}
-        if name == "direction of gravity":
-            # Harmonics come in the order of their degree: 3 + 6 of degrees 1 and 2.
-            yield "quadratic", name, (channel,), np.arange(start, start + 9), {}
+        whole = index if many == 1 else (later[:, None] + index).ravel()
+        yield item.part or f"{b - a} segments", item.name, whole, about
 
 
 def _waves(
-    channel: str,
-    places: tuple[_Place, ...],
-    waves: list[tuple[dict[str, float], FloatArray]],
+    layout: _Layout, waves: Iterator[tuple[dict[str, float], FloatArray]]
 ) -> Iterator[_Draft]:
     """Yield waves that a channel has throughout."""
-    index = next(np.arange(start, stop) for name, start, stop in places if name == "slots")
+    index = np.arange(layout.slots)
     for shape, mixing in waves:
-        yield "throughout", THROUGHOUT, (channel,), index, {"shape": shape, "mixing": mixing}
+        yield "throughout", THROUGHOUT, index, {"shape": shape, "mixing": mixing}
+
+
+def _smooth(
+    followed: list[tuple[str, int, int, int]], weight: Callable[[str, int, str], float]
+) -> Iterator[Candidate]:
+    """Yield what follows something smoothly on a channel."""
+    for name, c, start, stop in followed:
+        every, channels = np.arange(start, stop), (CHANNELS[c],)
+        yield Candidate(name, every, weight(name, 1, "smooth"), False, channels)
+        if name == "direction of gravity":
+            # Harmonics come in the order of their degree: 3 + 6 of degrees 1 and 2.
+            yield Candidate(name, every[:9], weight(name, 1, "quadratic"), False, channels)
 
 
 def _of_triad(item: Local, first: IntArray) -> Local:

@@ -17,6 +17,9 @@ References
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from itertools import chain
+
 import numpy as np
 from scipy.linalg import lapack
 from scipy.special import log_ndtr
@@ -54,28 +57,61 @@ ALL_AT_ONCE = 8
 
 
 class Stack:
-    """Columns that candidates share, so that whitening them is one product."""
+    """Candidates, and the columns that they share, so that whitening them is one product."""
 
     def __init__(self, rows: int) -> None:
         self.columns = Columns(rows)
-        self.candidates: list[Candidate] = []
         self._banks: list[Bank] = []
+        self._added: list[Candidate] = []
         self._rest = Bank(())
+
+    def add(self, *candidates: Candidate) -> None:
+        """Add candidates one by one."""
+        self._added += candidates
 
     def extend(self, bank: Bank) -> None:
         """Add candidates that were sorted before; those that are added one by one come later."""
-        if len(self.candidates) > sum(len(known.candidates) for known in self._banks):
+        if self._added:
             raise ValueError("`bank` must be added before single candidates")
         self._banks.append(bank)
-        self.candidates.extend(bank.candidates)
 
     @property
     def banks(self) -> list[Bank]:
         """All candidates, in their order."""
-        known = sum(len(bank.candidates) for bank in self._banks)
-        if len(self._rest.candidates) != len(self.candidates) - known:
-            self._rest = Bank(self.candidates[known:])
+        if len(self._rest) != len(self._added):
+            self._rest = Bank(self._added)
         return [*self._banks, self._rest]
+
+    def __len__(self) -> int:
+        return sum(map(len, self._banks)) + len(self._added)
+
+    def __getitem__(self, i: int) -> Candidate:
+        for bank in self._banks:
+            if i < len(bank):
+                return bank[i]
+            i -= len(bank)
+        return self._added[i]
+
+    def __iter__(self) -> Iterator[Candidate]:
+        return chain(*self._banks, self._added)
+
+    def index(self, candidate: Candidate) -> int:
+        """Return the number of one of the candidates."""
+        at = 0
+        for bank in self.banks:
+            if (i := bank.find(candidate)) is not None:
+                return at + i
+            at += len(bank)
+        raise ValueError("`candidate` is none of these")
+
+    @property
+    def physics(self) -> dict[int, Candidate]:
+        """Those that are physics, by their numbers."""
+        at, out = 0, dict[int, Candidate]()
+        for bank in self.banks:
+            out.update((at + i, bank[i]) for i in np.flatnonzero(bank.physical).tolist())
+            at += len(bank)
+        return out
 
     @property
     def weight(self) -> FloatArray:
@@ -121,48 +157,49 @@ class Stack:
         which : array of bool, optional
             The candidates to score; the others get -inf.
         """
-        which = np.ones(len(self.candidates), bool) if which is None else which
+        which = np.ones(len(self), bool) if which is None else which
         out = np.full(len(which), -np.inf)
-        at, makes = 0, []
+        at, makes = 0, list[tuple[int, Alike | Sums]]()
         for bank in self.banks:
-            mine = slice(at, at + len(bank.candidates))
-            makes += [(out[mine], make) for make in bank.made(which[mine])]
-            at = mine.stop
+            makes += [(at, make) for make in bank.made(which[at : at + len(bank)])]
+            at += len(bank)
         used = np.unique(np.concatenate([make.columns for _, make in makes]))
         place = np.zeros(len(self.columns), np.int64)
         place[used] = np.arange(len(used))
         seen = self.columns.project(whitener, y, used)
         grams: dict[bytes, FloatArray] = {}
-        mixed: dict[int, list[tuple[FloatArray, IntArray, FloatArray, FloatArray]]] = {}
-        for values, make in makes:
-            columns = place[make.columns]
+        # By the number of coefficients, many at once: a few cost as much in calls as in numbers.
+        plain: dict[int, list[tuple[IntArray, IntArray, BoolArray]]] = {}
+        joint: dict[int, list[tuple[IntArray, FloatArray, FloatArray]]] = {}
+        for at, make in makes:
+            own, columns = at + make.which, place[make.columns]
             if isinstance(make, Alike) and make.mixing is None:
-                values[make.which] = _several(make, seen, columns)
+                index = columns[make.index]
+                plain.setdefault(index.shape[1], []).append((own, index, make.present))
                 continue
             if (key := columns.tobytes()) not in grams:
                 grams[key] = seen.gram(columns)
             if isinstance(make, Sums):
-                values[make.which] = _sums(make, grams[key], seen, columns)
+                out[own] = _sums(make, grams[key], seen, columns)
                 continue
             inner, along = _mixed(make, grams[key], seen.match[columns])
-            mixed.setdefault(along.shape[1], []).append((values, make.which, inner, along))
-        for alike in mixed.values():
-            # Many at once: a few of them cost as much in calls as in numbers.
-            found = log_bayes_factors(*map(np.concatenate, list(zip(*alike, strict=True))[2:]))
-            ends = np.cumsum([len(own) for _, own, *_ in alike])[:-1]
-            for (values, own, *_), part in zip(alike, np.split(found, ends), strict=True):
-                values[own] = part
+            joint.setdefault(along.shape[1], []).append((own, inner, along))
+        for k, alike in plain.items():
+            own, index, present = map(np.concatenate, zip(*alike, strict=True))
+            if k == 1:
+                out[own] = _alone(seen, index[:, 0], present)
+            else:
+                joint.setdefault(k, []).append((own, seen.grams(index), seen.match[index]))
+        for mixed in joint.values():
+            own, inner, along = map(np.concatenate, zip(*mixed, strict=True))
+            out[own] = log_bayes_factors(inner, along)
         return out
 
 
-def _several(make: Alike, seen: Seen, columns: IntArray) -> FloatArray:
-    """Return log B of candidates that have a coefficient for each of their columns."""
-    own = columns[make.index]
-    match = seen.match[own]
-    if own.shape[1] > 1:
-        return log_bayes_factors(seen.grams(own), match)
-    power = seen.power[own[:, 0]]
-    return np.where(make.present, present_factors(power, match[:, 0]), _single(power, match[:, 0]))
+def _alone(seen: Seen, column: IntArray, present: BoolArray) -> FloatArray:
+    """Return log B of candidates of one column each."""
+    power, match = seen.power[column], seen.match[column]
+    return np.where(present, present_factors(power, match), _single(power, match))
 
 
 def _sums(make: Sums, gram: FloatArray, seen: Seen, columns: IntArray) -> FloatArray:

@@ -184,7 +184,6 @@ def conclude(
     if open_:
         missing += (f"motion that determines {', '.join(open_)}",)
     change, likelihood = changes(outcome)
-    shown = {c.name for c in outcome.candidates if c.physical}
     alignment = problem.setup.alignment
     return Diagnosis(
         verdict=verdict(tuple(findings), tuple(unexplained), able=not open_),
@@ -194,7 +193,7 @@ def conclude(
         hidden={
             slug: effect.needs
             for slug, effect in effects().items()
-            if slug not in shown and effect.kind == "sensor" and slug not in skip
+            if slug not in outcome.tried and effect.kind == "sensor" and slug not in skip
         }
         | (dict.fromkeys(UNPLACED, NOWHERE) if problem.judged is not None else {}),
         changes=change,

@@ -62,7 +62,6 @@ def explain(
     known = [*names, *(further or {})]
     index = [*range(len(names)), *(further or {}).values()]
     shapes: list[tuple[int, str]] = []
-    tried = {c.name for c in outcome.candidates}
     of_poses: list[Unexplained] = []
     again = returned(fit, accepted)
     for i, a in enumerate(accepted):
@@ -72,7 +71,7 @@ def explain(
             unexplained.append(replace(left, intervals=(again[i],), follows=THERE))
             continue
         heat = a.candidate.name.replace("_warm_up", "_bias_temperature")
-        if heat != a.candidate.name and heat not in tried:
+        if heat != a.candidate.name and heat not in outcome.tried:
             # What warms up does so in time; without a thermometer, or with one that is stuck,
             # nobody can tell which it follows.
             rivals = (Rival(heat, 1.0), *rivals)

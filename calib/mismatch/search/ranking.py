@@ -202,13 +202,11 @@ def _with_fullest(stack: Stack, evidence: FloatArray, leader: Candidate) -> list
     Levels that are those of no candidate, or of one axis alone, take what other axes show for
     drift, and then they do not count.
     """
-    names, code = stack.groups()
-    own = np.flatnonzero(code == names.index(leader.group)).tolist()
-    size = {i: len(stack.candidates[i].index) for i in own}
-    most = max(size.values())
+    own = {i: len(c.index) for i, c in stack.physics.items() if c.name == leader.name}
+    most = max(own.values(), default=0)
     if not leader.physical or len(leader.index) == most:
         return [leader]
-    return [leader, stack.candidates[max((i for i in own if size[i] == most), key=evidence.item)]]
+    return [leader, stack[max((i for i in own if own[i] == most), key=evidence.item)]]
 
 
 def _running(groups: Mapping[str, float]) -> list[str]:
@@ -330,10 +328,10 @@ class _Scores:
         rows, stack, base = self.rows, self.stack, self.base
         here, moved = leader, nearby(rows, leader)
         own = stack.of(leader)
-        if moved.candidates:
+        if len(moved):
             whitener = self.whitener(base.values, self.contrast)
             factors = moved.log_bayes_factors(whitener, whitener.project(rows.residual))
-            here = moved.candidates[int(np.argmax(factors))]
+            here = moved[int(np.argmax(factors))]
             own = moved.of(here)
         with_own = np.hstack((self.basis, own[: rows.n_dense]))
         start = _swap(rows, base.values, every.values, leader.channels)
@@ -343,11 +341,11 @@ class _Scores:
         null += found.log_share - base.log_share
         names, code = stack.groups()
         evidence = self.at(found.values, outside, null, code == names.index(leader.group))
-        if moved.candidates:
+        if len(moved):
             whitener = self.whitener(found.values, outside)
             factors = moved.log_bayes_factors(whitener, whitener.project(rows.residual))
             average = evidence_near(rows, moved, factors) + null - base.log_likelihood
-            i = stack.candidates.index(leader)
+            i = stack.index(leader)
             evidence[i] = max(evidence[i], average + self.weight[i])
         return evidence, found.values
 
@@ -404,7 +402,7 @@ def _pair(scores: _Scores, hidden: list[_Hidden]) -> tuple[float, Candidate] | N
         tried: list[str] = []
         own = np.flatnonzero(item.which)
         for i in own[np.argsort(-item.evidence[own], kind="stable")].tolist():
-            first = stack.candidates[i]
+            first = stack[i]
             if first.name in tried:
                 continue
             tried.append(first.name)
@@ -415,7 +413,7 @@ def _pair(scores: _Scores, hidden: list[_Hidden]) -> tuple[float, Candidate] | N
             whitener = make_whitener(rows, item.levels, scores.contrast, mean)
             y = whitener.project(rows.residual)
             rest = np.zeros(len(item.which), bool)
-            rest[[k for k in own if stack.candidates[k].name != first.name]] = True
+            rest[[k for k in own.tolist() if stack[k].name != first.name]] = True
             if not rest.any():
                 continue
             second = stack.log_bayes_factors(whitener, y, which=rest) + scores.weight

@@ -85,7 +85,8 @@ class Outcome:
     levels: FloatArray
     contrast: FloatArray
     total: float
-    candidates: tuple[Candidate, ...]
+    tried: frozenset[str]
+    """Effects that the rows could show."""
 
     def fit(self, *, reference: bool) -> Estimate:
         """Fit everything jointly."""
@@ -149,7 +150,8 @@ def search(problem: Problem, *, skip: tuple[str, ...] = ()) -> Outcome:
         for i in range(len(accepted))
     ]
     rows, accepted = settle(rows, accepted, levels, contrast, reference=problem.reference)
-    return Outcome(rows, tuple(accepted), levels, contrast, ranking.total, tuple(stack.candidates))
+    tried = frozenset(c.name for c in stack.physics.values())
+    return Outcome(rows, tuple(accepted), levels, contrast, ranking.total, tried)
 
 
 def choose(rows: Rows, ranking: Ranking, accepted: list[Accepted]) -> Candidate | None:
@@ -365,7 +367,7 @@ def _superfluous(rows: Rows, accepted: list[Accepted], levels: FloatArray) -> Ac
         whitener = make_whitener(judged, levels, contrast, fitted(judged, others))
         own = Stack(len(rows.residual))
         index = own.columns.add(a.columns)
-        own.candidates.append(replace(a.candidate, index=index, summed=False, mixing=None))
+        own.add(replace(a.candidate, index=index, summed=False, mixing=None))
         residual = rows.residual + a.columns @ (a.values / a.typical)
         value = own.log_bayes_factors(whitener, whitener.project(residual))[0]
         value += np.log(a.candidate.weight)
@@ -406,8 +408,8 @@ def _posterior(
         if groups[g] + max(groups[g], BETWEEN) < least:
             continue
         near = nearby(rows, best[g])
-        if near.candidates:
-            i = stack.candidates.index(best[g])
+        if len(near):
+            i = stack.index(best[g])
             factors = near.log_bayes_factors(whitener, y)
             evidence[i] = max(evidence[i], evidence_near(rows, near, factors) + weight[i])
     best, groups = grouped(stack, evidence)

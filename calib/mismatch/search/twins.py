@@ -94,8 +94,8 @@ def _wider(stack: Stack, own: Accepted) -> list[Candidate]:
     """Return the known rivals of a finding that have more parameters, with all of these."""
     known = get_effect(own.candidate.name).rivals
     best: dict[str, Candidate] = {}
-    for c in stack.candidates:
-        if c.physical and c.name in known and len(c.index) > own.columns.shape[1]:
+    for c in stack.physics.values():
+        if c.name in known and len(c.index) > own.columns.shape[1]:
             there = best.setdefault(c.group, c)
             if len(c.index) > len(there.index):
                 best[c.group] = c
@@ -108,15 +108,15 @@ def _rivals(stack: Stack, own: Accepted, evidence: FloatArray) -> list[Candidate
     What one axis mimics of three is a third.
     """
     number, groups = own.columns.shape[1], dict[str, list[int]]()
-    for i, c in enumerate(stack.candidates):
-        if c.physical and len(c.index) <= number and c.group != own.candidate.group:
+    for i, c in stack.physics.items():
+        if len(c.index) <= number and c.group != own.candidate.group:
             groups.setdefault(c.group, []).append(i)
     best: list[int] = []
     for few in groups.values():
-        most = max(len(stack.candidates[i].index) for i in few)
-        full = [i for i in few if len(stack.candidates[i].index) == most]
+        most = max(len(stack[i].index) for i in few)
+        full = [i for i in few if len(stack[i].index) == most]
         best += dict.fromkeys(max(some, key=evidence.item) for some in (few, full))
-    return [stack.candidates[i] for i in best]
+    return [stack[i] for i in best]
 
 
 def _shaped(

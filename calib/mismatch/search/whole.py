@@ -279,7 +279,7 @@ def _untried_odds(
 
     At most as likely: how amplitude falls with frequency, which would tell, both signals lack.
     """
-    tried = any(c.name == LOW_PASS for c in stack.candidates)
+    tried = any(c.name == LOW_PASS for c in stack.physics.values())
     if tried or own.candidate.parameters != ("gyro_delay",):
         return own
     (late,) = own.values
@@ -314,7 +314,7 @@ def _typical(delayed: Candidate) -> float:
 
 def _explanations(judge: Judge, stack: Stack, chosen: Candidate) -> list[Whole]:
     """Return the best delay, and low-passes of each order; nothing where a delay is straight."""
-    delayed = next((c for c in stack.candidates if c.name == DELAY), None)
+    delayed = next((c for c in stack.physics.values() if c.name == DELAY), None)
     if delayed is None:
         return []
     line = stack.of(delayed)[:, 0] / _typical(delayed)
@@ -329,7 +329,7 @@ def _explanations(judge: Judge, stack: Stack, chosen: Candidate) -> list[Whole]:
         triads |= set(chosen.parameters)
     known = {
         (c.parameters[0], c.shape["order"]): c
-        for c in stack.candidates
+        for c in stack.physics.values()
         if c.name == LOW_PASS and len(c.parameters) == 1 and c.parameters[0] in triads
     }
     cutoff = {i.name: (i.low or 0.0, i.high or np.inf) for i in get_effect(LOW_PASS).shape}

@@ -96,7 +96,7 @@ def test_a_cube_comes_only_with_all_lower_powers():
         full_gyro=False,
     )
     stack = make_stack(problem.rows(), skip=(), reference=False)
-    own = [c for c in stack.candidates if c.name == "accel_bias_temperature"]
+    own = [c for c in stack if c.name == "accel_bias_temperature"]
     cubes = [c for c in own if any(n.startswith("c") for n in c.parameters)]
     assert [len(c.parameters) for c in cubes] == [9]
     assert {len(c.parameters) for c in own} == {1, 3, 6, 9}

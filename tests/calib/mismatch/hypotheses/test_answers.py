@@ -25,17 +25,17 @@ def stacked():
 
 def test_groups_hold_all_of_the_evidence(stacked):
     _, stack = stacked
-    evidence = np.random.default_rng(3).normal(size=len(stack.candidates), scale=5.0)
+    evidence = np.random.default_rng(3).normal(size=len(stack), scale=5.0)
     best, groups = grouped(stack, evidence)
     assert logsumexp(list(groups.values())) == pytest.approx(logsumexp(evidence))
     for name, candidate in best.items():
-        own = [e for e, c in zip(evidence, stack.candidates, strict=True) if c.group == name]
-        assert evidence[stack.candidates.index(candidate)] == max(own)
+        own = [e for e, c in zip(evidence, stack, strict=True) if c.group == name]
+        assert evidence[stack.index(candidate)] == max(own)
 
 
 def test_leaders_are_the_best_of_physics_and_of_rivals(stacked):
     _, stack = stacked
-    evidence = np.random.default_rng(4).normal(size=len(stack.candidates))
+    evidence = np.random.default_rng(4).normal(size=len(stack))
     best, groups = grouped(stack, evidence)
     found = leading(best, groups)
     for physical, count in zip((True, False), LEADERS, strict=True):
@@ -47,27 +47,27 @@ def test_leaders_are_the_best_of_physics_and_of_rivals(stacked):
 @pytest.mark.parametrize("name", ["gyro_warm_up", "gyro_bias_step", "wave in a window"])
 def test_a_place_between_those_of_the_grid_is_near_one(stacked, name):
     rows, stack = stacked
-    own = [c for c in stack.candidates if c.name == name]
+    own = [c for c in stack if c.name == name]
     leader = own[len(own) // 2]
     near = nearby(rows, leader)
-    assert len(near.candidates) >= 3
-    assert {c.group for c in near.candidates} == {leader.group}
+    assert len(near) >= 3
+    assert {c.group for c in near} == {leader.group}
     here = stack.of(leader)
-    apart = [np.linalg.norm(near.of(c) - here) / np.linalg.norm(here) for c in near.candidates]
+    apart = [np.linalg.norm(near.of(c) - here) / np.linalg.norm(here) for c in near]
     assert 0.0 < np.median(apart) < 2.0
 
 
 def test_what_has_no_place_has_nothing_near(stacked):
     rows, stack = stacked
-    leader = next(c for c in stack.candidates if c.name == "gyro_g_sensitivity")
-    assert not nearby(rows, leader).candidates
+    leader = next(c for c in stack if c.name == "gyro_g_sensitivity")
+    assert not len(nearby(rows, leader))
 
 
 def test_a_moment_counts_as_that_of_the_rest_or_turn_that_says_most(stacked):
     rows, stack = stacked
-    own = [c for c in stack.candidates if c.name == "gyro_bias_step" and c.is_single]
+    own = [c for c in stack if c.name == "gyro_bias_step" and c.is_single]
     near = nearby(rows, own[len(own) // 2])
-    moments = np.array([c.shape["moment"] for c in near.candidates])
+    moments = np.array([c.shape["moment"] for c in near])
     place = np.searchsorted(rows.interval[:, 0], moments, side="right")
     assert len(np.unique(place)) == 3
     for k in np.unique(place):

@@ -19,9 +19,9 @@ def test_every_make_of_candidate_has_the_evidence_of_its_columns():
     whitener = make_whitener(rows, expected_levels(rows), contrast_variance(rows), fitted(rows, []))
     y = whitener.project(rows.residual)
     found = stack.log_bayes_factors(whitener, y)
-    assert len(found) == len(stack.candidates)
+    assert len(found) == len(stack)
     seen: dict[tuple[str, int, int], int] = {}
-    for i, c in enumerate(stack.candidates):
+    for i, c in enumerate(stack):
         make = (c.name, len(c.channels), stack.of(c).shape[1])
         if seen.setdefault(make, 0) < 4 and i % 5 == 0 and not c.present:
             seen[make] += 1
@@ -45,9 +45,9 @@ def test_some_candidates_are_scored_as_among_all():
         np.testing.assert_allclose(found[which], every[which], rtol=1e-9, atol=1e-9)
         assert (found[~which] == -np.inf).all()
     names, code = stack.groups()
-    assert [names[k] for k in code] == [c.group for c in stack.candidates]
-    np.testing.assert_allclose(np.exp(stack.weight), [c.weight for c in stack.candidates])
-    own = [c.channels == triad and not c.physical for c in stack.candidates]
+    assert [names[k] for k in code] == [c.group for c in stack]
+    np.testing.assert_allclose(np.exp(stack.weight), [c.weight for c in stack])
+    own = [c.channels == triad and not c.physical for c in stack]
     np.testing.assert_array_equal(stack.of_channels(triad, physical=False), own)
 
 
@@ -55,10 +55,35 @@ def test_sorted_candidates_come_first():
     one = Candidate("one", np.array([0]), 0.5, True, ("accel.x",))
     stack = Stack(3)
     stack.extend(Bank([one]))
-    stack.candidates.append(one)
-    assert [len(bank.candidates) for bank in stack.banks] == [1, 1]
+    stack.add(one)
+    assert [len(bank) for bank in stack.banks] == [1, 1]
     with pytest.raises(ValueError, match="before single"):
         stack.extend(Bank([one]))
+
+
+def test_candidates_of_one_channel_are_those_of_another_on_its_columns():
+    known = [
+        Candidate("one", np.array([0]), 0.25, False, ("accel.x",)),
+        Candidate("two", np.array([0, 1]), 0.5, False, ("accel.x",), mixing=np.eye(2)),
+        Candidate("three", np.array([1, 2]), 0.25, False, ("accel.x",), summed=True),
+    ]
+    there = Bank(known).moved(("gyro.y",), 4)
+    np.testing.assert_array_equal(there.group, np.arange(3))
+    assert there.groups == [c.group for c in there] == ["one gyro.y", "two gyro.y", "three gyro.y"]
+    assert [c.index.tolist() for c in there] == [[4], [4, 5], [5, 6]]
+    columns = [make.columns.tolist() for make in there.made(np.ones(3, bool))]
+    assert columns == [[4], [4, 5, 6], [4, 5, 6]]
+
+
+def test_a_candidate_has_a_number_and_one_that_is_none_of_them_has_not():
+    _, self_mode = problem()
+    stack = make_stack(self_mode.rows(), skip=(), reference=False)
+    physics = stack.physics
+    assert physics == {i: c for i, c in enumerate(stack) if c.physical}
+    for i in (0, len(stack.banks[0]) + 7, *list(physics)[::99]):
+        assert stack.index(stack[i]) == i
+    with pytest.raises(ValueError, match="none of these"):
+        stack.index(Candidate("one", np.array([0]), 0.5, True, ("accel.x",)))
 
 
 def test_rivals_of_the_next_round_are_those_of_the_last():

@@ -27,7 +27,7 @@ def test_a_window_is_found_from_one_that_only_touches_it(name):
     stack = make_stack(rows, skip=(), reference=False)
     start, stop = float(rows.interval[9, 0]), float(rows.interval[20, 1])
     whitener = make_whitener(rows, expected_levels(rows), rows.white_diagonal, fitted(rows, []))
-    found = [c for c in stack.candidates if c.name == name and c.channels == ("accel.y",)]
+    found = [c for c in stack if c.name == name and c.channels == ("accel.y",)]
     near = [c for c in found if c.interval is not None and overlap(c.interval, (start, stop)) > 0]
     candidate = min(near, key=lambda c: overlap(c.interval or (0, 0), (start, stop)))
     assert overlap(candidate.interval or (0.0, 0.0), (start, stop)) < 0.2
@@ -55,7 +55,7 @@ def test_columns_of_a_window_are_sums_over_its_segments():
     window = float(rows.interval[a, 0]), float(rows.interval[b - 1, 1])
     for name in ("bias in a window", "gain in a window"):
         for one in (1, 3):
-            alike = [c for c in stack.candidates if c.name == name and len(c.channels) == one]
+            alike = [c for c in stack if c.name == name and len(c.channels) == one]
             if not alike:
                 continue
             parts = segment_columns(rows, alike[0])
@@ -69,7 +69,7 @@ def test_what_jumps_about_is_placed_whole_though_it_was_found_as_the_bias_of_a_p
     stack = make_stack(rows, skip=(), reference=False)
     start, stop = float(rows.interval[8, 0]), float(rows.interval[20, 1])
     whitener = make_whitener(rows, expected_levels(rows), rows.white_diagonal, fitted(rows, []))
-    found = [c for c in stack.candidates if c.name == "bias in a window"]
+    found = [c for c in stack if c.name == "bias in a window"]
     part = next(c for c in found if c.channels == ("gyro.x",) and c.index.size >= 4)
     parts = segment_columns(rows, part)[:, 8:21, 0]
     overlaps, names = [], set()
@@ -93,7 +93,7 @@ def test_pulses_are_placed_with_those_that_hardly_show():
     stack = make_stack(rows, skip=(), reference=False)
     start, stop = float(rows.interval[8, 0]), float(rows.interval[20, 1])
     whitener = make_whitener(rows, expected_levels(rows), rows.white_diagonal, fitted(rows, []))
-    own = [c for c in stack.candidates if c.channels == ("gyro.x",)]
+    own = [c for c in stack if c.channels == ("gyro.x",)]
     step = next(c for c in own if c.name == "bias in a window")
     parts = segment_columns(rows, step)[:, 8:21, 0]
     found = next(c for c in own if c.name == "fluctuation in a window")
@@ -117,7 +117,7 @@ def test_a_short_bias_keeps_its_window():
     stack = make_stack(rows, skip=(), reference=False)
     start, stop = float(rows.interval[14, 0]), float(rows.interval[15, 1])
     whitener = make_whitener(rows, expected_levels(rows), rows.white_diagonal, fitted(rows, []))
-    found = [c for c in stack.candidates if c.name == "bias in a window"]
+    found = [c for c in stack if c.name == "bias in a window"]
     step = next(c for c in found if c.channels == ("gyro.y",))
     true = whitener.project(segment_columns(rows, step)[:, 14:16, 0].sum(axis=1))
     overlaps = []
@@ -138,7 +138,7 @@ def test_a_gain_that_changed_for_good_is_placed_from_then_on():
     stack = make_stack(rows, skip=(), reference=False)
     number = len(rows.interval)
     whitener = make_whitener(rows, expected_levels(rows), rows.white_diagonal, fitted(rows, []))
-    own = [c for c in stack.candidates if c.name == "gain in a window"]
+    own = [c for c in stack if c.name == "gain in a window"]
     found = next(c for c in own if c.channels == ("accel.y",) and not c.shape)
     overlaps = []
     for seed in range(6):
@@ -159,7 +159,7 @@ def test_a_wave_throughout_gets_its_period_between_those_of_the_grid():
     rows = made.rows()
     stack = make_stack(rows, skip=(), reference=False)
     whitener = make_whitener(rows, expected_levels(rows), rows.white_diagonal, fitted(rows, []))
-    waves = [c for c in stack.candidates if c.group == "wave throughout accel.y"]
+    waves = [c for c in stack if c.group == "wave throughout accel.y"]
     periods = np.array([c.shape["period"] for c in waves])
     true = 0.5 * (periods[7] + periods[8])
     signal = np.sin(2 * np.pi * rows.state.time / true + 1.0)

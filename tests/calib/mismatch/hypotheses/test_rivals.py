@@ -30,7 +30,7 @@ from ..bench import GRAVITY, problem, recording
 
 
 def rivals(stack: Stack, name: str) -> list[Candidate]:
-    return [c for c in stack.candidates if c.name == name]
+    return [c for c in stack if c.name == name]
 
 
 def overlap(one: tuple[float, float], other: tuple[float, float]) -> float:
@@ -49,7 +49,7 @@ def test_rivals_share_one_prior_and_a_window_is_the_same_column_wherever_it_come
     _, made = problem()
     rows = made.rows()
     stack = make_stack(rows, skip=(), reference=False)
-    assert sum(c.weight for c in stack.candidates if not c.physical) <= RIVAL + 1e-9
+    assert sum(c.weight for c in stack if not c.physical) <= RIVAL + 1e-9
     longest = [max(rivals(stack, name), key=lambda c: len(c.index)) for name in WINDOWED]
     assert {len(c.channels) for c in longest} == {1, 3}
     for candidate in longest:
@@ -81,7 +81,7 @@ def test_what_fades_from_the_start_is_warming_up_but_faster():
     # Between the two there is no gap, and where both are meant warming up is more probable.
     assert FADING[0] < 2.0 < lasting < FADING[-1]
     own = sum(c.weight for c in found if "accel.x" in c.channels) / len(FADING)
-    warm = [c for c in stack.candidates if c.name == "accel_warm_up" and "kx" in c.parameters]
+    warm = [c for c in stack if c.name == "accel_warm_up" and "kx" in c.parameters]
     assert own < sum(c.weight for c in warm) / len({c.shape["tau"] for c in warm})
     # Without a clock nobody knows how fast anything fades.
     assert not rivals(make_stack(rows, skip=("time",), reference=False), FROM_START)

@@ -69,7 +69,7 @@ def test_what_is_turned_throughout_is_a_misalignment_and_no_window_says_so():
     _, made = problem()
     rows = made.rows()
     stack = make_stack(rows, skip=(), reference=False)
-    found = [c for c in stack.candidates if c.name == TURNED]
+    found = [c for c in stack if c.name == TURNED]
     assert {c.channels for c in found} == {CHANNELS[:3], CHANNELS[3:]}
     start, stop = float(rows.interval[0, 0]), float(rows.interval[-1, 1])
     assert all(c.interval is not None and c.interval[0] > start for c in found)

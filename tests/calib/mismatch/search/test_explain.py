@@ -61,7 +61,7 @@ def test_what_two_columns_share_is_not_determined():
 def test_every_rival_comes_with_what_to_record():
     _, made = problem()
     stack = make_stack(made.rows(), skip=(), reference=False)
-    groups = sorted({c.group for c in stack.candidates if not c.physical})
+    groups = sorted({c.group for c in stack if not c.physical})
     own = get_effect("gyro_scale_asymmetry")
     for group in groups:
         said = to_separate(own, (Rival(group, 0.2),))

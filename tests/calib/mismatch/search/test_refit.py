@@ -23,7 +23,7 @@ def test_a_smooth_rival_does_not_take_the_place_of_the_bias():
     rows = self_mode.rows()
     stack = make_stack(rows, skip=(), reference=False)
     rival = max(
-        (c for c in stack.candidates if c.group == "direction of gravity gyro.z"),
+        (c for c in stack if c.group == "direction of gravity gyro.z"),
         key=lambda c: 0 if c.mixing is not None else len(c.index),
     )
     found = [_accept(stack, rival, 100.0)]
@@ -42,9 +42,7 @@ def refitted(size):
     self_mode = SelfProblem(grid, None, gravity=GRAVITY, full_gyro=False)
     rows = self_mode.rows()
     stack = make_stack(rows, skip=(), reference=False)
-    own = next(
-        c for c in stack.candidates if c.name == "gyro_misalignment" and len(c.parameters) == 6
-    )
+    own = next(c for c in stack if c.name == "gyro_misalignment" and len(c.parameters) == 6)
     before = stack.of(own)
     found = refit(self_mode, rows, [_accept(stack, own, 100.0)], expected_levels(rows))
     return found, before

@@ -54,7 +54,7 @@ def stacked():
 
 
 def candidate(stack, name, parameters):
-    found = [c for c in stack.candidates if c.name == name and c.parameters == parameters]
+    found = [c for c in stack if c.name == name and c.parameters == parameters]
     return found[len(found) // 2]
 
 
@@ -75,7 +75,7 @@ def test_parameters_of_one_effect_are_one_finding(stacked):
 
 def test_events_of_one_kind_stay_apart(stacked):
     rows, stack = stacked
-    steps = [c for c in stack.candidates if c.name == "gyro_bias_step" and len(c.index) == 1]
+    steps = [c for c in stack if c.name == "gyro_bias_step" and len(c.index) == 1]
     first, new = (_accept(stack, c, 100.0) for c in (steps[0], steps[9]))
     assert len(_with(rows, [first], new, reference=False)) == 2
     assert not _again(steps[0], [first])
@@ -90,7 +90,7 @@ def ranked(stacked, evidence, drifting=frozenset()):
 
 
 def wave_in_a_window(stack, channel):
-    return next(c for c in stack.candidates if c.group == f"wave in a window {channel}")
+    return next(c for c in stack if c.group == f"wave in a window {channel}")
 
 
 def test_what_a_drift_can_mimic_is_not_passed_over_for_a_poorer_rival(stacked):
@@ -126,7 +126,7 @@ def test_a_name_that_is_less_probable_than_rivals_needs_the_claim_by_itself(stac
 def test_a_second_cause_outbids_a_rival_unless_it_is_there_beside_the_rival(stacked, monkeypatch):
     rows, stack = stacked
     effect = candidate(stack, "accel_settling", ("ky",))
-    rival = next(c for c in stack.candidates if c.group == "speed of rotation accel.y")
+    rival = next(c for c in stack if c.group == "speed of rotation accel.y")
     second = candidate(stack, "gyro_g_sensitivity", ("gxx",))
 
     def chosen(beside_rival):

@@ -20,7 +20,7 @@ def test_a_twin_mimics_a_shape_that_is_within_two_standard_errors(beyond, monkey
     rows = made.rows()
     stack = make_stack(rows, skip=(), reference=False)
     whitener = make_whitener(rows, expected_levels(rows), rows.white_diagonal, fitted(rows, []))
-    warm = [c for c in stack.candidates if c.name == "gyro_warm_up" and c.parameters == AXES]
+    warm = [c for c in stack if c.name == "gyro_warm_up" and c.parameters == AXES]
     candidate = min(warm, key=lambda c: abs(c.shape["tau"] - 90.0))
     rate = effect_columns(get_effect("gyro_temperature_rate"), rows, {}, reference=False)
     twin = whitener.project(np.stack([rate[k] for k in AXES], axis=1))
@@ -43,15 +43,13 @@ def test_the_fullest_candidate_of_an_effect_is_compared_and_not_its_best_alone()
     rows = made.rows()
     stack = make_stack(rows, skip=(), reference=False)
     whitener = make_whitener(rows, expected_levels(rows), rows.white_diagonal, fitted(rows, []))
-    own = next(
-        c for c in stack.candidates if c.name == "accel_bias_temperature" and c.parameters == AXES
-    )
-    slower = [c for c in stack.candidates if c.name == "accel_warm_up" and c.parameters == AXES]
+    own = next(c for c in stack if c.name == "accel_bias_temperature" and c.parameters == AXES)
+    slower = [c for c in stack if c.name == "accel_warm_up" and c.parameters == AXES]
     columns = whitener.project(stack.of(max(slower, key=lambda c: c.shape["tau"])))
     y = columns @ (np.array([20.0, 4.0, 4.0]) / np.linalg.norm(columns, axis=0))
     evidence = stack.log_bayes_factors(whitener, y) + stack.weight
     # What few parameters explain nearly as well counts for more, and what is left is judged alone.
-    alone = [c.name == "accel_warm_up" and c.parameters == ("kx",) for c in stack.candidates]
+    alone = [c.name == "accel_warm_up" and c.parameters == ("kx",) for c in stack]
     evidence[alone] = evidence.max() + 1.0
     found = Accepted(own, stack.of(own), np.ones(3), np.zeros(3), False, 100.0)
     assert "accel_warm_up" in twins(rows, stack, found, evidence, whitener, y, reference=False)
@@ -65,9 +63,7 @@ def test_what_a_known_rival_mimics_wholly_is_a_tie_however_many_parameters_it_ha
     stack = make_stack(rows, skip=(), reference=False)
     whitener = make_whitener(rows, expected_levels(rows), rows.white_diagonal, fitted(rows, []))
     parts = ("up",) if not north else ("east", "north", "up")
-    candidate = next(
-        c for c in stack.candidates if c.name == "earth_rate" and c.parameters == parts
-    )
+    candidate = next(c for c in stack if c.name == "earth_rate" and c.parameters == parts)
     columns = stack.of(candidate)
     white = whitener.project(columns)
     y = 12.0 * white[:, -1] / np.linalg.norm(white[:, -1])

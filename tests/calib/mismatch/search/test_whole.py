@@ -42,7 +42,7 @@ def problem(effect: str, *values: float | str) -> tuple[SelfProblem, Rows, Stack
 
 
 def candidate(stack: Stack, name: str, parameter: str) -> Candidate:
-    return next(c for c in stack.candidates if c.name == name and c.parameters == (parameter,))
+    return next(c for c in stack if c.name == name and c.parameters == (parameter,))
 
 
 @pytest.mark.parametrize("delay", [-0.05, 0.02, 0.08])

@@ -17,7 +17,7 @@ def case():
     _, self_mode = problem()
     rows = self_mode.rows()
     stack = make_stack(rows, skip=(), reference=False)
-    (found,) = (c for c in stack.candidates if c.name == "accel_size_effect" and len(c.index) == 6)
+    (found,) = (c for c in stack if c.name == "accel_size_effect" and len(c.index) == 6)
     columns = stack.of(found)
     size = np.bincount(rows.segment, np.square(columns).sum(axis=1) * (rows.kind == Kind.VELOCITY))
     return rows, columns, int(np.argmax(size))
