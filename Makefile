@@ -20,8 +20,9 @@ lint: venv
 types: venv
 	$(BIN)/mypy
 
+# One more process than cores: some tests wait for emulated devices.
 unit: venv
-	$(BIN)/python -m pytest -n 2 -m "not kernel"
+	$(BIN)/python -m pytest -n 3 --dist worksteal -m "not kernel"
 
 test-kernel: venv
 	$(BIN)/python -m pytest -m kernel

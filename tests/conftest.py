@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-# Two test processes on two cores: threads within each would only get in the way. The variable is
+# Three test processes on two cores: threads within each would only get in the way. The variable is
 # read when numpy is first imported, and handed on to the commands that tests start.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
