@@ -40,7 +40,8 @@ from calib.mismatch.noise.noise import Whitener, make_whitener
 from calib.mismatch.noise.sensornoise import DRIFT_TIME
 from calib.mismatch.rows.grid import make_grid
 from calib.mismatch.rows.rows import Rows
-from calib.mismatch.search.ranking import CLAIM, fitted, make_stack
+from calib.mismatch.search.accepted import fitted
+from calib.mismatch.search.ranking import CLAIM, make_stack
 from calib.mismatch.search.search import TIE
 from calib.mismatch.twin.residuals import build_rows
 from calib.mismatch.twin.selfmode import SelfProblem

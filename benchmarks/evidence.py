@@ -30,7 +30,8 @@ from calib.mismatch.hypotheses.score import SCALES, SHARES, Stack, present_facto
 from calib.mismatch.noise.noise import expected_levels, make_whitener
 from calib.mismatch.rows.grid import make_grid
 from calib.mismatch.rows.rows import Rows
-from calib.mismatch.search.ranking import CLAIM, fitted, make_stack
+from calib.mismatch.search.accepted import fitted
+from calib.mismatch.search.ranking import CLAIM, make_stack
 from calib.mismatch.twin.selfmode import SelfProblem
 from calib.model import SensorModel
 from calib.simulate import simulate

@@ -23,7 +23,7 @@ from calib.mismatch.reference.captured import Known, mean_covariance, wobble
 from calib.mismatch.reference.colour import Blur
 from calib.mismatch.reference.scatter import Scatter
 from calib.mismatch.rows.rows import UNKNOWN, Component, Kind, Rows
-from calib.mismatch.search.refit import scaled
+from calib.mismatch.search.joint import scaled
 from calib.mismatch.twin.twin import baseline_column
 from calib.recording import CHANNELS
 from calib.types import BoolArray, FloatArray, IntArray

@@ -32,8 +32,9 @@ from calib.mismatch.hypotheses.families import (
 )
 from calib.mismatch.noise.noise import make_whitener, spread_of_variance
 from calib.mismatch.rows.rows import Rows
-from calib.mismatch.search.ranking import Accepted, fitted
-from calib.mismatch.search.refit import cut, likelihood_gain, prior_rows, scaled
+from calib.mismatch.search.accepted import Accepted, fitted
+from calib.mismatch.search.joint import cut, prior_rows, scaled
+from calib.mismatch.search.refine import likelihood_gain
 from calib.types import FloatArray
 
 POINTS = 25

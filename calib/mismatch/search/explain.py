@@ -25,8 +25,9 @@ from calib.mismatch.hypotheses.families import is_moment
 from calib.mismatch.hypotheses.places import joined
 from calib.mismatch.noise.noise import make_whitener, range_basis
 from calib.mismatch.rows.rows import Kind, Rows
+from calib.mismatch.search.accepted import Accepted, fitted
 from calib.mismatch.search.estimate import Estimate, pseudo_inverse
-from calib.mismatch.search.ranking import Accepted, chance, fitted
+from calib.mismatch.search.ranking import chance
 from calib.mismatch.search.returned import THERE, returned
 from calib.mismatch.search.search import TIE, TWIN, Outcome
 from calib.recording import CHANNELS, TRIADS
@@ -304,7 +305,6 @@ def _least_squares(design: FloatArray, y: FloatArray) -> tuple[FloatArray, BoolA
 
 _CLOCK_LIKE = ("warm_up", "bias_step")
 _HEAT_LIKE = ("temperature", "temperature_rate")
-
 
 _AGAIN = "the same once more: what the sensor has comes back, what happened once does not"
 _OF_MOTION = {

@@ -1,42 +1,24 @@
-"""Every candidate scored under the noise that it implies.
-
-Noise is estimated under each hypothesis that matters, so that drift competes with effects on equal
-terms.
-"""
+"""All candidates ranked, each under the noise that it implies: drift competes on equal terms."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.special import logsumexp
 
-from calib.mismatch.hypotheses.answers import (
-    evidence_near,
-    grouped,
-    leading,
-    nearby,
-    physics,
-    strongest_rivals,
-)
+from calib.mismatch.hypotheses.answers import grouped, leading
 from calib.mismatch.hypotheses.candidates import Candidate
 from calib.mismatch.hypotheses.families import add_catalogue
 from calib.mismatch.hypotheses.rivals import add_rivals
-from calib.mismatch.hypotheses.score import Stack, log_bayes_factor
-from calib.mismatch.noise.contrast import contrast_likelihood, contrast_variance
-from calib.mismatch.noise.noise import (
-    Levels,
-    Whitener,
-    estimate_levels,
-    find_levels,
-    level_likelihood,
-    make_whitener,
-    range_basis,
-)
+from calib.mismatch.hypotheses.score import Stack
+from calib.mismatch.noise.noise import Whitener, make_whitener, range_basis
 from calib.mismatch.rows.rows import Rows
+from calib.mismatch.search.accepted import Accepted
+from calib.mismatch.search.scores import Hidden, Scores
 from calib.recording import CHANNELS
-from calib.types import BoolArray, FloatArray
+from calib.types import FloatArray
 
 CLAIM = 2.5
 """E-value at which something is claimed to be left. Markov's inequality bounds the share of clean
@@ -65,23 +47,6 @@ PLAIN, AHEAD = 20.0, 20.0
 """Log evidence from which something is plainly left, and how far behind the best an answer then is
 out of the running. Levels that are not raised by what was left out would put the best further
 ahead, and are found for those in the running alone."""
-
-
-@dataclass(frozen=True, eq=False)
-class Accepted:
-    """A hypothesis that was accepted.
-
-    ``values`` are its coefficients in the units of the effect's parameters, ``in_model`` whether
-    the rows' residual already has them taken out.
-    """
-
-    candidate: Candidate
-    columns: FloatArray
-    typical: FloatArray
-    values: FloatArray
-    in_model: bool
-    e_value: float
-    posterior: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,24 +102,6 @@ def make_stack(rows: Rows, *, skip: tuple[str, ...], reference: bool) -> Stack:
     return stack
 
 
-def fitted(rows: Rows, accepted: list[Accepted] | tuple[Accepted, ...]) -> FloatArray:
-    """Return all columns that are always fitted: baseline, nuisances, and what was accepted."""
-    return np.hstack((rows.baseline, rows.nuisance, *(a.columns for a in accepted)))
-
-
-def contrast_noise(rows: Rows, accepted: Sequence[Accepted], *also: Candidate) -> FloatArray:
-    """Return the variance of the contrast rows, as it is outside of what is found in windows."""
-    apart = np.zeros(len(rows.residual) - rows.n_dense, bool)
-    for item in (*(a.candidate for a in accepted), *also):
-        if item.physical or item.interval is None:
-            continue
-        start, stop = item.interval
-        inside = (rows.interval[:, 0] < stop) & (rows.interval[:, 1] > start)
-        own = np.isin(rows.channel, [CHANNELS.index(c) for c in item.channels])
-        apart |= (inside[rows.segment] & own)[rows.n_dense :]
-    return contrast_variance(rows, apart=apart)
-
-
 def rank(rows: Rows, stack: Stack, accepted: list[Accepted], start: FloatArray) -> Ranking:
     """Score every candidate under the noise that it implies.
 
@@ -164,13 +111,13 @@ def rank(rows: Rows, stack: Stack, accepted: list[Accepted], start: FloatArray) 
     likelihood of the null, and that cost is in the evidence: drift and effect compete on equal
     terms. So does what the null needs to take an effect for noise: levels that are just so.
     """
-    scores = _Scores.of(rows, stack, accepted, start)
+    scores = Scores.of(rows, stack, accepted, start)
     base = scores.base
     evidence = scores.at(base.values, scores.contrast, base.log_likelihood)
     best, groups = grouped(stack, evidence)
     running = _running(groups)
     every = base
-    hidden: list[_Hidden] = []
+    hidden: list[Hidden] = []
     if len(running) > 1:
         names, code = stack.groups()
         which = np.array([g in running for g in names])[code]
@@ -215,161 +162,6 @@ def _running(groups: Mapping[str, float]) -> list[str]:
     return [g for g, v in groups.items() if top <= PLAIN or v >= top - AHEAD]
 
 
-@dataclass(frozen=True, eq=False)
-class _Hidden:
-    """Evidence for the candidates `which` under levels that the null likes less, by ``null``."""
-
-    evidence: FloatArray
-    null: float
-    which: BoolArray
-    levels: FloatArray
-
-
-@dataclass(frozen=True, eq=False)
-class _Scores:
-    """What all scores of one ranking share: what is fitted, and the noise under that alone."""
-
-    rows: Rows
-    stack: Stack
-    accepted: list[Accepted]
-    mean: FloatArray
-    contrast: FloatArray
-    base: Levels
-    basis: FloatArray
-    weight: FloatArray
-    _whiteners: dict[tuple[bytes, bytes], Whitener] = field(default_factory=dict)
-
-    @classmethod
-    def of(cls, rows: Rows, stack: Stack, accepted: list[Accepted], start: FloatArray) -> _Scores:
-        mean = fitted(rows, accepted)
-        dense = mean[: rows.n_dense]
-        # Beside what was accepted they start from what was found with it.
-        find = estimate_levels if accepted else find_levels
-        return cls(
-            rows=rows,
-            stack=stack,
-            accepted=accepted,
-            mean=mean,
-            contrast=contrast_noise(rows, accepted),
-            base=find(rows, dense, start),
-            basis=range_basis(dense),
-            weight=stack.weight,
-        )
-
-    def at(
-        self,
-        levels: FloatArray,
-        contrast: FloatArray,
-        null: float,
-        which: BoolArray | None = None,
-    ) -> FloatArray:
-        """Return the evidence at some levels, of which the null has the log-likelihood `null`."""
-        whitener = self.whitener(levels, contrast)
-        y = whitener.project(self.rows.residual)
-        factors = self.stack.log_bayes_factors(whitener, y, which=which)
-        return factors + (null - self.base.log_likelihood) + self.weight
-
-    def whitener(self, levels: FloatArray, contrast: FloatArray) -> Whitener:
-        """Return the whitener at some levels, with what is fitted projected out.
-
-        Those at the first levels are kept, and those at the last.
-        """
-        known, key = self._whiteners, (levels.tobytes(), contrast.tobytes())
-        if key not in known:
-            for old in [k for k in known if k[0] not in (self.base.values.tobytes(), key[0])]:
-                del known[old]
-            known[key] = make_whitener(self.rows, levels, contrast, self.mean)
-        return known[key]
-
-    def _null(self, levels: FloatArray) -> float:
-        """Return the log-likelihood of some levels."""
-        return level_likelihood(self.rows, self.basis, levels)
-
-    def with_drift_of_all(
-        self, evidence: FloatArray, running: BoolArray
-    ) -> tuple[FloatArray, Levels, list[_Hidden]]:
-        """Return the evidence where physics, or rivals, take up the drift of their channels.
-
-        Of those candidates that are marked as running.
-
-        Beside it the levels with all physics in the mean, and the evidence for physics there.
-        """
-        rows, stack, base = self.rows, self.stack, self.base
-        dense = self.basis
-        wide = np.hstack((dense, physics(stack)[: rows.n_dense]))
-        every = find_levels(rows, wide, base.values)
-        rivals = strongest_rivals(stack, evidence - self.weight)
-        alone = [stack.of(c) for c in rivals.values() if len(c.channels) == 1]
-        strongest = np.hstack(alone)[: rows.n_dense]
-        free = estimate_levels(rows, np.hstack((dense, strongest)), every.values)
-        hidden: list[_Hidden] = []
-        for channels in (*((c,) for c in CHANNELS), CHANNELS[:3], CHANNELS[3:]):
-            for physical, other in ((True, every), (False, free)):
-                which = stack.of_channels(channels, physical=physical) & running
-                if not which.any():
-                    continue
-                levels = _swap(rows, base.values, other.values, channels)
-                null = self._null(levels)
-                if physical:
-                    scored = self.at(levels, self.contrast, null, which)
-                    hidden.append(_Hidden(scored, null - base.log_likelihood, which, levels))
-                else:
-                    strong = rivals[channels]
-                    outside, cost = self._suited(levels, strong, stack.of(strong))
-                    scored = self.at(levels, outside, null + cost, which)
-                evidence = np.maximum(evidence, scored)
-        return evidence, every, hidden
-
-    def with_own_drift(self, leader: Candidate, every: Levels) -> tuple[FloatArray, FloatArray]:
-        """Return the evidence for a candidate's group with levels of its own, and these levels.
-
-        Near its place, too.
-        """
-        rows, stack, base = self.rows, self.stack, self.base
-        here, moved = leader, nearby(rows, leader)
-        own = stack.of(leader)
-        if len(moved):
-            whitener = self.whitener(base.values, self.contrast)
-            factors = moved.log_bayes_factors(whitener, whitener.project(rows.residual))
-            here = moved[int(np.argmax(factors))]
-            own = moved.of(here)
-        with_own = np.hstack((self.basis, own[: rows.n_dense]))
-        start = _swap(rows, base.values, every.values, leader.channels)
-        found = estimate_levels(rows, with_own, start)
-        outside, cost = self._suited(found.values, here, own)
-        null = self._null(found.values) + cost
-        null += found.log_share - base.log_share
-        names, code = stack.groups()
-        evidence = self.at(found.values, outside, null, code == names.index(leader.group))
-        if len(moved):
-            whitener = self.whitener(found.values, outside)
-            factors = moved.log_bayes_factors(whitener, whitener.project(rows.residual))
-            average = evidence_near(rows, moved, factors) + null - base.log_likelihood
-            i = stack.index(leader)
-            evidence[i] = max(evidence[i], average + self.weight[i])
-        return evidence, found.values
-
-    def _suited(
-        self, levels: FloatArray, rival: Candidate, own: FloatArray
-    ) -> tuple[FloatArray, float]:
-        """Return the variance of contrasts that suits a rival better, and what it costs the null.
-
-        It is that outside of the rival's window, or that of all.
-        """
-        if rival.physical or rival.interval is None:
-            return self.contrast, 0.0
-        rows = self.rows
-        outside = contrast_noise(rows, self.accepted, rival)
-        # Where the null prefers it as well, that is no merit of the rival.
-        cost = contrast_likelihood(rows, outside) - contrast_likelihood(rows, self.contrast)
-        cost = min(cost, 0.0)
-        value = []
-        for variance in (self.contrast, outside):
-            whitener = self.whitener(levels, variance)
-            value.append(log_bayes_factor(whitener.project(own), whitener.project(rows.residual)))
-        return (outside, cost) if value[1] + cost > value[0] else (self.contrast, 0.0)
-
-
 def _drifting(
     rows: Rows, stack: Stack, whitener: Whitener, candidates: list[Candidate]
 ) -> frozenset[str]:
@@ -391,7 +183,7 @@ def _drifting(
     return frozenset(out)
 
 
-def _pair(scores: _Scores, hidden: list[_Hidden]) -> tuple[float, Candidate] | None:
+def _pair(scores: Scores, hidden: list[Hidden]) -> tuple[float, Candidate] | None:
     """Return two effects on the same channels that hide each other: evidence, and the first.
 
     Either alone leaves the other, which then counts as drift, and neither reaches the claim.
@@ -421,13 +213,3 @@ def _pair(scores: _Scores, hidden: list[_Hidden]) -> tuple[float, Candidate] | N
             if value > best[0]:
                 best = (value, first)
     return None if best[1] is None else (best[0], best[1])
-
-
-def _swap(rows: Rows, base: FloatArray, every: FloatArray, channels: tuple[str, ...]) -> FloatArray:
-    """Return the levels of `every` for the drift of some channels, and of `base` for the rest.
-
-    The closures' own errors are those of both triads, and so of any channel.
-    """
-    others = [c for c in CHANNELS if c not in channels]
-    own = np.array([c.name.split(" ")[0] not in others for c in rows.components])
-    return np.where(own, np.minimum(base, every), base)

@@ -1,8 +1,8 @@
-"""The joint fit of all that was found, and the shapes of the last finding between the grid's."""
+"""The joint fit of all that was found: the model moved there, and linearised anew."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import NamedTuple, Protocol
 
@@ -11,18 +11,16 @@ import numpy as np
 from calib.effects import get_effect
 from calib.effects.base import PRESENCE, Term, TransformEffect
 from calib.mismatch.hypotheses.candidates import Candidate
-from calib.mismatch.hypotheses.ends import place_window, tune_wave
-from calib.mismatch.hypotheses.families import candidate_columns, forms, neighbours
-from calib.mismatch.hypotheses.score import LARGE, SCALES
-from calib.mismatch.hypotheses.windows import THROUGHOUT, WINDOWED, window_columns
-from calib.mismatch.noise.noise import Whitener, estimate_levels, find_levels, make_whitener
+from calib.mismatch.hypotheses.families import candidate_columns, neighbours
+from calib.mismatch.noise.noise import estimate_levels, find_levels, make_whitener
 from calib.mismatch.rows.rows import Rows
-from calib.mismatch.search.ranking import Accepted, contrast_noise, fitted
-from calib.types import BoolArray, FloatArray
+from calib.mismatch.search.accepted import Accepted, contrast_noise, fitted
+from calib.mismatch.search.joint import solve
+from calib.mismatch.search.refine import likelihood_gain, refine_last
+from calib.types import FloatArray
 
 REFINED = 3
 """How often a shape is refined, at most, the noise being estimated anew each time."""
-
 
 STEPS = 4
 """Steps of a fit, at most."""
@@ -31,7 +29,6 @@ BENT = 1.0
 """Square of the standard errors by which rows may be off what a step promised: less than what one
 parameter more would fit. A delay times half a metre of arm is beyond in the first step, and so is a
 misalignment of a tenth."""
-
 
 PLACED = 0.5
 """Log-likelihood that another moment must gain: less is no parameter's worth."""
@@ -88,7 +85,7 @@ def refit(
     rough = refine and accepted and not accepted[-1].in_model
     for _ in range(REFINED if rough else 0):
         before = accepted[-1].candidate
-        accepted[-1] = _refine(problem, rows, accepted, levels, contrast)
+        accepted[-1] = refine_last(rows, accepted, levels, contrast, reference=problem.reference)
         if accepted[-1].candidate is before or not before.physical:
             break
         # What a shape that was not yet right had left is noise no more.
@@ -277,179 +274,3 @@ def _renew(a: Accepted, rows: Rows, *, reference: bool) -> Accepted:
         return a
     columns = candidate_columns(rows, a.candidate, a.candidate.shape, reference=reference)
     return a if columns is None else replace(a, columns=columns)
-
-
-def prior_rows(
-    rows: Rows, accepted: list[Accepted] | tuple[Accepted, ...]
-) -> tuple[FloatArray, FloatArray]:
-    """Return rows (k, p) of the priors, and their values (k,).
-
-    Beside a reference baseline and alignment have theirs from the rows, and no finding is beyond
-    the largest size that has evidence: what the motion leaves open (the height of a sensor over a
-    table that turns about the vertical) stays there. A smooth function can take the place of the
-    baseline. At rest the two are exactly alike, but in motion, or beside a truth with noise, only
-    nearly so; what keeps them apart is the size that the evidence gave the rival, at most `LARGE`.
-    """
-    start = rows.baseline.shape[1] + rows.nuisance.shape[1]
-    width = start + sum(a.columns.shape[1] for a in accepted)
-    spread = np.full(width, np.inf)
-    value = np.zeros(width)
-    if rows.aligned:
-        spread[:start], value[:start] = rows.prior[:, 1], -rows.prior[:, 0]
-    at = start
-    for a in accepted:
-        own = slice(at, at + a.columns.shape[1])
-        if not a.candidate.physical:
-            spread[own] = LARGE
-        elif rows.aligned:
-            spread[own] = SCALES[-1]
-        if a.in_model:
-            value[own] = -a.values / a.typical
-        at = own.stop
-    known = np.isfinite(spread)
-    return np.diag(1.0 / spread)[known], (value / spread)[known]
-
-
-def solve(
-    rows: Rows,
-    accepted: list[Accepted] | tuple[Accepted, ...],
-    levels: FloatArray,
-    contrast: FloatArray,
-) -> FloatArray:
-    """Return the generalised least-squares step of all that is fitted; `cut` columns stay."""
-    mean = fitted(rows, accepted)
-    kept = ~cut(rows, accepted)
-    step = np.zeros(mean.shape[1])
-    mean = mean[:, kept]
-    whitener = make_whitener(rows, levels, contrast, mean[:, :0])
-    prior, value = prior_rows(rows, accepted)
-    design, scale = scaled(np.vstack((whitener.whiten(mean), prior[:, kept])))
-    y = np.append(whitener.whiten(rows.residual), value)
-    found = np.linalg.lstsq(design, y, rcond=1e-9)[0]
-    step[kept] = found / scale
-    return step
-
-
-def scaled(design: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return columns of unit length, and their lengths.
-
-    Priors belong to the length: a column that shows next to nothing is all prior, and by what it
-    shows alone its prior would be so steep that beside it nothing else had a rank.
-    """
-    size = np.linalg.norm(design, axis=0)
-    size[size == 0] = 1.0
-    return design / size, size
-
-
-def cut(rows: Rows, accepted: list[Accepted] | tuple[Accepted, ...]) -> BoolArray:
-    """Return which fitted columns must not move the physics, (p,) bool.
-
-    Beside a reference these are the rivals that act everywhere: a smooth function of the motion can
-    take the place of a lever arm or of a rotation, and nobody knows its size. What stays
-    unexplained is then fitted to what the physics leaves. A rival in a window takes its window out.
-
-    References
-    ----------
-    .. [1] Liu, Bayarri, Berger, "Modularization in Bayesian analysis", Bayesian Analysis 4, 2009.
-    .. [2] Brynjarsdottir, O'Hagan, "Learning about physical parameters: the importance of model
-       discrepancy", Inverse Problems 30, 2014.
-    """
-    start = rows.baseline.shape[1] + rows.nuisance.shape[1]
-    parts = [np.zeros(start, bool)]
-    for a in accepted:
-        smooth = not a.candidate.physical and a.candidate.interval is None
-        parts.append(np.full(a.columns.shape[1], bool(rows.aligned) and smooth))
-    return np.concatenate(parts)
-
-
-def _refine(
-    problem: Problem, rows: Rows, accepted: list[Accepted], levels: FloatArray, contrast: FloatArray
-) -> Accepted:
-    """Refine the shape parameters of the last accepted between the grid's values."""
-    last = accepted[-1]
-    if last.candidate.name in WINDOWED or last.candidate.name == THROUGHOUT:
-        whitener = make_whitener(rows, levels, contrast, fitted(rows, accepted[:-1]))
-        y = whitener.project(rows.residual)
-        if last.candidate.name == THROUGHOUT:
-            candidate, columns = tune_wave(rows, last.candidate, whitener, y)
-        else:
-            candidate = place_window(rows, last.candidate, whitener, y)
-            columns = window_columns(rows, candidate)
-        number = columns.shape[1]
-        return replace(
-            last,
-            candidate=candidate,
-            columns=columns,
-            typical=np.ones(number),
-            values=np.zeros(number),
-        )
-    if not last.candidate.physical or not last.candidate.shape:
-        return last
-    whitener = make_whitener(rows, levels, contrast, fitted(rows, accepted[:-1]))
-    y = whitener.project(rows.residual)
-    candidate, columns = refined(
-        rows, last.candidate, last.columns, whitener, y, reference=problem.reference
-    )
-    return replace(last, candidate=candidate, columns=columns)
-
-
-def refined(
-    rows: Rows,
-    candidate: Candidate,
-    columns: FloatArray,
-    whitener: Whitener,
-    y: FloatArray,
-    *,
-    reference: bool,
-) -> tuple[Candidate, FloatArray]:
-    """Return the candidate and its columns at that shape near its own which explains most."""
-    effect = get_effect(candidate.name)
-
-    def gain(columns: FloatArray) -> float:
-        return likelihood_gain(whitener.project(columns), y, present=candidate.present)
-
-    best, value = (candidate, columns), gain(columns)
-
-    def try_shape(shape: dict[str, float]) -> float:
-        nonlocal best, value
-        tried = candidate_columns(rows, candidate, shape, reference=reference)
-        if tried is None:
-            return -np.inf
-        new = gain(tried)
-        if new > value:
-            best, value = (replace(candidate, shape=shape), tried), new
-        return new
-
-    for form in forms(effect, candidate.shape):
-        for shape in neighbours(effect, rows, form):
-            try_shape(shape)
-    if effect.from_moment:
-        for shape in neighbours(effect, rows, best[0].shape, closer=True):
-            try_shape(shape)
-    if candidate.present:
-        # How strong it is is in its shape alone, whatever its form.
-        sizes = [i for i in effect.shape if i.spacing == "log" and i.name in candidate.shape]
-        for shape in forms(effect, best[0].shape):
-            for item in sizes:
-                _climb(try_shape, shape, item.name)
-    return best
-
-
-def _climb(gain: Callable[[dict[str, float]], float], shape: dict[str, float], name: str) -> None:
-    """Call `gain` with values of one shape parameter, closing in on its maximum."""
-    step, here, value = 0.08, shape[name], gain(shape)
-    while step > 1e-4:
-        up, down = here * (1 + step), here / (1 + step)
-        new, at = max((gain({**shape, name: x}), x) for x in (up, down))
-        if new > value:
-            value, here = new, at
-        else:
-            step /= 3
-
-
-def likelihood_gain(columns: FloatArray, y: FloatArray, *, present: bool = False) -> float:
-    """Return the log-likelihood that whitened columns gain at their best fit, or as they are."""
-    if present:
-        return float((columns.T @ y)[0] - 0.5 * np.square(columns).sum())
-    fit = columns @ np.linalg.lstsq(columns, y, rcond=1e-9)[0]
-    return 0.5 * float(fit @ fit)

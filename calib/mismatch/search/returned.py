@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from calib.mismatch.search.accepted import Accepted
 from calib.mismatch.search.estimate import Estimate
-from calib.mismatch.search.ranking import Accepted
 from calib.types import FloatArray
 
 STEP = "_bias_step"

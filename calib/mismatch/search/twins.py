@@ -15,8 +15,8 @@ from calib.mismatch.hypotheses.families import candidate_columns, neighbours
 from calib.mismatch.hypotheses.score import Stack
 from calib.mismatch.noise.noise import Whitener
 from calib.mismatch.rows.rows import Rows
-from calib.mismatch.search.ranking import Accepted
-from calib.mismatch.search.refit import refined
+from calib.mismatch.search.accepted import Accepted
+from calib.mismatch.search.refine import refined
 from calib.types import FloatArray
 
 MIMICKED = 9.0
@@ -33,7 +33,6 @@ NEARLY = 4.0
 
 ALLOWED = 4.0
 """Power by which a shape may explain less than the best: two standard errors."""
-
 
 ALIKE, SHARE = 1.0, 1e-3
 """Power of a finding, and as a share of it, that one of its known rivals with more parameters must

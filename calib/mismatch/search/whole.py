@@ -24,15 +24,9 @@ from calib.mismatch.hypotheses.score import Stack
 from calib.mismatch.noise.noise import Levels, Whitener, find_levels, make_whitener
 from calib.mismatch.rows.restored import STILL, whole_change
 from calib.mismatch.rows.rows import Rows
-from calib.mismatch.search.ranking import Accepted, contrast_noise, fitted
-from calib.mismatch.search.refit import (
-    BENT,
-    Problem,
-    Refit,
-    likelihood_gain,
-    put_back,
-    refit,
-)
+from calib.mismatch.search.accepted import Accepted, contrast_noise, fitted
+from calib.mismatch.search.refine import likelihood_gain
+from calib.mismatch.search.refit import BENT, Problem, Refit, put_back, refit
 from calib.types import FloatArray
 
 DELAY, LOW_PASS = "time_offset", "bandwidth"

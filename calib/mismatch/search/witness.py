@@ -13,7 +13,7 @@ from calib.effects import get_effect
 from calib.mismatch.noise.noise import Whitener, range_basis
 from calib.mismatch.rows.rows import Rows
 from calib.mismatch.search.ranking import COUNTS, Ranking
-from calib.mismatch.search.refit import likelihood_gain
+from calib.mismatch.search.refine import likelihood_gain
 from calib.types import FloatArray
 
 ELSEWHERE = 0.25

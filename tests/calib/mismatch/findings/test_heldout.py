@@ -8,7 +8,7 @@ import pytest
 from calib.mismatch.findings.heldout import FOLDS, fold_of, held_out
 from calib.mismatch.noise.noise import expected_levels
 from calib.mismatch.rows.rows import Rows
-from calib.mismatch.search.ranking import fitted
+from calib.mismatch.search.accepted import fitted
 from calib.types import FloatArray
 
 from ..bench import problem

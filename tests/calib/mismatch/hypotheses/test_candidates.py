@@ -7,7 +7,8 @@ from calib.mismatch.hypotheses.candidates import Bank, Candidate, narrowed
 from calib.mismatch.hypotheses.score import Stack, log_bayes_factor
 from calib.mismatch.noise.contrast import contrast_variance
 from calib.mismatch.noise.noise import expected_levels, make_whitener
-from calib.mismatch.search.ranking import fitted, make_stack
+from calib.mismatch.search.accepted import fitted
+from calib.mismatch.search.ranking import make_stack
 
 from ..bench import problem
 

@@ -6,7 +6,7 @@ import pytest
 from calib.mismatch.hypotheses.columns import Columns, Seen
 from calib.mismatch.noise.contrast import contrast_variance
 from calib.mismatch.noise.noise import expected_levels, make_whitener
-from calib.mismatch.search.ranking import fitted
+from calib.mismatch.search.accepted import fitted
 
 from ..bench import problem
 

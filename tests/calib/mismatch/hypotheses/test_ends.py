@@ -10,7 +10,8 @@ import pytest
 from calib.mismatch.hypotheses.ends import place_window, tune_wave
 from calib.mismatch.hypotheses.windows import moved_window, segment_columns, window_columns
 from calib.mismatch.noise.noise import expected_levels, make_whitener
-from calib.mismatch.search.ranking import fitted, make_stack
+from calib.mismatch.search.accepted import fitted
+from calib.mismatch.search.ranking import make_stack
 
 from ..bench import problem
 

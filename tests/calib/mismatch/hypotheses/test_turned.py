@@ -14,7 +14,8 @@ from calib.mismatch.hypotheses.rivals import RIVAL
 from calib.mismatch.hypotheses.turned import EARLIEST, turned_axes
 from calib.mismatch.hypotheses.windows import TURNED, window_columns
 from calib.mismatch.noise.noise import expected_levels, make_whitener
-from calib.mismatch.search.ranking import fitted, make_stack
+from calib.mismatch.search.accepted import fitted
+from calib.mismatch.search.ranking import make_stack
 from calib.recording import CHANNELS, Recording
 from calib.simulation.bench import bench_protocol
 from calib.types import FloatArray

@@ -16,7 +16,8 @@ from calib.mismatch.reference.band import between, follows_noise
 from calib.mismatch.reference.comparison import ComparisonProblem
 from calib.mismatch.reference.truths import RecordingTruth
 from calib.mismatch.samples.samples import look_at_samples
-from calib.mismatch.search.ranking import fitted, make_stack, rank
+from calib.mismatch.search.accepted import fitted
+from calib.mismatch.search.ranking import make_stack, rank
 from calib.mismatch.search.refit import unmoved
 from calib.model import SensorModel, Triad
 from calib.recording import Recording

@@ -11,8 +11,8 @@ from calib.mismatch.reference.colour import Blur, find_colour, gaussian, whiteni
 from calib.mismatch.reference.truths import ENDS, RecordingTruth
 from calib.mismatch.reference.windowed import find_shapes, make_rows
 from calib.mismatch.rows.rows import Kind, Rows
-from calib.mismatch.search.ranking import Accepted
-from calib.mismatch.search.refit import cut
+from calib.mismatch.search.accepted import Accepted
+from calib.mismatch.search.joint import cut
 from calib.recording import CHANNELS, Recording
 
 STEP = 0.02

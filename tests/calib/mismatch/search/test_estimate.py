@@ -16,9 +16,9 @@ from calib.mismatch.noise.noise import (
     find_levels,
     make_whitener,
 )
+from calib.mismatch.search.accepted import Accepted
 from calib.mismatch.search.estimate import estimate, settle, wider
-from calib.mismatch.search.ranking import Accepted
-from calib.mismatch.search.refit import likelihood_gain
+from calib.mismatch.search.refine import likelihood_gain
 
 from ..bench import problem
 

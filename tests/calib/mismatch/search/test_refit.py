@@ -9,9 +9,10 @@ from calib.effects.base import Term
 from calib.mismatch import diagnose_recording
 from calib.mismatch.noise.noise import expected_levels
 from calib.mismatch.rows.grid import make_grid
+from calib.mismatch.search.accepted import accept
+from calib.mismatch.search.joint import solve
 from calib.mismatch.search.ranking import make_stack
-from calib.mismatch.search.refit import refit, solve
-from calib.mismatch.search.search import _accept
+from calib.mismatch.search.refit import refit
 from calib.mismatch.twin.selfmode import SelfProblem
 from calib.statics import find_poses
 
@@ -26,7 +27,7 @@ def test_a_smooth_rival_does_not_take_the_place_of_the_bias():
         (c for c in stack if c.group == "direction of gravity gyro.z"),
         key=lambda c: 0 if c.mixing is not None else len(c.index),
     )
-    found = [_accept(stack, rival, 100.0)]
+    found = [accept(stack, rival, 100.0)]
     assert found[0].columns.shape[1] > 9
     step = solve(rows, found, expected_levels(rows), rows.white_diagonal)
     bias = rows.names.index("gyro.bias.z")
@@ -44,7 +45,7 @@ def refitted(size):
     stack = make_stack(rows, skip=(), reference=False)
     own = next(c for c in stack if c.name == "gyro_misalignment" and len(c.parameters) == 6)
     before = stack.of(own)
-    found = refit(self_mode, rows, [_accept(stack, own, 100.0)], expected_levels(rows))
+    found = refit(self_mode, rows, [accept(stack, own, 100.0)], expected_levels(rows))
     return found, before
 
 

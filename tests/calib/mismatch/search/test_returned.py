@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from calib.mismatch.hypotheses.candidates import Candidate
+from calib.mismatch.search.accepted import Accepted
 from calib.mismatch.search.estimate import Estimate
-from calib.mismatch.search.ranking import Accepted
 from calib.mismatch.search.returned import returned
 
 

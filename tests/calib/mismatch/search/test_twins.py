@@ -6,7 +6,8 @@ import pytest
 from calib.effects import get_effect
 from calib.mismatch.hypotheses.families import effect_columns
 from calib.mismatch.noise.noise import expected_levels, make_whitener
-from calib.mismatch.search.ranking import Accepted, fitted, make_stack
+from calib.mismatch.search.accepted import Accepted, fitted
+from calib.mismatch.search.ranking import make_stack
 from calib.mismatch.search.twins import MIMICKED, twins
 
 from ..bench import problem

@@ -13,8 +13,8 @@ from calib.mismatch.hypotheses.score import Stack
 from calib.mismatch.noise.noise import expected_levels
 from calib.mismatch.rows.grid import make_grid
 from calib.mismatch.rows.rows import Kind, Rows
+from calib.mismatch.search.accepted import accept
 from calib.mismatch.search.ranking import make_stack
-from calib.mismatch.search.search import _accept
 from calib.mismatch.search.whole import whole_fit, whole_odds
 from calib.mismatch.twin.selfmode import SelfProblem
 from calib.statics import find_poses
@@ -69,7 +69,7 @@ def test_a_delay_is_found_whatever_was_guessed(
     truth: tuple[str, float], guess: tuple[str, str]
 ) -> None:
     self_mode, rows, stack = problem(*truth)
-    start = _accept(stack, candidate(stack, *guess), 100.0)
+    start = accept(stack, candidate(stack, *guess), 100.0)
     fit = whole_fit(self_mode, rows, stack, [], start, expected_levels(rows))
     assert fit is not None
     (found,) = fit.accepted
@@ -89,7 +89,7 @@ def test_a_delay_is_found_whatever_was_guessed(
 @pytest.mark.parametrize("order", [1, 2])
 def test_a_low_pass_is_found_whatever_was_guessed(order: int, guess: tuple[str, str]) -> None:
     self_mode, rows, stack = problem("low-pass", "accel", 4.0, order)
-    start = _accept(stack, candidate(stack, *guess), 100.0)
+    start = accept(stack, candidate(stack, *guess), 100.0)
     fit = whole_fit(self_mode, rows, stack, [], start, expected_levels(rows))
     assert fit is not None
     (found,) = fit.accepted
@@ -101,7 +101,7 @@ def test_a_low_pass_is_found_whatever_was_guessed(order: int, guess: tuple[str, 
 
 def test_a_delay_that_is_straight_is_left_to_its_column() -> None:
     self_mode, rows, stack = problem("late", 0.001)
-    start = _accept(stack, candidate(stack, "time_offset", "gyro_delay"), 100.0)
+    start = accept(stack, candidate(stack, "time_offset", "gyro_delay"), 100.0)
     levels = expected_levels(rows)
     assert whole_fit(self_mode, rows, stack, [], start, levels) is None
     assert whole_odds(self_mode, rows, stack, [start], 0, levels, **TIE) is start
@@ -112,7 +112,7 @@ def test_nothing_else_is_taken_for_a_delay() -> None:
     levels = expected_levels(rows)
     own = candidate(stack, "time_offset", "gyro_delay")
     skew = candidate(stack, "inter_axis_skew", "gyro_y")
-    first, start = (_accept(stack, c, 100.0) for c in (own, skew))
+    first, start = (accept(stack, c, 100.0) for c in (own, skew))
     assert whole_fit(self_mode, rows, stack, [], start, levels) is None
     # Nor is a second one looked for.
     assert whole_fit(self_mode, rows, stack, [first], first, levels) is None
@@ -121,7 +121,7 @@ def test_nothing_else_is_taken_for_a_delay() -> None:
 @pytest.mark.parametrize(("delay", "tied"), [(0.008, True), (0.06, False)])
 def test_a_low_pass_is_as_likely_as_a_short_delay(delay: float, tied: bool) -> None:
     self_mode, rows, stack = problem("late", delay)
-    start = _accept(stack, candidate(stack, "time_offset", "gyro_delay"), 100.0)
+    start = accept(stack, candidate(stack, "time_offset", "gyro_delay"), 100.0)
     fit = whole_fit(self_mode, rows, stack, [], start, expected_levels(rows))
     assert fit is not None
     found = whole_odds(self_mode, fit.rows, stack, fit.accepted, 0, fit.levels, **TIE)
@@ -138,7 +138,7 @@ def test_a_low_pass_that_is_not_tried_beside_a_reference_may_be_a_delay_all_the_
 ) -> None:
     _, rows, stack = problem("late", delay)
     own = candidate(stack, "time_offset", "gyro_delay")
-    start = _accept(stack, own, 100.0)
+    start = accept(stack, own, 100.0)
     start = replace(start, values=np.array([delay]), posterior={"time_offset": 1.0})
     beside, levels = SimpleNamespace(reference=True), expected_levels(rows)
     assert whole_odds(beside, rows, stack, [start], 0, levels, **TIE) is start

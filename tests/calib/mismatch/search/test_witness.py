@@ -5,7 +5,8 @@ import pytest
 
 from calib.mismatch.noise.noise import expected_levels, make_whitener
 from calib.mismatch.rows.rows import Kind
-from calib.mismatch.search.ranking import contrast_noise, fitted, make_stack
+from calib.mismatch.search.accepted import contrast_noise, fitted
+from calib.mismatch.search.ranking import make_stack
 from calib.mismatch.search.witness import told_by_one_turn
 
 from ..bench import problem

@@ -1,0 +1,103 @@
+"""What a search has accepted so far, and what that puts in the mean and takes from the noise."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from calib.effects import get_effect
+from calib.mismatch.hypotheses.candidates import Candidate
+from calib.mismatch.hypotheses.families import candidate_columns
+from calib.mismatch.hypotheses.score import Stack
+from calib.mismatch.noise.contrast import contrast_variance
+from calib.mismatch.rows.rows import Rows
+from calib.recording import CHANNELS
+from calib.types import FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Accepted:
+    """A hypothesis that was accepted.
+
+    ``values`` are its coefficients in the units of the effect's parameters, ``in_model`` whether
+    the rows' residual already has them taken out.
+    """
+
+    candidate: Candidate
+    columns: FloatArray
+    typical: FloatArray
+    values: FloatArray
+    in_model: bool
+    e_value: float
+    posterior: Mapping[str, float] = field(default_factory=dict)
+
+
+def accept(stack: Stack, chosen: Candidate, e_value: float) -> Accepted:
+    """Return a candidate as a finding, not yet fitted."""
+    columns = stack.of(chosen)
+    typical = np.ones(columns.shape[1])
+    if chosen.physical:
+        sizes = {p.name: p.typical for p in get_effect(chosen.name).parameters}
+        typical = np.array([sizes[n] for n in chosen.parameters])
+    return Accepted(chosen, columns, typical, np.zeros(columns.shape[1]), False, e_value)
+
+
+def joined(
+    rows: Rows, accepted: list[Accepted], new: Accepted, *, reference: bool
+) -> list[Accepted]:
+    """Return the findings with a new one; other parameters of one effect are one finding.
+
+    But for what is there or not: how strong it is is in a shape, and each channel has its own.
+    """
+    old = next((a for a in accepted if a.candidate.name == new.candidate.name), None)
+    if old is None or not lasting(new.candidate) or new.candidate.present:
+        return [*accepted, new]
+    effect = get_effect(new.candidate.name)
+    shape = {**new.candidate.shape, **old.candidate.shape}
+    both = {*old.candidate.parameters, *new.candidate.parameters}
+    chosen = [p for p in effect.parameters if p.name in both]
+    names = tuple(p.name for p in chosen)
+    candidate = replace(
+        old.candidate,
+        index=np.arange(len(names)),
+        parameters=names,
+        channels=tuple(dict.fromkeys(c for p in chosen for c in p.channels)),
+        shape=shape,
+    )
+    columns = candidate_columns(rows, candidate, shape, reference=reference)
+    if columns is None:
+        return [*accepted, new]
+    values = dict(zip(old.candidate.parameters, old.values, strict=True))
+    merged = replace(
+        old,
+        candidate=candidate,
+        columns=columns,
+        typical=np.array([p.typical for p in chosen]),
+        values=np.array([values.get(n, 0.0) for n in names]),
+    )
+    return [*(a for a in accepted if a is not old), merged]
+
+
+def lasting(candidate: Candidate) -> bool:
+    """Whether a candidate is physics that a recording has once, and not at each of many moments."""
+    return candidate.physical and get_effect(candidate.name).kind != "event"
+
+
+def fitted(rows: Rows, accepted: list[Accepted] | tuple[Accepted, ...]) -> FloatArray:
+    """Return all columns that are always fitted: baseline, nuisances, and what was accepted."""
+    return np.hstack((rows.baseline, rows.nuisance, *(a.columns for a in accepted)))
+
+
+def contrast_noise(rows: Rows, accepted: Sequence[Accepted], *also: Candidate) -> FloatArray:
+    """Return the variance of the contrast rows, as it is outside of what is found in windows."""
+    apart = np.zeros(len(rows.residual) - rows.n_dense, bool)
+    for item in (*(a.candidate for a in accepted), *also):
+        if item.physical or item.interval is None:
+            continue
+        start, stop = item.interval
+        inside = (rows.interval[:, 0] < stop) & (rows.interval[:, 1] > start)
+        own = np.isin(rows.channel, [CHANNELS.index(c) for c in item.channels])
+        apart |= (inside[rows.segment] & own)[rows.n_dense :]
+    return contrast_variance(rows, apart=apart)

@@ -1,0 +1,179 @@
+"""Which explanation is taken: physics against rivals, and neither for what was found already."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+from scipy.special import log_ndtr, logsumexp
+
+from calib.effects import get_effect
+from calib.mismatch.hypotheses.candidates import Candidate
+from calib.mismatch.hypotheses.score import Stack
+from calib.mismatch.noise.noise import Whitener, make_whitener
+from calib.mismatch.rows.rows import Rows
+from calib.mismatch.search.accepted import Accepted, accept, contrast_noise, fitted, lasting
+from calib.mismatch.search.estimate import pseudo_inverse
+from calib.mismatch.search.ranking import CLAIM, DRIFTING, Ranking, rank
+from calib.mismatch.search.witness import witnessed
+from calib.types import FloatArray
+
+FIRST = float(np.log(2.0))
+"""Log odds by which rivals must lead before what physics explains nearly as well is unexplained, if
+physics alone reaches the claim. Either way both are said. A technician who is told a name can
+check it."""
+
+SURE = 3.0
+"""Standard errors by which an effect must be beyond what is physical to be none."""
+
+LEAST = float(log_ndtr(-SURE) - log_ndtr(0.0))
+"""Log probability of what is that far beyond."""
+
+
+def choose(rows: Rows, ranking: Ranking, accepted: list[Accepted]) -> Candidate | None:
+    """Return what explains most: physics, unless the rivals together are more probable.
+
+    An event where something is unexplained already is part of that, and gets no name of its own.
+    What an effect leaves that was found already is no second finding of it. What no channel of it
+    shows is another cause, and lends it no weight. Nor does a turn that samples do not resolve, of
+    what it alone shows.
+    """
+    best = ranking.best
+    mean, contrast = fitted(rows, accepted), contrast_noise(rows, accepted)
+    whitener = make_whitener(rows, ranking.levels, contrast, mean)
+    y = whitener.project(rows.residual)
+    groups = {
+        g: v + possible(ranking.stack, best[g], whitener, y)
+        for g, v in witnessed(rows, ranking, whitener, y).items()
+        if not _within(rows, best[g], accepted) and not _again(best[g], accepted)
+    }
+    groups = {g: v for g, v in groups.items() if v > -np.inf}
+    ranking = replace(ranking, groups=groups)
+    if not ranking.claims:
+        return None
+    if ranking.total < np.log(CLAIM / DRIFTING):
+        # Not enough for what a drift can mimic by itself.
+        groups = ranking.discounted
+        others = [v for g, v in groups.items() if g not in ranking.drifting]
+        if max(groups, key=lambda g: groups[g]) not in ranking.drifting and (
+            logsumexp(others) < np.log(CLAIM)
+        ):
+            # Nor does it lend its weight to a name that is less probable.
+            return None
+    chosen = _most_probable(rows, ranking, groups, accepted)
+    if chosen is None:
+        return None
+    alike = [v for g, v in groups.items() if set(best[g].channels) & set(chosen.channels)]
+    return chosen if logsumexp(alike) >= np.log(CLAIM) else None
+
+
+def _most_probable(
+    rows: Rows, ranking: Ranking, groups: Mapping[str, float], accepted: list[Accepted]
+) -> Candidate | None:
+    """Return the best of the more probable side, physics or rivals, by what the groups count."""
+    best = ranking.best
+    physical = [g for g in groups if best[g].physical]
+    rival = [g for g in groups if not best[g].physical]
+    top = max(physical, key=lambda g: groups[g], default=None)
+    other = max(rival, key=lambda g: groups[g], default=None)
+    if top is None:
+        return None if other is None else best[other]
+    if other is None:
+        return best[top]
+    for_physics = logsumexp([groups[g] for g in physical])
+    for_rivals = logsumexp([groups[g] for g in rival])
+    ahead = for_physics - for_rivals
+    if ahead >= 0 or (ahead >= -FIRST and for_physics >= np.log(CLAIM)):
+        return best[top]
+    # Two causes at once can look like one smooth rival: let physics try twice.
+    if groups[top] > np.log(CLAIM):
+
+        def beside(first: Candidate) -> Ranking:
+            taken = accept(ranking.stack, first, 1.0)
+            levels = ranking.levels_with(first)
+            return rank(rows, ranking.stack, [*accepted, taken], levels)
+
+        second = beside(best[top])
+        left = {g: v for g, v in second.groups.items() if second.best[g].physical}
+        also = max(left, key=lambda g: left[g], default=None)
+        if (
+            also is not None
+            and groups[top] + left[also] > for_rivals
+            and left[also] > np.log(CLAIM)
+        ):
+            # A cause that is there beside the rival as well speaks for neither.
+            apart = max(beside(best[other]).groups.get(also, 0.0), 0.0)
+            if groups[top] + left[also] > for_rivals + apart:
+                return best[top]
+    return best[other]
+
+
+def _within(rows: Rows, candidate: Candidate, accepted: list[Accepted]) -> bool:
+    """Whether a candidate is part of what was accepted, and no second cause.
+
+    So is an event in, or at the edge of, what is unexplained in one of its channels; and what is
+    left in the turn of an event that was linearised at its moment.
+    """
+    event = candidate.physical and get_effect(candidate.name).kind == "event"
+    moment = candidate.shape.get("moment")
+    for a in accepted:
+        if not set(a.candidate.channels) & set(candidate.channels):
+            continue
+        if a.candidate.physical:
+            if not a.in_model and "moment" in a.candidate.shape:
+                start, stop = _around(rows, a.candidate.shape["moment"])
+                first, last = candidate.interval or (moment, moment)
+                if first is not None and last is not None and start <= first and last <= stop:
+                    return True
+            continue
+        if not event:
+            continue
+        if a.candidate.interval is None or moment is None:
+            return True
+        start, stop = a.candidate.interval
+        edge = 0.5 * (stop - start)
+        if start - edge <= moment <= stop + edge:
+            return True
+    return False
+
+
+def _around(rows: Rows, moment: float) -> tuple[float, float]:
+    """Return the rest or turn that a moment lies in, with those beside it."""
+    k = rows.segment_at(moment)
+    return float(rows.interval[max(k - 1, 0), 0]), float(rows.interval[: k + 2, 1].max())
+
+
+def _again(candidate: Candidate, accepted: list[Accepted]) -> bool:
+    """Whether an effect was found already on all that a candidate touches."""
+    return lasting(candidate) and any(
+        set(candidate.parameters) <= set(a.candidate.parameters)
+        for a in accepted
+        if a.candidate.name == candidate.name
+    )
+
+
+def possible(stack: Stack, candidate: Candidate, whitener: Whitener, y: FloatArray) -> float:
+    """Return how probable it is that an effect is no larger than any is, at best, as a logarithm.
+
+    What would have to be clearly larger mimics something else: -inf.
+    """
+    if not candidate.physical:
+        return 0.0
+    about = {p.name: p for p in get_effect(candidate.name).parameters}
+    least, most = (
+        np.array([getattr(about[n], bound) for n in candidate.parameters])
+        for bound in ("least", "most")
+    )
+    if not np.isfinite([least, most]).any():
+        return 0.0
+    columns = whitener.project(stack.of(candidate))
+    inverse = pseudo_inverse(columns)
+    typical = np.array([about[n].typical for n in candidate.parameters])
+    value = typical * (inverse @ y)
+    sigma = typical * np.linalg.norm(inverse, axis=1)
+    beyond = np.maximum(np.maximum(value - most, least - value), 0.0)
+    beyond = np.divide(beyond, sigma, out=np.zeros(len(value)), where=beyond > 0)
+    if (beyond > SURE).any():
+        return -np.inf
+    return float((log_ndtr(-beyond) - log_ndtr(0.0)).sum())

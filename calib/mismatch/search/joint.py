@@ -1,0 +1,94 @@
+"""One linear step of all that is fitted at once, with what is known beforehand."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from calib.mismatch.hypotheses.score import LARGE, SCALES
+from calib.mismatch.noise.noise import make_whitener
+from calib.mismatch.rows.rows import Rows
+from calib.mismatch.search.accepted import Accepted, fitted
+from calib.types import BoolArray, FloatArray
+
+
+def solve(
+    rows: Rows,
+    accepted: list[Accepted] | tuple[Accepted, ...],
+    levels: FloatArray,
+    contrast: FloatArray,
+) -> FloatArray:
+    """Return the generalised least-squares step of all that is fitted; `cut` columns stay."""
+    mean = fitted(rows, accepted)
+    kept = ~cut(rows, accepted)
+    step = np.zeros(mean.shape[1])
+    mean = mean[:, kept]
+    whitener = make_whitener(rows, levels, contrast, mean[:, :0])
+    prior, value = prior_rows(rows, accepted)
+    design, scale = scaled(np.vstack((whitener.whiten(mean), prior[:, kept])))
+    y = np.append(whitener.whiten(rows.residual), value)
+    found = np.linalg.lstsq(design, y, rcond=1e-9)[0]
+    step[kept] = found / scale
+    return step
+
+
+def prior_rows(
+    rows: Rows, accepted: list[Accepted] | tuple[Accepted, ...]
+) -> tuple[FloatArray, FloatArray]:
+    """Return rows (k, p) of the priors, and their values (k,).
+
+    Beside a reference baseline and alignment have theirs from the rows, and no finding is beyond
+    the largest size that has evidence: what the motion leaves open (the height of a sensor over a
+    table that turns about the vertical) stays there. A smooth function can take the place of the
+    baseline. At rest the two are exactly alike, but in motion, or beside a truth with noise, only
+    nearly so; what keeps them apart is the size that the evidence gave the rival, at most `LARGE`.
+    """
+    start = rows.baseline.shape[1] + rows.nuisance.shape[1]
+    width = start + sum(a.columns.shape[1] for a in accepted)
+    spread = np.full(width, np.inf)
+    value = np.zeros(width)
+    if rows.aligned:
+        spread[:start], value[:start] = rows.prior[:, 1], -rows.prior[:, 0]
+    at = start
+    for a in accepted:
+        own = slice(at, at + a.columns.shape[1])
+        if not a.candidate.physical:
+            spread[own] = LARGE
+        elif rows.aligned:
+            spread[own] = SCALES[-1]
+        if a.in_model:
+            value[own] = -a.values / a.typical
+        at = own.stop
+    known = np.isfinite(spread)
+    return np.diag(1.0 / spread)[known], (value / spread)[known]
+
+
+def cut(rows: Rows, accepted: list[Accepted] | tuple[Accepted, ...]) -> BoolArray:
+    """Return which fitted columns must not move the physics, (p,) bool.
+
+    Beside a reference these are the rivals that act everywhere: a smooth function of the motion can
+    take the place of a lever arm or of a rotation, and nobody knows its size. What stays
+    unexplained is then fitted to what the physics leaves. A rival in a window takes its window out.
+
+    References
+    ----------
+    .. [1] Liu, Bayarri, Berger, "Modularization in Bayesian analysis", Bayesian Analysis 4, 2009.
+    .. [2] Brynjarsdottir, O'Hagan, "Learning about physical parameters: the importance of model
+       discrepancy", Inverse Problems 30, 2014.
+    """
+    start = rows.baseline.shape[1] + rows.nuisance.shape[1]
+    parts = [np.zeros(start, bool)]
+    for a in accepted:
+        smooth = not a.candidate.physical and a.candidate.interval is None
+        parts.append(np.full(a.columns.shape[1], bool(rows.aligned) and smooth))
+    return np.concatenate(parts)
+
+
+def scaled(design: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return columns of unit length, and their lengths.
+
+    Priors belong to the length: a column that shows next to nothing is all prior, and by what it
+    shows alone its prior would be so steep that beside it nothing else had a rank.
+    """
+    size = np.linalg.norm(design, axis=0)
+    size[size == 0] = 1.0
+    return design / size, size

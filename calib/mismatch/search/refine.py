@@ -1,0 +1,116 @@
+"""The shape of what was accepted, between those that were tried: where it explains most."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from calib.effects import get_effect
+from calib.mismatch.hypotheses.candidates import Candidate
+from calib.mismatch.hypotheses.ends import place_window, tune_wave
+from calib.mismatch.hypotheses.families import candidate_columns, forms, neighbours
+from calib.mismatch.hypotheses.windows import THROUGHOUT, WINDOWED, window_columns
+from calib.mismatch.noise.noise import Whitener, make_whitener
+from calib.mismatch.rows.rows import Rows
+from calib.mismatch.search.accepted import Accepted, fitted
+from calib.types import FloatArray
+
+
+def refine_last(
+    rows: Rows,
+    accepted: list[Accepted],
+    levels: FloatArray,
+    contrast: FloatArray,
+    *,
+    reference: bool,
+) -> Accepted:
+    """Refine the shape parameters of the last accepted between the grid's values."""
+    last = accepted[-1]
+    if last.candidate.name in WINDOWED or last.candidate.name == THROUGHOUT:
+        whitener = make_whitener(rows, levels, contrast, fitted(rows, accepted[:-1]))
+        y = whitener.project(rows.residual)
+        if last.candidate.name == THROUGHOUT:
+            candidate, columns = tune_wave(rows, last.candidate, whitener, y)
+        else:
+            candidate = place_window(rows, last.candidate, whitener, y)
+            columns = window_columns(rows, candidate)
+        number = columns.shape[1]
+        return replace(
+            last,
+            candidate=candidate,
+            columns=columns,
+            typical=np.ones(number),
+            values=np.zeros(number),
+        )
+    if not last.candidate.physical or not last.candidate.shape:
+        return last
+    whitener = make_whitener(rows, levels, contrast, fitted(rows, accepted[:-1]))
+    y = whitener.project(rows.residual)
+    candidate, columns = refined(
+        rows, last.candidate, last.columns, whitener, y, reference=reference
+    )
+    return replace(last, candidate=candidate, columns=columns)
+
+
+def refined(
+    rows: Rows,
+    candidate: Candidate,
+    columns: FloatArray,
+    whitener: Whitener,
+    y: FloatArray,
+    *,
+    reference: bool,
+) -> tuple[Candidate, FloatArray]:
+    """Return the candidate and its columns at that shape near its own which explains most."""
+    effect = get_effect(candidate.name)
+
+    def gain(columns: FloatArray) -> float:
+        return likelihood_gain(whitener.project(columns), y, present=candidate.present)
+
+    best, value = (candidate, columns), gain(columns)
+
+    def try_shape(shape: dict[str, float]) -> float:
+        nonlocal best, value
+        tried = candidate_columns(rows, candidate, shape, reference=reference)
+        if tried is None:
+            return -np.inf
+        new = gain(tried)
+        if new > value:
+            best, value = (replace(candidate, shape=shape), tried), new
+        return new
+
+    for form in forms(effect, candidate.shape):
+        for shape in neighbours(effect, rows, form):
+            try_shape(shape)
+    if effect.from_moment:
+        for shape in neighbours(effect, rows, best[0].shape, closer=True):
+            try_shape(shape)
+    if candidate.present:
+        # How strong it is is in its shape alone, whatever its form.
+        sizes = [i for i in effect.shape if i.spacing == "log" and i.name in candidate.shape]
+        for shape in forms(effect, best[0].shape):
+            for item in sizes:
+                _climb(try_shape, shape, item.name)
+    return best
+
+
+def _climb(gain: Callable[[dict[str, float]], float], shape: dict[str, float], name: str) -> None:
+    """Call `gain` with values of one shape parameter, closing in on its maximum."""
+    step, here, value = 0.08, shape[name], gain(shape)
+    while step > 1e-4:
+        up, down = here * (1 + step), here / (1 + step)
+        new, at = max((gain({**shape, name: x}), x) for x in (up, down))
+        if new > value:
+            value, here = new, at
+        else:
+            step /= 3
+
+
+def likelihood_gain(columns: FloatArray, y: FloatArray, *, present: bool = False) -> float:
+    """Return the log-likelihood that whitened columns gain at their best fit, or as they are."""
+    if present:
+        return float((columns.T @ y)[0] - 0.5 * np.square(columns).sum())
+    fit = columns @ np.linalg.lstsq(columns, y, rcond=1e-9)[0]
+    return 0.5 * float(fit @ fit)

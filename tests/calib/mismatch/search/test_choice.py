@@ -1,0 +1,142 @@
+"""The explanation that is taken, of those that explain what is left."""
+
+import numpy as np
+import pytest
+from scipy.stats import norm
+
+from calib.effects import get_effect
+from calib.mismatch.noise.noise import (
+    expected_levels,
+    make_whitener,
+)
+from calib.mismatch.search import choice
+from calib.mismatch.search.accepted import fitted
+from calib.mismatch.search.choice import choose, possible
+from calib.mismatch.search.ranking import Ranking, make_stack, rank
+
+from ..bench import GRAVITY, problem
+from .stacked import candidate
+
+
+def ranked(stacked, evidence, drifting=frozenset()):
+    rows, stack = stacked
+    best = {c.group: c for c in evidence}
+    groups = {c.group: value for c, value in evidence.items()}
+    levels = expected_levels(rows)
+    return Ranking(stack, np.zeros(0), best, groups, levels, drifting)
+
+
+def wave_in_a_window(stack, channel):
+    return next(c for c in stack if c.group == f"wave in a window {channel}")
+
+
+def test_what_a_drift_can_mimic_is_not_passed_over_for_a_poorer_rival(stacked):
+    rows, stack = stacked
+    step = candidate(stack, "gyro_bias_step", ("bz",))
+    wave = wave_in_a_window(stack, "gyro.z")
+
+    def chosen(of_step, of_wave):
+        found = ranked(stacked, {step: of_step, wave: of_wave}, frozenset({step.group}))
+        return choose(rows, found, [])
+
+    assert chosen(3.8, -0.2) is step
+    assert chosen(1.5, -0.2) is None
+    assert chosen(1.5, 1.5) is wave
+    assert chosen(6.0, 2.0) is step
+    # Both together are enough, but neither is by itself.
+    assert chosen(1.9, 0.5) is None
+
+
+def test_a_name_that_is_less_probable_than_rivals_needs_the_claim_by_itself(stacked):
+    rows, stack = stacked
+    effect = candidate(stack, "gyro_g_sensitivity", ("gxx",))
+    wave = wave_in_a_window(stack, "gyro.x")
+
+    def chosen(physics, rival):
+        return choose(rows, ranked(stacked, {effect: physics, wave: rival}), [])
+
+    assert chosen(1.5, 2.0) is effect
+    assert chosen(0.6, 0.5) is effect
+    assert chosen(0.6, 1.1) is wave
+
+
+def test_a_second_cause_outbids_a_rival_unless_it_is_there_beside_the_rival(stacked, monkeypatch):
+    rows, stack = stacked
+    effect = candidate(stack, "accel_settling", ("ky",))
+    rival = next(c for c in stack if c.group == "speed of rotation accel.y")
+    second = candidate(stack, "gyro_g_sensitivity", ("gxx",))
+
+    def chosen(beside_rival):
+        def again(rows, stack, accepted, start):
+            alone = accepted[-1].candidate is effect
+            return ranked(stacked, {second: 28.0 if alone else beside_rival})
+
+        monkeypatch.setattr(choice, "rank", again)
+        return choose(rows, ranked(stacked, {rival: 48.0, effect: 30.0, second: 28.0}), [])
+
+    assert chosen(2.0) is effect
+    assert chosen(28.0) is rival
+
+
+def test_causes_on_other_channels_lend_no_weight(stacked):
+    rows, stack = stacked
+    gyro = candidate(stack, "gyro_g_sensitivity", ("gxx",))
+    accel = candidate(stack, "accel_cubic", ("kx",))
+    wave = wave_in_a_window(stack, "gyro.x")
+
+    def chosen(evidence):
+        ranking = ranked(stacked, evidence)
+        assert ranking.claims
+        return choose(rows, ranking, [])
+
+    assert chosen({gyro: 0.6, accel: 0.5}) is None
+    assert chosen({gyro: 0.6, wave: 0.5}) is gyro
+    assert chosen({gyro: 1.0, accel: 0.5}) is gyro
+
+
+def test_nothing_is_chosen_below_the_claim(stacked):
+    rows, stack = stacked
+    ranking = rank(rows, stack, [], expected_levels(rows))
+    assert choose(rows, ranking, []) is None
+
+
+@pytest.mark.parametrize(
+    ("slug", "size", "beyond"),
+    [
+        ("accel_warm_up", 0.2 * GRAVITY, False),
+        ("accel_warm_up", -2.0 * GRAVITY, True),
+        ("gyro_warm_up", np.radians(10.0), False),
+        ("gyro_warm_up", np.radians(100.0), True),
+    ],
+)
+def test_no_sensor_warms_up_by_more_than_temperature_does(slug, size, beyond):
+    """A sensor that is let go as the recording begins looks so, after seconds, and is none."""
+    _, self_mode = problem()
+    rows = self_mode.rows()
+    stack = make_stack(rows, skip=(), reference=False)
+    warm = candidate(stack, slug, ("kx",))
+    levels, mean = expected_levels(rows), fitted(rows, [])
+    whitener = make_whitener(rows, levels, rows.white_diagonal, mean)
+    typical = get_effect(slug).parameters[0].typical
+    y = whitener.project(size / typical * stack.of(warm)[:, 0])
+    assert (possible(stack, warm, whitener, y) == -np.inf) is beyond
+
+
+def test_what_is_a_little_larger_than_any_is_as_much_less_likely():
+    _, self_mode = problem()
+    rows = self_mode.rows()
+    stack = make_stack(rows, skip=(), reference=False)
+    warm = candidate(stack, "accel_warm_up", ("kx",))
+    levels, mean = expected_levels(rows), fitted(rows, [])
+    whitener = make_whitener(rows, levels, rows.white_diagonal, mean)
+    about = get_effect("accel_warm_up").parameters[0]
+    column = whitener.project(stack.of(warm)[:, 0])
+    sigma = about.typical / np.linalg.norm(column)
+
+    def likely(beyond: float) -> float:
+        size = (about.most + beyond * sigma) / about.typical
+        return possible(stack, warm, whitener, size * column)
+
+    assert likely(-0.1) == 0.0
+    assert likely(2.0) == pytest.approx(np.log(norm.cdf(-2.0) / 0.5))
+    assert likely(3.1) == -np.inf

@@ -1,0 +1,64 @@
+"""What all candidates are worth, and when that is enough to say something."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calib.effects.base import Term
+from calib.mismatch.noise.noise import (
+    NEAR,
+    estimate_levels,
+    expected_levels,
+    level_likelihood,
+    range_basis,
+)
+from calib.mismatch.rows.grid import make_grid
+from calib.mismatch.search.accepted import fitted
+from calib.mismatch.search.ranking import CLAIM, DRIFTING, PLAIN, chance, make_stack, rank
+from calib.mismatch.twin.selfmode import SelfProblem
+from calib.statics import find_poses
+
+from ..bench import GRAVITY, recording
+
+
+def test_a_p_value_is_no_less_rare_than_evidence_of_noise():
+    # Of 9000 draws of noise 48 reach the claim (`benchmarks/evidence.py`, seeds 9 to 11).
+    assert 48 / 9000 < chance(CLAIM) < 0.01
+    assert chance(1e-3) == 1.0
+
+
+def test_what_a_drift_can_mimic_is_worth_less(stacked):
+    rows, stack = stacked
+    plain = rank(rows, stack, [], expected_levels(rows))
+    groups = {"this": 2.0}
+    alone = replace(plain, groups=groups, drifting=frozenset())
+    mimicked = replace(plain, groups=groups, drifting=frozenset({"this"}))
+    assert alone.worth == pytest.approx(2.0)
+    assert mimicked.worth == pytest.approx(2.0 + np.log(DRIFTING))
+    assert alone.claims
+    assert not mimicked.claims
+    assert not replace(plain, groups={}).claims
+
+
+def test_a_fit_starts_from_levels_that_were_found_beside_what_is_fitted():
+    strong = Term("gyro_g_sensitivity", {"gxx": 1e-3, "gyy": -1e-3, "gzx": 1e-3})
+    real = recording(strong)
+    grid = make_grid(real, find_poses(real))
+    rows = SelfProblem(grid, None, gravity=GRAVITY, full_gyro=False).rows()
+    stack = make_stack(rows, skip=(), reference=False)
+    ranking = rank(rows, stack, [], expected_levels(rows))
+    top = max(ranking.groups, key=lambda g: ranking.groups[g])
+    assert top == "gyro_g_sensitivity"
+    chosen = ranking.best[top]
+    mean = np.hstack((fitted(rows, []), stack.of(chosen)))[: rows.n_dense]
+    basis = range_basis(mean)
+    beside = level_likelihood(rows, basis, ranking.levels_with(chosen))
+    assert beside > estimate_levels(rows, mean, ranking.levels).log_likelihood - 2 * NEAR
+    assert beside > level_likelihood(rows, basis, ranking.levels) + 10.0
+    # What is far behind is not looked at so closely.
+    assert ranking.groups[top] > PLAIN
+    behind = [c for g, c in ranking.best.items() if ranking.groups[g] < 0]
+    assert behind
+    for other in behind:
+        assert ranking.levels_with(other) is ranking.levels
