@@ -190,8 +190,8 @@ def _sorted(
     joint = [
         _of_triad(item, slots[1])
         for item in in_windows(times, *slots, MIDDLE)
-        if item.name in _OF_TRIADS and item.window[1] - item.window[0] >= FLUCTUATION
-        if item.shape != APART
+        if item.name in _OF_TRIADS and item.shape != APART
+        if item.name == "bias in a window" or item.window[1] - item.window[0] >= FLUCTUATION
     ]
     # Beside the bias, a window that is open at one end is a step of it, which has a name.
     steps = {"accel_bias_step", "gyro_bias_step"} <= effects().keys() - set(skip)

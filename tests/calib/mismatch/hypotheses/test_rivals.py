@@ -136,6 +136,19 @@ def test_what_follows_a_field_in_the_room_is_unexplained_and_so_is_what_a_triad_
     assert overlap(found.unexplained[0].intervals[0], (start, stop)) > 0.5
 
 
+@pytest.mark.parametrize(("triad", "size"), [(CHANNELS[:3], 0.009), (CHANNELS[3:], 3e-4)])
+def test_what_pushes_a_triad_in_one_rest_is_unexplained_there(triad, size):
+    """Each axis has a third of what there is to see."""
+    real = recording(seed=8)
+    start, stop = find_poses(real).interval[7]
+    inside = size * ((real.time >= start) & (real.time <= stop))
+    pushed = {c: sign * inside for c, sign in zip(triad, (1, -1, 1), strict=True)}
+    found = diagnose_recording(with_added(real, pushed), gravity=GRAVITY)
+    assert not found.findings
+    assert [u.channels for u in found.unexplained] == [triad]
+    assert overlap(found.unexplained[0].intervals[0], (start, stop)) > 0.5
+
+
 def test_nearby_windows_lie_around_a_window_and_make_no_step_of_a_bias():
     _, made = problem()
     rows = made.rows()
