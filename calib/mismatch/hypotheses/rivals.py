@@ -95,7 +95,6 @@ That is what warming up looks like; only it takes longer, and shows in other res
 FADED = 3.0
 """Time constants after which it is gone."""
 
-
 _Draft = tuple[str, str, IntArray, Mapping[str, Any]]
 """The part of its kind that a candidate belongs to, its name, index, and the rest."""
 
@@ -147,7 +146,7 @@ def add_rivals(stack: Stack, rows: Rows, *, skip: tuple[str, ...] = ()) -> None:
 
 def _add_columns(stack: Stack, rows: Rows, slots: Slots) -> _Layout:
     """Add the columns of all rivals: those in windows, then smooth functions of something."""
-    state, smooth_ones = rows.state, []
+    state, follow = rows.state, []
     for c, name in enumerate(CHANNELS):
         size = typical_size(name.split(".")[0])
         in_slots = (rows.functional[c] @ slots.member).toarray()
@@ -162,8 +161,8 @@ def _add_columns(stack: Stack, rows: Rows, slots: Slots) -> _Layout:
         own += [("rate about the other axes", f(state, c)) for f in (other_rates, paired_rates)]
         for label, values in [*followed, *own]:
             index = stack.columns.add(size * rows.columns(c, values), _touched(rows, c))
-            smooth_ones.append((label, c, int(index[0]), int(index[-1]) + 1))
-    return _Layout(in_slots.shape[1], width, tuple(smooth_ones))
+            follow.append((label, c, int(index[0]), int(index[-1]) + 1))
+    return _Layout(in_slots.shape[1], width, tuple(follow))
 
 
 def _touched(rows: Rows, c: int) -> IntArray:

@@ -64,11 +64,8 @@ hold a rest of hours would have thousands, of which the rows of a few segments k
 WAVES = 6
 """Segments in a window with a wave, fewest: a wave has a mean, an amplitude and a phase."""
 
-CYCLES = 12.0
-"""Periods of a wave within a window, at most; and never less than four segments to a period."""
-
 SHORTEST_WAVE = 2.0
-"""Segments to a period of a wave throughout the recording, at least: each has a rest and a turn."""
+"""Segments to a period of a wave, at least: each has a rest and a turn."""
 
 SLOTS = (3, 2)
 """Parts of a rest and of a turn that a function of time in a window is constant in. A mean and two
@@ -162,7 +159,7 @@ def in_windows(
                 order = float(min(each * (b - a), most))
                 shapes.append(("fluctuation", {"order": order, "corner": corner}))
         if b - a >= WAVES:
-            cycles = np.arange(0.5, min(CYCLES, (b - a) / 4) + 0.25, 0.5)
+            cycles = np.arange(0.5, (b - a) / SHORTEST_WAVE + 0.25, 0.5)
             shapes += [("wave", {"period": (stop - start) / k}) for k in cycles]
         for kind, shape in shapes:
             name = f"{kind} in a window"

@@ -149,6 +149,19 @@ def test_what_pushes_a_triad_in_one_rest_is_unexplained_there(triad, size):
     assert overlap(found.unexplained[0].intervals[0], (start, stop)) > 0.5
 
 
+@pytest.mark.parametrize(("channel", "size"), [("accel.y", 0.012), ("gyro.y", 6e-4)])
+def test_a_wave_in_a_window_is_found_though_a_rest_and_a_turn_have_most_of_a_period(channel, size):
+    real = recording(seed=8)
+    start, stop = 0.3 * real.time[-1], 0.75 * real.time[-1]
+    inside = (real.time > start) & (real.time < stop)
+    hum = size * np.sin(2 * np.pi * real.time / 6.0)
+    found = diagnose_recording(with_added(real, {channel: inside * hum}), gravity=GRAVITY)
+    assert not found.findings
+    ((follows, channels),) = [(u.follows, u.channels) for u in found.unexplained]
+    assert (follows, channels) == ("wave in a window", (channel,))
+    assert overlap(found.unexplained[0].intervals[0], (start, stop)) > 0.5
+
+
 def test_nearby_windows_lie_around_a_window_and_make_no_step_of_a_bias():
     _, made = problem()
     rows = made.rows()
