@@ -24,8 +24,9 @@ from calib.effects import get_effect
 from calib.mismatch import ReferenceMotion, diagnose_reference
 from calib.mismatch.reference.alignment import Alignment
 from calib.mismatch.reference.carried import ARM, arm_term
-from calib.mismatch.reference.comparison import ComparisonProblem, Setup
+from calib.mismatch.reference.comparison import ComparisonProblem
 from calib.mismatch.reference.referencemode import compare_reference
+from calib.mismatch.reference.setup import Setup
 from calib.mismatch.samples.samples import look_at_samples
 from calib.recording import Recording
 from calib.rotation import mat_from_rotvec

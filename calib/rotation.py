@@ -80,6 +80,15 @@ def mat_from_rotvec(rotvec: FloatArray) -> FloatArray:
     return mat_from_quat(quat_from_rotvec(rotvec))
 
 
+def rotvec_from_mat(mat: FloatArray) -> FloatArray:
+    """Return the rotation vectors (..., 3), rad, of rotation matrices (..., 3, 3)."""
+    from scipy.spatial.transform import Rotation  # a third of a second to import
+
+    mat = np.asarray(mat, np.float64)
+    rotvec: FloatArray = Rotation.from_matrix(mat.reshape(-1, 3, 3)).as_rotvec()
+    return rotvec.reshape(*mat.shape[:-2], 3)
+
+
 def rate_increments(time: FloatArray, rate: FloatArray) -> FloatArray:
     """Return the rotation vector over each step, (n - 1, 3) rad, from the rate at its ends.
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from calib.rotation import mat_from_quat
+from calib.rotation import mat_from_quat, rotvec_from_mat
 from calib.simulation.kinematics import Angle, Kinematics, Motion, Path, Segment, at_rest
 from calib.simulation.motions import FACES, UPRIGHT, X, Z
 from calib.simulation.profiles import MINIMUM_JERK
@@ -153,8 +153,6 @@ def _mounts(faces: Sequence[str], hands: Sequence[float]) -> list[tuple[FloatArr
 
 
 def _axis_angle(mat: FloatArray) -> tuple[FloatArray, float]:
-    from scipy.spatial.transform import Rotation
-
-    rotvec = Rotation.from_matrix(mat).as_rotvec()
+    rotvec = rotvec_from_mat(mat)
     angle = float(np.linalg.norm(rotvec))
     return (rotvec / angle if angle else np.eye(3)[0]), angle

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from calib.closure import closure_residual
 from calib.effects.axis_error import ORDERS, signed_permutation
 from calib.poses import Poses
 from calib.recording import AXES, Recording
-from calib.rotation import integrate_rate, mat_from_quat
+from calib.rotation import integrate_rate, mat_from_quat, rotvec_from_mat
 from calib.turns import Turns
 from calib.types import FloatArray
 
@@ -84,7 +83,7 @@ def _rotations(recording: Recording, turns: Turns, bias: FloatArray) -> FloatArr
 
 
 def _vertical(mat: FloatArray, up: FloatArray) -> str | None:
-    rotvec = Rotation.from_matrix(mat).as_rotvec()
+    rotvec = rotvec_from_mat(mat)
     angle = float(np.linalg.norm(rotvec))
     if angle < LARGE_TURN or abs(float(rotvec @ up)) < np.cos(VERTICAL) * angle:
         return None

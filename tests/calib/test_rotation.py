@@ -10,6 +10,7 @@ from calib.rotation import (
     mat_from_rotvec,
     quat_from_mat,
     quat_from_rotvec,
+    rotvec_from_mat,
     skew,
 )
 
@@ -19,6 +20,12 @@ def test_matrices_agree_with_scipy() -> None:
     expected = Rotation.from_rotvec(rotvec).as_matrix()
     np.testing.assert_allclose(mat_from_rotvec(rotvec), expected, atol=1e-14)
     np.testing.assert_allclose(mat_from_quat(quat_from_mat(expected)), expected, atol=1e-14)
+
+
+def test_rotation_vectors_come_back() -> None:
+    rotvec = np.random.default_rng(3).uniform(-1.7, 1.7, (5, 10, 3))
+    np.testing.assert_allclose(rotvec_from_mat(mat_from_rotvec(rotvec)), rotvec, atol=1e-13)
+    np.testing.assert_allclose(rotvec_from_mat(mat_from_rotvec(rotvec[0, 0])), rotvec[0, 0])
 
 
 def test_skew_is_the_cross_product() -> None:

@@ -8,27 +8,24 @@ from dataclasses import replace
 import numpy as np
 
 from calib import faults
-from calib.calibration import Quantity
-from calib.effects import effects, get_effect
+from calib.effects import effects
 from calib.mismatch.findings.diagnosis import Diagnosis, Finding, claimed, summarise
-from calib.mismatch.findings.heldout import HeldOut, held_out
-from calib.mismatch.hypotheses.families import PHYSICAL, tried_effects
-from calib.mismatch.hypotheses.score import SCALES, SHARES
 from calib.mismatch.noise.hush import audible
 from calib.mismatch.reference.alignment import LEAST_OVERLAP, Alignment, align
 from calib.mismatch.reference.alike import check_apart
 from calib.mismatch.reference.band import follows_noise, matched, too_few
 from calib.mismatch.reference.carried import OF_GYRO
 from calib.mismatch.reference.comparison import ComparisonProblem
+from calib.mismatch.reference.setupfindings import find_setups
 from calib.mismatch.reference.truths import RecordingTruth
 from calib.mismatch.reference.twinned import UNSIGNED, diagnose_twin
 from calib.mismatch.samples.samples import Samples, look_at_samples
 from calib.mismatch.search.estimate import Estimate
 from calib.mismatch.search.explain import changes, explain, verdict
-from calib.mismatch.search.ranking import CLAIM, chance
 from calib.mismatch.search.search import Outcome, search
 from calib.model import SensorModel
-from calib.recording import CHANNELS, Recording
+from calib.recording import Recording
+from calib.rotation import rotvec_from_mat
 from calib.statics import find_poses
 from calib.threads import one_thread
 from calib.timing import evened
@@ -39,10 +36,6 @@ _OPEN = {"bias": 0.1, "scale_factor_error": 0.02, "misalignment": 0.02}
 
 NOWHERE = "positions in the reference"
 """What shows those."""
-
-_LINEAR = {"time_offset": 0.02, "clock_scale": 1e-4, "reference_misalignment": 0.1}
-"""Sizes (SI) up to which an alignment acts in proportion, so that it can be left out again to see
-what it is worth on held-out windows."""
 
 UNPLACED = ("accel_lever_arm", "accel_size_effect", "time_offset")
 """What shows only where it is known what an accelerometer feels while it moves: its place, that of
@@ -167,7 +160,7 @@ def conclude(
     outcome, model = _in_samples(outcome, problem.setup.model, problem.thin)
     fit = outcome.fit(reference=True)
     findings, unexplained, (known, covariance) = explain(outcome, fit, names=problem.names)
-    found = _setups(outcome, fit, problem, setups)
+    found = find_setups(outcome, fit, problem, setups)
     begin = outcome.rows.interval[:, 0]
     findings = [f for f in findings if not any(_the_same(f, g, begin) for g in seen.findings)]
     findings = [*seen.findings, *found, *findings]
@@ -208,7 +201,7 @@ def conclude(
                 "offset": alignment.offset,
                 "stretch": alignment.stretch,
                 "middle": alignment.middle,
-                "rotation": _rotvec(problem.setup.mat_sr).tolist(),
+                "rotation": rotvec_from_mat(problem.setup.mat_sr).tolist(),
                 "correlation": alignment.correlation,
                 "reference_gyro": problem.setup.errors[:OF_GYRO].tolist(),
                 "reference_accel": problem.setup.errors[OF_GYRO:].tolist(),
@@ -276,107 +269,6 @@ def _unplaced(problem: ComparisonProblem, poses: list[str]) -> tuple[str, ...]:
 def _open(names: tuple[str, ...], fit: Estimate) -> list[str]:
     sigma = np.sqrt(np.diag(fit.covariance))
     return [n for n, s in zip(names, sigma, strict=False) if s == 0 or s > _OPEN[n.split(".")[1]]]
-
-
-def _setups(
-    outcome: Outcome, fit: Estimate, problem: ComparisonProblem, setups: tuple[str, ...]
-) -> list[Finding]:
-    """Return the alignments that are beyond noise as findings, with the evidence of any other."""
-    out = []
-    alignment, mat = problem.setup.alignment, problem.setup.mat_sr
-    p = len(problem.names)
-    slugs = [name.split(".")[0] for name in problem.alignments]
-    # The fit's last small step is still to be taken from where the rows stand.
-    step = fit.step[p : p + len(slugs)]
-    turn = _rotvec(mat)
-    value = np.array([-alignment.offset, 1.0 / (1.0 + alignment.stretch) - 1.0, *(-turn)])
-    value = value[: len(slugs)] + step
-    prior = PHYSICAL / len(tried_effects(reference=True))
-    for slug in dict.fromkeys(slugs):
-        if slug not in setups:
-            continue
-        own = np.array([i for i, s in enumerate(slugs) if s == slug])
-        names = [problem.alignments[i].split(".")[1] for i in own]
-        sizes = {x.name: x.typical for x in get_effect(slug).parameters}
-        typical = np.array([sizes[n] for n in names])
-        covariance = fit.covariance[np.ix_(p + own, p + own)]
-        e_value = prior * bayes_factor(value[own], covariance, typical)
-        if e_value >= CLAIM:
-            out.append(_setup(outcome, problem, slug, names, own, value[own], covariance, e_value))
-    return out
-
-
-def bayes_factor(value: FloatArray, covariance: FloatArray, typical: FloatArray) -> float:
-    """Return the evidence that an estimate is not zero, averaged over `SCALES` of its size."""
-    logs = []
-    for scale in SCALES:
-        wide = covariance + np.diag(np.square(scale * typical))
-        gain = value @ np.linalg.solve(covariance, value) - value @ np.linalg.solve(wide, value)
-        change = np.linalg.slogdet(covariance)[1] - np.linalg.slogdet(wide)[1]
-        logs.append(0.5 * (gain + change))
-    return float(np.exp(min(max(logs), 690.0)) * (SHARES @ np.exp(np.array(logs) - max(logs))))
-
-
-def _setup(
-    outcome: Outcome,
-    problem: ComparisonProblem,
-    slug: str,
-    names: list[str],
-    own: FloatArray,
-    value: FloatArray,
-    covariance: FloatArray,
-    e_value: float,
-) -> Finding:
-    effect, rows = get_effect(slug), outcome.rows
-    units = {x.name: x.unit for x in effect.parameters}
-    proof: HeldOut | None = None
-    reason = "without it the two are not aligned, and nothing can be compared"
-    if np.abs(value).max() <= _LINEAR[slug]:
-        keep = np.ones(rows.nuisance.shape[1], bool)
-        keep[own] = False
-        columns = rows.nuisance[:, own]
-        mean = np.hstack(
-            (rows.baseline, rows.nuisance[:, keep], *(a.columns for a in outcome.accepted))
-        )
-        proof, reason = (
-            held_out(
-                rows,
-                mean,
-                columns,
-                rows.residual + columns @ value,
-                levels=outcome.levels,
-                contrast=outcome.contrast,
-                channels=CHANNELS,
-            ),
-            "",
-        )
-    sigma = np.sqrt(np.diag(covariance))
-    return Finding(
-        effect=slug,
-        title=effect.title,
-        kind=effect.kind if slug != "time_offset" else "setup",
-        channels=CHANNELS,
-        intervals=((float(problem.time[0]), float(problem.time[-1])),),
-        regime=effect.follows,
-        parameters={
-            n: Quantity(float(v), float(s), units[n])
-            for n, v, s in zip(names, value, sigma, strict=True)
-        },
-        p_value=chance(e_value),
-        absorbed_by=(),
-        held_out=proof,
-        held_out_reason=reason,
-        rivals=(),
-        to_separate="",
-        sentence=effect.sentence,
-    )
-
-
-def _rotvec(mat: FloatArray) -> FloatArray:
-    from scipy.spatial.transform import Rotation  # a third of a second to import
-
-    out: FloatArray = Rotation.from_matrix(mat).as_rotvec()
-    return out
 
 
 def undetermined(missing: str, summary: Mapping[str, object]) -> Diagnosis:

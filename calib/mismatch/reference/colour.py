@@ -27,6 +27,9 @@ SLOWEST = 1.0
 STEEPEST = 1e4
 """Power of the noise at the cut-off, relative to that at rest, beyond which it is taken as this."""
 
+FAST = 0.98
+"""Share of the samples that turn slower than the motion at its fastest."""
+
 
 class Blur(NamedTuple):
     """What signals are seen through: from n points to the m that are ``seen``.
@@ -146,6 +149,15 @@ def whitening(time: FloatArray, colours: list[Colour], interval: float, band: fl
         white=(accel, gyro),
         heard=(heard[0], heard[1]),
     )
+
+
+def steepest_beside(rate: FloatArray) -> float:
+    """Return how steep, in s², the density of a motion's noise can be, of its rates (n, 3), rad/s.
+
+    A turn makes slow noise of rates of the noise of angles: ``w x angle`` beside ``d(angle)/dt``.
+    """
+    turning = float(np.quantile(np.linalg.norm(rate, axis=1), FAST))
+    return (2 * np.pi / max(turning, 1e-3)) ** 2
 
 
 def find_colour(

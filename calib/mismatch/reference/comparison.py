@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 from scipy import sparse
@@ -32,63 +31,30 @@ from calib.mismatch.reference.carried import (
     rough_arm,
     true_force,
 )
-from calib.mismatch.reference.colour import WHITE, Blur, Colour, find_colour, gaussian, whitening
+from calib.mismatch.reference.colour import (
+    WHITE,
+    Blur,
+    Colour,
+    find_colour,
+    gaussian,
+    steepest_beside,
+    whitening,
+)
 from calib.mismatch.reference.floor import with_rounding
 from calib.mismatch.reference.scatter import scatter
+from calib.mismatch.reference.setup import BASELINE, GYRO_ANGLES, LOOSE, Setup
 from calib.mismatch.reference.stilled import gradient_in, resting, stilled
 from calib.mismatch.reference.truths import RecordingTruth
 from calib.mismatch.reference.visible import catalogue_shapes
 from calib.mismatch.reference.windowed import Shapes, find_shapes, make_rows, robust_step
 from calib.mismatch.reference.witnessed import witnessed
 from calib.mismatch.rows.rows import Rows
-from calib.mismatch.twin.twin import ACCEL_MISALIGNMENT, GYRO_MISALIGNMENT, baseline_column
+from calib.mismatch.twin.twin import baseline_column
 from calib.model import SensorModel
 from calib.recording import AXES, Recording
-from calib.rotation import mat_from_rotvec
 from calib.statics import find_poses
 from calib.thermometer import smooth_temperature
 from calib.types import BoolArray, FloatArray
-
-FAST = 0.98
-"""Share of the samples that turn slower than the motion at its fastest."""
-
-ACCEL_BASELINE = (
-    *(f"accel.bias.{a}" for a in AXES),
-    *(f"accel.scale_factor_error.{a}" for a in AXES),
-    *(f"accel.misalignment.{p}" for p in ACCEL_MISALIGNMENT),
-)
-GYRO_BASELINE = (
-    *(f"gyro.bias.{a}" for a in AXES),
-    *(f"gyro.scale_factor_error.{a}" for a in AXES),
-)
-BASELINE = (*ACCEL_BASELINE, *GYRO_BASELINE)
-GYRO_ANGLES = tuple(f"gyro.misalignment.{p}" for p in GYRO_MISALIGNMENT)
-
-LOOSE = {
-    "bias": 2.0,
-    "scale_factor_error": 0.05,
-    "misalignment": 0.05,
-    "delay": 0.1,
-    "scale": 0.01,
-    **dict.fromkeys(("rx", "ry", "rz"), 0.2),
-}
-"""How far (SI) baseline and alignment may be from where they start.
-
-Some more than data sheets say (MPU-6050 product specification rev. 3.4: 3 % of scale, 2 % across
-axes, 80 mg, 20 dps), and of the alignment what the correlation of rates and Wahba's problem leave
-open. What the motion does not determine (the heading of a sensor on a table that turns about the
-vertical) stays there.
-"""
-
-
-class Setup(NamedTuple):
-    """Where the comparison stands: sensor model, alignment in time, frames."""
-
-    model: SensorModel
-    alignment: Alignment
-    mat_sr: FloatArray
-    errors: FloatArray
-    """Of another IMU, as an arm carries them."""
 
 
 class ComparisonProblem:
@@ -266,20 +232,7 @@ class ComparisonProblem:
     ) -> None:
         """Move model and alignment by steps; set the further terms."""
         self.moved += np.append([baseline[n] for n in self.names], nuisance)
-        model, alignment, mat, errors = self.setup
-        triads = []
-        for name, triad in (("accel", model.accel), ("gyro", model.gyro)):
-            now = triad.parameters(name)
-            new = {k: now[k] + v for k, v in baseline.items() if k in now}
-            triads.append(triad.with_parameters(new))
-        model = replace(model, accel=triads[0], gyro=triads[1], terms=(*self.given, *terms))
-        alignment = alignment.moved(-float(nuisance[0]), -float(nuisance[1]))
-        if self.turned:
-            # f x rho is -skew(rho) f: the frame turned by -rho.
-            mat = mat_from_rotvec(-np.asarray(nuisance[2:5])) @ mat
-        if self.gyroscopic:
-            errors = errors + nuisance[5:]
-        self.setup = Setup(model, alignment, mat, errors)
+        self.setup = self.setup.moved(baseline, nuisance, (*self.given, *terms), turned=self.turned)
 
     def rows(self) -> Rows:
         """Return recording minus model of the truth."""
@@ -386,9 +339,7 @@ class ComparisonProblem:
         """Look from here on through what makes the noise that is left white."""
         state = self.state()
         left = self.residual(state)
-        # A turn makes slow noise of rates of the noise of angles: w x angle beside d(angle)/dt.
-        turning = float(np.quantile(np.linalg.norm(state.rate, axis=1), FAST))
-        steepest = (2 * np.pi / max(turning, 1e-3)) ** 2
+        steepest = steepest_beside(state.rate)
         colours = [
             find_colour(self.time[at], left[at, own], self.interval, self.band, steepest=steepest)
             for own, at in (
