@@ -58,11 +58,14 @@ def wandering(
     out = np.full((segments + 1, segments + 1), -np.inf)
     scale = np.square(SCALES)[:, None, None]
     for b in range(1, segments + 1):
-        low, high = int(first[max(b - longest, 0)]), int(first[b])
+        begins = np.arange(max(b - longest, 0), b)
+        low, high = int(first[begins[0]]), int(first[b])
         k = high - low
         pull = decay[low:high, low:high]
-        inner = np.einsum("ij,jckd->ickd", pull, gram[low:high, :, low:high, :])
-        inner = np.einsum("ickd,lk->icld", inner, pull)[::-1, :, ::-1].reshape(k * c, k * c)
+        # Later slots first: rows and columns (slot, channel) of pull G pull'.
+        one = (pull @ gram[low:high, :, low:high].reshape(k, -1)).reshape(k, c, k, c)
+        both = np.matmul(pull, one.reshape(k * c, k, c)).reshape(k, c, k, c)
+        inner = both[::-1, :, ::-1].reshape(k * c, k * c)
         along = (pull @ match[low:high])[::-1].reshape(k * c)
         each = np.repeat(size[low:high][::-1], c)
         whole = np.zeros((len(SCALES), k * c + 1, k * c + 1))
@@ -74,14 +77,14 @@ def wandering(
         gain = 0.5 * np.square(left) - np.log(diagonal)
         before = np.zeros((len(SCALES), k + 1))
         before[:, 1:] = gain.reshape(-1, k, c).sum(axis=2).cumsum(axis=1)
-        for a in range(max(b - longest, 0), b):
-            at = high - 1 - int(first[a])
-            own = slice(at * c, at * c + c)
-            block, seen = root[:, own, own], left[:, own]
-            s = size[first[a]]
-            full = (block @ np.swapaxes(block, 1, 2) - np.eye(c)) / s**2 + np.eye(c)
-            value = np.einsum("nij,nj->ni", block, seen) / s
-            solved = np.linalg.solve(full, value[:, :, None])[:, :, 0]
-            last = 0.5 * (value * solved).sum(axis=1) - 0.5 * np.linalg.slogdet(full)[1]
-            out[a, b] = average_of_scales(before[:, at] + last)
+        # The slot that each window begins with has no factor.
+        at = high - 1 - first[begins]
+        own = at[:, None] * c + np.arange(c)
+        block = root[:, own[:, :, None], own[:, None]]
+        s = size[first[begins], None, None]
+        full = (block @ np.swapaxes(block, 2, 3) - np.eye(c)) / s**2 + np.eye(c)
+        value = block @ (left[:, own, None] / s)
+        solved = np.linalg.solve(full, value)
+        last = 0.5 * (value * solved).sum(axis=(2, 3)) - 0.5 * np.linalg.slogdet(full)[1]
+        out[begins, b] = average_of_scales(before[:, at] + last)
     return out
