@@ -255,8 +255,9 @@ def find_stuck(
             continue
         longest = max(_longest(share[~constant], n), 8)
         if BETWEEN <= counts[c] < 1.0:
-            # Halfway between two steps neighbours are equal unless either reaches another count.
-            stays = 1.0 - 2.0 * float(ndtr(-0.5 / counts[c]))
+            # In the middle of a count neighbours are equal unless either reaches another one. The
+            # noise may be less by a third: at the edge of a count it seems that much larger.
+            stays = 1.0 - 2.0 * float(ndtr(-0.75 / counts[c]))
             longest = max(longest, float(np.log(FALSE_ALARM / n) / np.log(stays**2)))
         start, stop = runs(equal)
         long = stop + 1 - start >= longest

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -13,6 +13,7 @@ from calib.effects.base import Effect, State, TransformEffect
 from calib.mismatch.findings.aliases import find_aliases
 from calib.mismatch.findings.diagnosis import Diagnosis, Finding, Verdict, claimed, summarise
 from calib.mismatch.hypotheses.places import gathered, joined
+from calib.mismatch.noise.rounded import Rounding, look_at_counts
 from calib.mismatch.realigned import coarse_delay, mostly_prompt, with_all
 from calib.mismatch.rows.choice import choose_poses, distinct_directions
 from calib.mismatch.rows.grid import (
@@ -32,7 +33,7 @@ from calib.mismatch.samples.thin import Thinned, thin
 from calib.mismatch.samples.within import look_within
 from calib.mismatch.search.explain import changes, explain, verdict
 from calib.mismatch.search.search import Outcome, search
-from calib.mismatch.twin.selfmode import SelfProblem, rounded_mean_variance
+from calib.mismatch.twin.selfmode import SelfProblem
 from calib.model import SensorModel
 from calib.poses import Poses
 from calib.recording import CHANNELS, TRIADS, Recording
@@ -59,6 +60,8 @@ NEEDED = {
     BEYOND: "a gyroscope that reads less at rest",
 }
 """What a recording lacks that ends with its samples, by what they are off by."""
+
+FINER = "finer counts of the {}: rounding them is no longer hidden by its noise"
 
 LEAST_TURNS = 3
 """Turns below which nothing that shows in motion alone is named."""
@@ -136,19 +139,15 @@ def _diagnose(thinned: Thinned, *, gravity: float, model: SensorModel | None) ->
     )
     # And out of the twin: a rest that only a clipped turn joins to the others would lean with it.
     problem.leave_out(np.flatnonzero(_spoilt_turns(grid, recording, seen.spoilt)).tolist())
-    for f in seen.findings:
-        if f.effect == "quantization":
-            (lsb,) = (q.value for name, q in f.parameters.items() if name.endswith("_lsb"))
-            problem.coarse = {**problem.coarse, **{CHANNELS.index(c): lsb for c in f.channels}}
-    unhidden = _unhidden(recording, poses, problem.coarse)
-    missing += tuple(
-        f"finer counts of the {TRIADS[t]}: rounding them is no longer hidden by its noise, and "
-        "nothing else can be told of it"
-        for t in unhidden
-    )
+    coarse = _coarse(recording, grid.interval[grid.is_rest], seen.findings)
+    unhidden = _unhidden(coarse, few_turns=few_turns)
+    problem.rounded(coarse, restless="gyro" in unhidden)
     if "accel" in unhidden:
-        # Nor of the gyroscope, whose turns begin and end at its poses.
-        return _unfit(thinned, missing[:-1], missing[-1], "explained")
+        # Nor can anything be of the gyroscope, whose turns begin and end at its poses.
+        need = f"{FINER.format('accelerometer')}, and nothing else can be told"
+        return _unfit(thinned, missing, need, "explained")
+    if unhidden:
+        missing += (f"{FINER.format('gyroscope')}, and only its turns tell of it",)
     losses = [] if timeless or unhidden else find_losses(problem)
     problem.leave_out([loss.segment for loss in losses])
     skip: tuple[str, ...] = ("gyro_misalignment",) if full else ()
@@ -156,7 +155,6 @@ def _diagnose(thinned: Thinned, *, gravity: float, model: SensorModel | None) ->
         skip += ("time", *(k for k in effects() if k.endswith(_CLOCKED)))
     if few_turns:
         skip += tuple(k for k, e in effects().items() if _in_motion(e))
-    skip += tuple(k for k, e in effects().items() if _acts_on(e, unhidden))
     outcome = search(problem, skip=skip)
     names = problem.twin.names
     directions = distinct_directions(poses.accel)
@@ -185,7 +183,7 @@ def _diagnose(thinned: Thinned, *, gravity: float, model: SensorModel | None) ->
         )
     unexplained = [*seen.unexplained, *gathered(joined([*unexplained, *noisy]))]
     # What such counts leave follows where between two of them a signal is, and so whatever it does.
-    unexplained = [u for u in unexplained if u in seen.unexplained or not _in(u.channels, unhidden)]
+    unexplained = [u for u in unexplained if u in seen.unexplained or not _on(u.channels, unhidden)]
     change, likelihood = changes(outcome)
     aliases = find_aliases(final, model or SensorModel(), known, covariance, gravity=gravity)
     return Diagnosis(
@@ -208,25 +206,38 @@ def _diagnose(thinned: Thinned, *, gravity: float, model: SensorModel | None) ->
     )
 
 
-def _unhidden(recording: Recording, poses: Poses, coarse: Mapping[int, float]) -> tuple[str, ...]:
-    """Return the triads whose means err through rounding by half of a sample's noise and more.
+def _coarse(
+    recording: Recording, rests: FloatArray, findings: Sequence[Finding]
+) -> dict[int, Rounding]:
+    """Return the channels whose counts were found to be coarse, with what that does to rests.
 
-    Of noise that is rounded the size of changes is right on average over where between two counts
-    a signal is; where a pose is is chance.
+    These are (r, 2) intervals.
+    """
+    out = {}
+    start = np.searchsorted(recording.time, rests[:, 0])
+    stop = np.searchsorted(recording.time, rests[:, 1], side="right")
+    for f in findings:
+        if f.effect == "quantization":
+            (lsb,) = (q.value for name, q in f.parameters.items() if name.endswith("_lsb"))
+            for channel in f.channels:
+                values = recording.channel(channel)
+                parts = [values[a:b] for a, b in zip(start, stop, strict=True)]
+                out[CHANNELS.index(channel)] = look_at_counts(parts, lsb)
+    return out
+
+
+def _unhidden(coarse: Mapping[int, Rounding], *, few_turns: bool) -> tuple[str, ...]:
+    """Return the triads whose means at rest tell where between two counts they are.
+
+    Of a gyroscope that does not turn they are all there is, and if its bias moves by many counts
+    they tell of that.
     """
     out = []
     for triad in TRIADS:
-        own = {c: lsb for c, lsb in coarse.items() if CHANNELS[c].startswith(triad)}
-        if not own:
-            continue
-        change = [
-            np.abs(np.diff(recording.channel(CHANNELS[c])[a:b])).mean() / lsb
-            for a, b in zip(poses.start, poses.stop, strict=True)
-            for c, lsb in own.items()
-            if b - a > 1
-        ]
-        sigma = 0.5 * np.sqrt(np.pi) * float(np.mean(change)) if change else 0.0
-        if rounded_mean_variance(1.0, sigma) > (0.5 * sigma) ** 2:
+        own = [r for c, r in coarse.items() if CHANNELS[c].startswith(triad) and not r.hidden]
+        if triad == "gyro" and few_turns:
+            own = [r for r in own if not r.swept]
+        if own:
             out.append(triad)
     return tuple(out)
 
@@ -249,12 +260,8 @@ def _in_motion(effect: Effect) -> bool:
     return bool(still) and not any(v.any() for own in still.values() for v in own.values())
 
 
-def _acts_on(effect: Effect, triads: tuple[str, ...]) -> bool:
-    return any(_in(p.channels, triads) for p in effect.parameters)
-
-
-def _in(channels: Collection[str], triads: tuple[str, ...]) -> bool:
-    return any(c.startswith(triads) for c in channels) if triads else False
+def _on(channels: Sequence[str], triads: tuple[str, ...]) -> bool:
+    return any(c.split(".")[0] in triads for c in channels)
 
 
 def _is_rate(slug: str) -> bool:

@@ -9,7 +9,8 @@ import numpy as np
 
 from calib.calibration import parameter_unit
 from calib.effects import get_effect
-from calib.effects.base import PRESENCE, Term
+from calib.effects.base import PRESENCE, State, Term
+from calib.mismatch.noise.rounded import Rounding
 from calib.mismatch.noise.sensornoise import sample_noise
 from calib.mismatch.rows.grid import Grid
 from calib.mismatch.rows.rows import Kind, Rows
@@ -51,9 +52,24 @@ class SelfProblem:
         self.further: tuple[str, ...] = ()
         """Parameters of the given model's further terms that the last rows are fitted with."""
         self.drop: BoolArray | None = None
-        self.coarse: Mapping[int, float] = {}
-        """Channels whose counts are coarse, and a count: at rest they stick to one, so that the
+        self.coarse: Mapping[int, Rounding] = {}
+        """Channels whose counts are coarse: at rest they stick to one, so that the
         bias of a gyro that is seen there is not that of turns, and means are off in each pose."""
+        self.restless = False
+        """Whether the gyroscope is judged by its turns alone."""
+
+    def rounded(self, coarse: Mapping[int, Rounding], *, restless: bool) -> None:
+        """Take channels as rounded to coarse counts, and a gyroscope as ``restless``.
+
+        Where the signal moves on by a count and more from sample to sample, rounding is noise of a
+        twelfth of a count² on top of that before.
+        """
+        self.coarse, self.restless = coarse, restless
+        turns = self.grid.pose < 0
+        self.noise = self.noise.copy()
+        for c, rounding in coarse.items():
+            least = (rounding.sigma**2 + rounding.lsb**2 / 12) / self.grid.count[turns]
+            self.noise[turns, c] = np.maximum(self.noise[turns, c], least)
 
     def leave_out(self, segments: list[int]) -> None:
         """Leave segments out of the rows and of the twin's fit."""
@@ -73,7 +89,7 @@ class SelfProblem:
         }
         self.further = tuple(further)
         known = list(further.values())
-        known += [rows.functional[c] @ (self.grid.pose < 0) for c in self.coarse if c >= 3]
+        known += [rows.functional[c] @ self._moves(rows.state, c) for c in self.coarse if c >= 3]
         if known:
             rows = replace(rows, nuisance=np.column_stack((rows.nuisance, *known)))
         if self.coarse:
@@ -81,23 +97,33 @@ class SelfProblem:
         out = self._drifting(rows)
         if self.drop is not None:
             out |= self.drop[rows.segment]
+        if self.restless:
+            out |= rows.channel >= 3
         return rows.without(out) if out.any() else rows
+
+    def _moves(self, state: State, channel: int) -> BoolArray:
+        """Return the points at which a gyroscope's axis turns by more than it rounds to nothing."""
+        rate = state.rate[:, channel - 3]
+        return np.asarray((self.grid.pose < 0) & (np.abs(rate) > 0.5 * self.coarse[channel].lsb))
 
     def _rounding(self, rows: Rows) -> FloatArray:
         """Return the covariance of dense rows that rounding to coarse counts makes, (n, n)."""
         dense = slice(0, rows.n_dense)
         means = rows.kind[dense] == Kind.MEAN
         out = np.zeros((rows.n_dense, rows.n_dense))
-        sample = self.noise * self.grid.count[:, None]
-        for c, lsb in self.coarse.items():
-            for p in np.unique(rows.block[dense][means]):
-                own = np.flatnonzero(means & (rows.channel[dense] == c) & (rows.block[dense] == p))
-                # What is seen of the noise has the rounding in it.
-                noise = max(float(np.median(sample[self.grid.pose == p, c])) - lsb**2 / 12, 0.0)
-                # A signal that moves over counts within a pose is anywhere between them.
-                still = np.ptp(rows.residual[own]) < lsb / 4
-                alike = np.ones((len(own), len(own))) if still else np.eye(len(own))
-                out[np.ix_(own, own)] += rounded_mean_variance(lsb, np.sqrt(noise)) * alike
+        cell = np.cumsum(self.grid.is_rest) - 1
+        for c, rounding in self.coarse.items():
+            own = np.flatnonzero(means & (rows.channel[dense] == c))
+            pose, place, residual = rows.block[own], cell[rows.segment[own]], rows.residual[own]
+            high, low = np.full((2, self.grid.n_poses), -np.inf)
+            np.maximum.at(high, pose, residual)
+            np.maximum.at(low, pose, -residual)
+            # A signal that moves over counts within a pose is anywhere between them.
+            moves = (high + low)[pose] >= rounding.lsb / 4
+            alike = np.equal.outer(pose, pose) & ~np.logical_or.outer(moves, moves)
+            alone = np.sqrt(rounding.variance[place])
+            out[np.ix_(own, own)] += rounding.covariance[np.ix_(place, place)]
+            out[np.ix_(own, own)] += np.outer(alone, alone) * (alike | np.eye(len(own), dtype=bool))
         return out
 
     def _drifting(self, rows: Rows) -> BoolArray:
@@ -124,21 +150,6 @@ class SelfProblem:
         """Move the twin."""
         twin = self.twin.moved(baseline, nuisance[: 2 * self.grid.n_poses].reshape(-1, 2))
         self.twin = replace(twin, model=replace(twin.model, terms=(*self.given, *terms)))
-
-
-def rounded_mean_variance(lsb: float, sigma: float) -> float:
-    """Return by how much means of many rounded samples err, as a variance; at most, by a half.
-
-    The mean of noise of sigma that is rounded to counts of LSB is off by
-    ``LSB/pi exp(-2 pi² (sigma/LSB)²)`` times the sine of where it is between two counts [1]_;
-    without noise the error is uniform over a count.
-
-    References
-    ----------
-    .. [1] Widrow, Kollar, "Quantization Noise", Cambridge 2008, ch. 4 (the first harmonic of the
-       characteristic function of rounded noise).
-    """
-    return float(lsb**2 / 12 * np.exp(-np.square(2 * np.pi * sigma / lsb)))
 
 
 def _shape(term: Term) -> dict[str, float]:

@@ -6,10 +6,12 @@ from functools import cache
 import numpy as np
 import pytest
 
+from calib.effects.base import Term
 from calib.mismatch import diagnose_recording
 from calib.model import SensorModel, Triad
 from calib.recording import Recording
 from calib.simulate import simulate
+from calib.simulation.bench import bench_protocol
 from calib.simulation.library import make_motion
 from calib.simulation.noise import CONSUMER
 
@@ -19,9 +21,14 @@ NOISE = {"accel": CONSUMER.accel_noise_density * 5.0, "gyro": CONSUMER.gyro_nois
 
 @cache
 def recorded(seed: int) -> Recording:
+    return bench(seed)
+
+
+def bench(seed: int, *terms: Term) -> Recording:
     rng = np.random.default_rng(seed)
     motion = make_motion("bench", rng=rng, duration=120.0, gravity=9.80665)
-    model = SensorModel(Triad(rng.normal(0, 0.2, 3)), Triad(rng.normal(0, 0.01, 3)))
+    accel, gyro = Triad(rng.normal(0, 0.2, 3)), Triad(rng.normal(0, 0.01, 3))
+    model = SensorModel(accel, gyro, terms=terms)
     return simulate(motion, model, CONSUMER, rng=rng, rate=50.0)
 
 
@@ -38,6 +45,32 @@ def test_counts_of_many_times_the_noise_leave_nothing_else_to_say(
     assert found.findings[0].parameters[f"{triad}_lsb"].value == pytest.approx(lsb, rel=1e-3)
     assert not found.unexplained
     assert any("finer counts" in text for text in found.missing)
+
+
+def test_turns_tell_of_a_gyroscope_whose_rests_do_not() -> None:
+    """In a turn it passes many counts, and where between two of them it was does not matter."""
+    made = bench(137, Term("gyro_scale_asymmetry", {"kx": 4e-3, "ky": -4e-3, "kz": 4e-3}))
+    lsb = 12.0 * NOISE["gyro"]
+    found = diagnose_recording(replace(made, gyro=np.round(made.gyro / lsb) * lsb), gravity=9.80665)
+    assert any("only its turns tell" in text for text in found.missing)
+    coarse, asymmetry = found.findings
+    assert (coarse.effect, asymmetry.effect) == ("quantization", "gyro_scale_asymmetry")
+    for name, true in (("kx", 4e-3), ("ky", -4e-3), ("kz", 4e-3)):
+        value = asymmetry.parameters[name]
+        assert value.sigma is not None
+        assert abs(value.value - true) < 4.0 * value.sigma
+
+
+def test_rounding_that_is_half_hidden_follows_nothing() -> None:
+    """What the Earth turns moves levels between counts: their errors follow the orientation."""
+    rng = np.random.default_rng(22)
+    motion = bench_protocol(rng, poses=60, pose_duration=(6.0, 9.0))
+    model = SensorModel(terms=(Term("earth_rate", {"north": 5.08e-5, "up": 5.23e-5}),))
+    made = simulate(motion, model, CONSUMER.scaled(0.1), rng=rng, rate=50.0)
+    lsb = 4.0 * 0.1 * NOISE["gyro"]
+    found = diagnose_recording(replace(made, gyro=np.round(made.gyro / lsb) * lsb), gravity=9.80665)
+    assert [f.effect for f in found.findings] == ["quantization", "earth_rate"]
+    assert not found.unexplained
 
 
 def test_counts_that_noise_hides_are_no_matter() -> None:

@@ -4,12 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.stats import norm
 
 from calib.mismatch import diagnose_recording
 from calib.mismatch.samples.samples import DISAGREES, look_at_samples
 from calib.mismatch.samples.thin import tamed
-from calib.mismatch.twin.selfmode import rounded_mean_variance
 from calib.model import SensorModel
 from calib.recording import Recording
 from calib.simulate import simulate
@@ -143,20 +141,6 @@ def test_counts_are_coarse_though_a_rest_has_a_few_jerks() -> None:
     (finding,) = look_at_samples(replace(recording, gyro=1.6e-3 * gyro), poses).findings
     assert finding.effect == "quantization"
     assert finding.channels == ("gyro.x", "gyro.y", "gyro.z")
-
-
-@pytest.mark.parametrize("sigma", [0.0, 0.1, 0.2, 0.3, 0.4, 0.5])
-def test_rounded_means_err_as_much_as_is_said(sigma: float) -> None:
-    """Against an average over where between two counts the signal is."""
-    true = np.linspace(-0.5, 0.5, 400, endpoint=False)
-    counts = np.arange(-6, 7)
-    mean = np.rint(true)
-    if sigma:
-        edges = counts[:, None] + np.array([-0.5, 0.5]) - true[:, None, None]
-        mean = np.diff(norm.cdf(edges / sigma), axis=2)[:, :, 0] @ counts
-    found = np.mean(np.square(mean - true))
-    assert 0.6 * rounded_mean_variance(1.0, sigma) <= found
-    assert found <= 1.01 * rounded_mean_variance(1.0, sigma)
 
 
 def test_means_off_by_coarse_counts_are_no_second_finding() -> None:
