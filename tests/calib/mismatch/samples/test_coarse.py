@@ -32,7 +32,7 @@ def bench(seed: int, *terms: Term) -> Recording:
     return simulate(motion, model, CONSUMER, rng=rng, rate=50.0)
 
 
-@pytest.mark.parametrize("seed", [131, 132, 133])
+@pytest.mark.parametrize("seed", [131, 132])
 @pytest.mark.parametrize(("triad", "times"), [("gyro", 12.0), ("gyro", 25.0), ("accel", 25.0)])
 def test_counts_of_many_times_the_noise_leave_nothing_else_to_say(
     seed: int, triad: str, times: float
@@ -64,7 +64,7 @@ def test_turns_tell_of_a_gyroscope_whose_rests_do_not() -> None:
 def test_rounding_that_is_half_hidden_follows_nothing() -> None:
     """What the Earth turns moves levels between counts: their errors follow the orientation."""
     rng = np.random.default_rng(22)
-    motion = bench_protocol(rng, poses=60, pose_duration=(6.0, 9.0))
+    motion = bench_protocol(rng, poses=40, pose_duration=(5.0, 7.0))
     model = SensorModel(terms=(Term("earth_rate", {"north": 5.08e-5, "up": 5.23e-5}),))
     made = simulate(motion, model, CONSUMER.scaled(0.1), rng=rng, rate=50.0)
     lsb = 4.0 * 0.1 * NOISE["gyro"]
