@@ -61,7 +61,8 @@ NEEDED = {
 }
 """What a recording lacks that ends with its samples, by what they are off by."""
 
-FINER = "finer counts of the {}: rounding them is no longer hidden by its noise"
+SHOWS = {"accel": "means of its rests", "gyro": "its turns"}
+"""What shows a triad whose counts are coarse."""
 
 LEAST_TURNS = 3
 """Turns below which nothing that shows in motion alone is named."""
@@ -142,12 +143,11 @@ def _diagnose(thinned: Thinned, *, gravity: float, model: SensorModel | None) ->
     coarse = _coarse(recording, grid.interval[grid.is_rest], seen.findings)
     unhidden = _unhidden(coarse, few_turns=few_turns)
     problem.rounded(coarse, restless="gyro" in unhidden)
-    if "accel" in unhidden:
-        # Nor can anything be of the gyroscope, whose turns begin and end at its poses.
-        need = f"{FINER.format('accelerometer')}, and nothing else can be told"
-        return _unfit(thinned, missing, need, "explained")
-    if unhidden:
-        missing += (f"{FINER.format('gyroscope')}, and only its turns tell of it",)
+    missing += tuple(
+        f"finer counts of the {TRIADS[t]}: rounding them is no longer hidden by its noise, and "
+        f"only {SHOWS[t]} tell of it"
+        for t in unhidden
+    )
     losses = [] if timeless or unhidden else find_losses(problem)
     problem.leave_out([loss.segment for loss in losses])
     skip: tuple[str, ...] = ("gyro_misalignment",) if full else ()

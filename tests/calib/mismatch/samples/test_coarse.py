@@ -47,16 +47,26 @@ def test_counts_of_many_times_the_noise_leave_nothing_else_to_say(
     assert any("finer counts" in text for text in found.missing)
 
 
-def test_turns_tell_of_a_gyroscope_whose_rests_do_not() -> None:
-    """In a turn it passes many counts, and where between two of them it was does not matter."""
-    made = bench(137, Term("gyro_scale_asymmetry", {"kx": 4e-3, "ky": -4e-3, "kz": 4e-3}))
-    lsb = 12.0 * NOISE["gyro"]
-    found = diagnose_recording(replace(made, gyro=np.round(made.gyro / lsb) * lsb), gravity=9.80665)
-    assert any("only its turns tell" in text for text in found.missing)
-    coarse, asymmetry = found.findings
-    assert (coarse.effect, asymmetry.effect) == ("quantization", "gyro_scale_asymmetry")
-    for name, true in (("kx", 4e-3), ("ky", -4e-3), ("kz", 4e-3)):
-        value = asymmetry.parameters[name]
+ASYMMETRY = Term("gyro_scale_asymmetry", {"kx": 4e-3, "ky": -4e-3, "kz": 4e-3})
+QUADRATIC = Term("accel_quadratic", {"kx": 3e-3, "ky": -3e-3, "kz": 3e-3})
+
+
+@pytest.mark.parametrize(
+    ("triad", "term", "shown"),
+    [("gyro", ASYMMETRY, "only its turns tell"), ("accel", QUADRATIC, "only means of its rests")],
+)
+def test_something_tells_of_coarse_counts(triad: str, term: Term, shown: str) -> None:
+    """In a turn a gyroscope passes many counts; and means of rests err in a way that is known."""
+    made = bench(137, term)
+    lsb = 12.0 * NOISE[triad]
+    coarse = replace(made, **{triad: np.round(getattr(made, triad) / lsb) * lsb})
+    found = diagnose_recording(coarse, gravity=9.80665)
+    assert any(shown in text for text in found.missing)
+    assert not found.unexplained
+    counts, effect = found.findings
+    assert (counts.effect, effect.effect) == ("quantization", term.effect)
+    for name, true in term.parameters.items():
+        value = effect.parameters[name]
         assert value.sigma is not None
         assert abs(value.value - true) < 4.0 * value.sigma
 
