@@ -283,12 +283,17 @@ def noise_in_counts(values: FloatArray, moving: BoolArray, step: FloatArray) -> 
 
     From the mean size of changes, which rounding leaves as it is on average over where between two
     counts a signal is; their square it does not. An axis that is at the edge of a count in all
-    rests changes more often than that, so that the quietest axis speaks for its triad.
+    rests changes more often than that, so that the quietest axis speaks for its triad. Blocks that
+    are shaken, beyond what rounding may do to one, do not count.
     """
     still = ~(moving[1:] | moving[:-1])
     if not still.any():
         return np.full(6, np.inf)
-    change = np.abs(np.diff(values, axis=0))[still].mean(axis=0)
+    change = np.abs(np.diff(values, axis=0))[still]
+    size = min(BLOCK, len(change))
+    blocks = change[: len(change) // size * size].reshape(-1, size, change.shape[1]).mean(axis=1)
+    shaken = blocks > np.maximum(4.0 * np.median(blocks, axis=0), step)
+    change = np.where(shaken, 0.0, blocks).sum(axis=0) / np.maximum((~shaken).sum(axis=0), 1)
     counts = 0.5 * np.sqrt(np.pi) * change / np.where(step > 0, step, np.inf)
     counts = np.where(change > 0, counts, np.inf).reshape(2, 3)
     return np.asarray(np.repeat(counts.min(axis=1), 3))

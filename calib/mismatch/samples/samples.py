@@ -312,8 +312,12 @@ def _coarse(
         every = _counts(whole, lsb)[1]
         # Differences of white noise have twice its variance; rounding adds a twelfth of a count².
         # Coarse ones are no more than two counts apart: what is, is where rests begin and end.
-        few = np.minimum(count, 2.0)
-        noise = np.sqrt(np.maximum(np.mean(few**2, axis=0) / 2 - 1 / 12, 0.0))
+        # Some rests may be shaken: what most blocks have counts.
+        square = np.square(np.minimum(count, 2.0))
+        block = max(min(faults.BLOCK, len(square)), 1)
+        whole_blocks = square[: len(square) // block * block].reshape(-1, block, 3)
+        typical = np.median(whole_blocks.mean(axis=1), axis=0)
+        noise = np.sqrt(np.maximum(typical / 2 - 1 / 12, 0.0))
         coarse = (lsb > finest[triad]) & (noise < _COARSE) & (grid.mean(axis=0) > 0.99)
         coarse &= every.mean(axis=0) > 0.99
         if coarse.any():

@@ -26,6 +26,9 @@ white, times a factor that the cells share. But what drift adds to it does not f
 cell of four times the length it is twice what that factor allows for, and in a night all there is.
 The mean of such a cell stays, and with it what temperature and time do from cell to cell."""
 
+LEAST = 1e-3
+"""Of a count: how well the mean of a rest is known at best."""
+
 
 class SelfProblem:
     """Rows of a recording against its twin under a model whose baseline is fitted to it."""
@@ -131,6 +134,8 @@ class SelfProblem:
             alone = np.sqrt(rounding.variance[place])
             out[np.ix_(own, own)] += rounding.covariance[np.ix_(place, place)]
             out[np.ix_(own, own)] += np.outer(alone, alone) * (alike | np.eye(len(own), dtype=bool))
+            # What never leaves a count has no noise that is seen, but is not known to the last bit.
+            out[own, own] += np.square(LEAST * rounding.lsb)
         turns = np.flatnonzero(rows.kind[dense] == Kind.VELOCITY)
         lasts = np.ptp(rows.interval, axis=1)[rows.segment[turns]]
         stuck = [r.lsb for c, r in self.coarse.items() if c < 3 and not r.hidden]

@@ -71,6 +71,28 @@ def test_something_tells_of_coarse_counts(triad: str, term: Term, shown: str) ->
         assert abs(value.value - true) < 4.0 * value.sigma
 
 
+def test_counts_are_coarse_though_a_third_of_the_rests_is_shaken() -> None:
+    rng = np.random.default_rng(9)
+    motion = make_motion("vibrating", rng=rng, duration=120.0, gravity=9.80665)
+    made = simulate(motion, SensorModel(), CONSUMER.scaled(0.1), rng=rng, rate=50.0)
+    lsb = 0.2
+    found = diagnose_recording(
+        replace(made, accel=np.round(made.accel / lsb) * lsb), gravity=9.80665
+    )
+    assert [f.effect for f in found.findings] == ["quantization"]
+
+
+def test_a_rest_that_never_leaves_its_counts_has_a_verdict() -> None:
+    rng = np.random.default_rng(1)
+    motion = make_motion("record-player", rng=rng, duration=60.0, gravity=9.80665)
+    made = simulate(motion, SensorModel(), CONSUMER, rng=rng, rate=100.0)
+    lsb = 0.3
+    found = diagnose_recording(
+        replace(made, accel=np.round(made.accel / lsb) * lsb), gravity=9.80665
+    )
+    assert [f.effect for f in found.findings] == ["quantization"]
+
+
 def test_rounding_that_is_half_hidden_follows_nothing() -> None:
     """What the Earth turns moves levels between counts: their errors follow the orientation."""
     rng = np.random.default_rng(22)
