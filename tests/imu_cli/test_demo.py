@@ -2,31 +2,22 @@
 
 import json
 import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner
 
 from calib.effects.text import parse_term
 from drivers.calibration_file import load_calibration
 from drivers.formats import read_recording
+from imu_cli.app import app
 from imu_cli.story import EFFECT
-
-ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.mark.skipif(os.name == "nt", reason="needs a pty, which Windows has not")
 def test_the_demo_names_what_was_concealed_and_leaves_its_files(tmp_path: Path) -> None:
-    done = subprocess.run(
-        [sys.executable, "-m", "imu_cli", "demo", "--out", str(tmp_path)],
-        capture_output=True,
-        text=True,
-        timeout=240,
-        check=False,
-        env=os.environ | {"PYTHONPATH": str(ROOT)},
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
+    done = CliRunner().invoke(app, ["demo", "--out", str(tmp_path)], catch_exceptions=False)
+    assert done.exit_code == 0, done.stdout + done.stderr
     term = parse_term(EFFECT, span=(0.0, 1.0))
     diagnosis = json.loads((tmp_path / "demo.diagnosis.json").read_text(encoding="utf-8"))
     assert [item["effect"] for item in diagnosis["findings"]] == [term.effect]

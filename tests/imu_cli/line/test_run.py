@@ -9,7 +9,9 @@ import time
 from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner, Result
 
+from imu_cli.app import app
 from imu_cli.line.station import load_station
 from imu_cli.line.store import History
 
@@ -34,20 +36,16 @@ duration = "4 s"
 """
 
 
-def run_cli(
+def command(
     folder: Path, *, bias: str = "150 mg", speed: int = 0, more: tuple[str, ...] = ()
-) -> subprocess.Popen[str]:
+) -> list[str]:
     station = folder / "station.toml"
     station.write_text(STATION.format(bias=bias, speed=speed), encoding="utf-8")
-    arguments = [sys.executable, "-m", "imu_cli", "run", str(station), "--serial", "A1", "--json"]
-    return subprocess.Popen(
-        [*arguments, *more],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        stdin=subprocess.DEVNULL,
-        text=True,
-        env=os.environ | {"PYTHONPATH": str(ROOT)},
-    )
+    return ["run", str(station), "--serial", "A1", "--json", *more]
+
+
+def run(folder: Path, *, bias: str = "150 mg", more: tuple[str, ...] = ()) -> Result:
+    return CliRunner().invoke(app, command(folder, bias=bias, more=more), catch_exceptions=False)
 
 
 def outcomes(folder: Path) -> list[str]:
@@ -58,10 +56,9 @@ def outcomes(folder: Path) -> list[str]:
 
 
 def test_a_good_unit_passes_and_stands_in_the_history(tmp_path: Path) -> None:
-    process = run_cli(tmp_path)
-    out, err = process.communicate(timeout=180)
-    assert process.returncode == 0, err
-    record = json.loads(out)
+    done = run(tmp_path)
+    assert done.exit_code == 0, done.stderr
+    record = json.loads(done.stdout)
     assert (record["outcome"], record["operator"], record["attempt"]) == ("PASS", "night", 1)
     names = [step["name"] for step in record["steps"]]
     assert names == ["record", "audit", "calibrate", "diagnose", "limits", "verify", "report"]
@@ -72,20 +69,18 @@ def test_a_good_unit_passes_and_stands_in_the_history(tmp_path: Path) -> None:
 
 
 def test_a_unit_outside_its_limits_fails(tmp_path: Path) -> None:
-    process = run_cli(tmp_path, bias="1 mg")
-    out, err = process.communicate(timeout=180)
-    assert process.returncode == 6, err
-    record = json.loads(out)
+    done = run(tmp_path, bias="1 mg")
+    assert done.exit_code == 6, done.stderr
+    record = json.loads(done.stdout)
     assert record["outcome"] == "FAIL"
     assert "accel.bias" in record["reason"]
     assert "verify" not in [step["name"] for step in record["steps"]]
 
 
 def test_a_device_that_is_not_there_is_an_error(tmp_path: Path) -> None:
-    process = run_cli(tmp_path, more=("--address", "serial:///dev/no-such-port"))
-    out, err = process.communicate(timeout=60)
-    assert process.returncode == 11, err
-    record = json.loads(out)
+    done = run(tmp_path, more=("--address", "serial:///dev/no-such-port"))
+    assert done.exit_code == 11, done.stderr
+    record = json.loads(done.stdout)
     assert record["outcome"] == "ERROR"
     assert record["reason"].startswith("record: ")
     assert outcomes(tmp_path) == ["ERROR"]
@@ -97,7 +92,14 @@ def test_a_device_that_is_not_there_is_an_error(tmp_path: Path) -> None:
 def test_a_run_that_is_stopped_is_marked_aborted(
     tmp_path: Path, number: int, code: int, printed: bool
 ) -> None:
-    process = run_cli(tmp_path, speed=1)
+    process = subprocess.Popen(
+        [sys.executable, "-m", "imu_cli", *command(tmp_path, speed=1)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        stdin=subprocess.DEVNULL,
+        text=True,
+        env=os.environ | {"PYTHONPATH": str(ROOT)},
+    )
     end = time.monotonic() + 30
     recording = tmp_path / "runs/A1/001/recording.arrow"
     while time.monotonic() < end and not recording.exists():
@@ -111,16 +113,13 @@ def test_a_run_that_is_stopped_is_marked_aborted(
     else:
         assert out == ""
     # The next attempt at the unit starts clean, and says so in the history.
-    process = run_cli(tmp_path, more=("--address", "serial:///dev/no-such-port"))
-    process.communicate(timeout=60)
+    run(tmp_path, more=("--address", "serial:///dev/no-such-port"))
     assert outcomes(tmp_path) == ["ABORTED", "ERROR"]
 
 
 @pytest.mark.parametrize("serial", ["", "../A1", "a b"])
 def test_a_serial_number_cannot_leave_its_folder(tmp_path: Path, serial: str) -> None:
-    process = run_cli(tmp_path, more=("--serial", serial))
-    process.communicate(timeout=60)
-    assert process.returncode == 2
+    assert run(tmp_path, more=("--serial", serial)).exit_code == 2
 
 
 def test_a_unit_is_flashed_and_verified_over_a_port(tmp_path: Path) -> None:
