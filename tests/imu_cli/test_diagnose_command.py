@@ -34,23 +34,31 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return recorded(folder / "log.arrow", Term("gyro_misalignment", {"mxy": 0.03}))
 
 
-def test_json_is_alone_on_stdout_and_the_model_is_written(log: Path, tmp_path: Path) -> None:
-    out = tmp_path / "model.json"
-    result = CliRunner().invoke(app, ["diagnose", str(log), "--json", "-o", str(out)])
+@pytest.fixture(scope="module")
+def diagnosed(log: Path) -> tuple[str, Path]:
+    """Diagnose the log; return what is on standard output, and the model that is written."""
+    model = log.with_name("model.json")
+    result = CliRunner().invoke(app, ["diagnose", str(log), "--json", "-o", str(model)])
     assert result.exit_code == 0, result.stderr
-    document = json.loads(result.stdout)
+    return result.stdout, model
+
+
+def test_json_is_alone_on_stdout_and_the_model_is_written(
+    diagnosed: tuple[str, Path],
+) -> None:
+    said, model = diagnosed
+    document = json.loads(said)
     assert document["format"] == "imu-cal/diagnosis"
     assert document["verdict"] == "explained"
     assert document["findings"][0]["effect"] == "gyro_misalignment"
-    terms = load_calibration(out).model.terms
+    terms = load_calibration(model).model.terms
     assert abs(terms[0].parameters["mxy"] - 0.03) < 0.003
 
 
 def test_what_has_moved_since_a_calibration_is_no_effect_and_is_said(
-    log: Path, tmp_path: Path
+    log: Path, diagnosed: tuple[str, Path], tmp_path: Path
 ) -> None:
-    known, later = tmp_path / "model.json", tmp_path / "later.arrow"
-    assert CliRunner().invoke(app, ["diagnose", str(log), "-o", str(known)]).exit_code == 0
+    (_, known), later = diagnosed, tmp_path / "later.arrow"
     then = read_recording(log)
     write_recording(replace(then, accel=then.accel + np.array([0.0, 0.05, 0.0])), later)
     found = CliRunner().invoke(app, ["diagnose", str(later), "--calibration", str(known), "--json"])
@@ -128,7 +136,9 @@ def test_gravity_is_taken_from_the_latitude_or_from_the_calibration(
     assert both.exit_code == 2
 
 
-def test_a_pipe_is_diagnosed_as_the_file_is(log: Path, tmp_path: Path) -> None:
+def test_a_pipe_is_diagnosed_as_the_file_is(
+    log: Path, diagnosed: tuple[str, Path], tmp_path: Path
+) -> None:
     pipe = tmp_path / "log.arrow"
     os.mkfifo(pipe)
     writer = threading.Thread(target=lambda: pipe.write_bytes(log.read_bytes()), daemon=True)
@@ -136,7 +146,7 @@ def test_a_pipe_is_diagnosed_as_the_file_is(log: Path, tmp_path: Path) -> None:
     piped = CliRunner().invoke(app, ["diagnose", str(pipe), "--json"])
     writer.join(timeout=10)
     assert piped.exit_code == 0, piped.stderr
-    assert piped.stdout == CliRunner().invoke(app, ["diagnose", str(log), "--json"]).stdout
+    assert piped.stdout == diagnosed[0]
 
 
 def test_it_is_interrupted_cleanly(log: Path, monkeypatch: pytest.MonkeyPatch) -> None:
