@@ -20,7 +20,7 @@ GRAVITY = 9.80665
 def recording(
     *terms: Term,
     seed: int = 3,
-    poses: int = 18,
+    poses: int = 14,
     rate: float = 50.0,
     drift: float = 1.0,
     without_noise: bool = False,
@@ -50,6 +50,6 @@ def recording(
 
 @cache
 def problem(seed: int = 3) -> tuple[Grid, SelfProblem]:
-    real = recording(seed=seed)
+    real = recording(seed=seed, poses=18)
     grid = make_grid(real, find_poses(real))
     return grid, SelfProblem(grid, None, gravity=GRAVITY, full_gyro=False)

@@ -34,7 +34,7 @@ def test_two_effects_are_found_and_proven_and_become_a_calibration():
         "gyro_misalignment": {"mxy": 0.02, "myz": -0.015},
         "gyro_g_sensitivity": {"gxz": 2e-4},
     }
-    real = recording(*(Term(k, v) for k, v in truth.items()))
+    real = recording(*(Term(k, v) for k, v in truth.items()), poses=18)
     found = diagnose_recording(real, gravity=GRAVITY)
     assert found.verdict == "explained"
     assert {f.effect for f in found.findings} == set(truth)
@@ -57,7 +57,7 @@ def test_two_effects_are_found_and_proven_and_become_a_calibration():
 
 
 def test_an_event_is_kept_apart_from_the_sensor():
-    real = recording(Term("gyro_bias_step", {"by": 0.004, "moment": 45.0}))
+    real = recording(Term("gyro_bias_step", {"by": 0.004, "moment": 45.0}), poses=18)
     found = diagnose_recording(real, gravity=GRAVITY)
     step = next(f for f in found.findings if f.effect == "gyro_bias_step")
     assert step.channels == ("gyro.y",)
@@ -69,7 +69,7 @@ def test_an_event_is_kept_apart_from_the_sensor():
 
 def test_what_shakes_the_bench_is_the_cause_of_noise_and_of_a_mean_that_moves():
     rng = np.random.default_rng(31)
-    motion = bench_protocol(rng, poses=24, vibration=2.5)
+    motion = bench_protocol(rng, poses=16, vibration=2.5)
     term = Term("gyro_vibration_rectification", {"kx": 4e-5, "kz": -3e-5})
     for terms in ((), (term,)):
         real = simulate(motion, SensorModel(terms=terms), CONSUMER, rng=rng, rate=100.0)

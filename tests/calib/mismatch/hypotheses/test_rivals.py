@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from functools import cache
 
 import numpy as np
 import pytest
@@ -23,6 +24,7 @@ from calib.mismatch.hypotheses.windows import (
 from calib.mismatch.search.ranking import make_stack
 from calib.recording import CHANNELS, Recording
 from calib.simulation.bench import bench_protocol
+from calib.simulation.kinematics import Motion
 from calib.statics import find_poses
 from calib.types import FloatArray
 
@@ -115,11 +117,7 @@ def test_a_moved_window_holds_what_is_as_fast_in_seconds():
 
 def test_what_follows_a_field_in_the_room_is_unexplained_and_so_is_what_a_triad_has_at_once():
     real = recording(seed=8)
-    # The recording's own motion.
-    motion = bench_protocol(
-        np.random.default_rng(8), poses=18, first_pose=2.0, pose_duration=(3.0, 4.0)
-    )
-    state = motion.state(real.time)
+    state = motion_of(real)
     assert state.mat_ns is not None
     heading = np.einsum("nij,i,j->n", state.mat_ns, [0.8, 0.6, 0.0], [0.6, 0.0, 0.8])
     found = diagnose_recording(with_added(real, {"gyro.z": 0.002 * heading}), gravity=GRAVITY)
@@ -195,12 +193,16 @@ def test_jumps_in_a_window_are_unexplained_in_that_window(channel, size):
     assert overlap(found.unexplained[0].intervals[0], (start, stop)) > 0.5
 
 
-def motion_of(real: Recording, *, poses: int = 18) -> State:
-    """Return the true state of `recording(seed=8)`, in all samples."""
-    motion = bench_protocol(
-        np.random.default_rng(8), poses=poses, first_pose=2.0, pose_duration=(3.0, 4.0)
-    )
-    return motion.state(real.time)
+@cache
+def motion(poses: int) -> Motion:
+    """Return the motion of `recording(seed=8)`."""
+    rng = np.random.default_rng(8)
+    return bench_protocol(rng, poses=poses, first_pose=2.0, pose_duration=(3.0, 4.0))
+
+
+def motion_of(real: Recording) -> State:
+    """Return the true state of a `recording(seed=8)`, in all samples."""
+    return motion(len(find_poses(real))).state(real.time)
 
 
 def before(real: Recording) -> FloatArray:
@@ -253,15 +255,15 @@ LASTING: list[tuple[str, str, Callable[[Recording], FloatArray]]] = [
 
 @pytest.mark.parametrize(("name", "channel", "make"), LASTING)
 def test_what_is_there_throughout_is_unexplained_by_what_it_follows(name, channel, make):
-    real = recording(seed=8)
+    real = recording(seed=8, poses=18)
     found = diagnose_recording(with_added(real, {channel: make(real)}), gravity=GRAVITY)
     assert not found.findings
     assert [(u.follows, u.channels) for u in found.unexplained] == [(name, (channel,))]
 
 
 def test_steps_of_a_converter_on_its_own_axis_follow_the_direction_of_gravity():
-    real = recording(seed=8, poses=30)
-    ripple = np.sin(3.0 * np.pi * motion_of(real, poses=30).force[:, 0] / GRAVITY)
+    real = recording(seed=8, poses=24)
+    ripple = np.sin(3.0 * np.pi * motion_of(real).force[:, 0] / GRAVITY)
     found = diagnose_recording(with_added(real, {"accel.x": 0.01 * ripple}), gravity=GRAVITY)
     assert not found.findings
     left = [(u.follows, u.channels) for u in found.unexplained]
@@ -310,7 +312,7 @@ def test_a_gain_that_every_turn_makes_anew_is_unexplained_throughout():
 
 @pytest.mark.parametrize(("since", "form"), [(0.4, np.ones_like), (0.55, lambda share: share)])
 def test_a_gain_that_changes_for_good_is_unexplained_from_then_on(since, form):
-    real = recording(seed=8)
+    real = recording(seed=8, poses=18)
     begin = since * real.time[-1]
     changed = form((real.time - begin) / (real.time[-1] - begin)) * (real.time > begin)
     force = motion_of(real).force[:, 1]
@@ -328,7 +330,8 @@ def test_one_lost_sample_is_found_at_its_moment_in_the_turn():
     turns = rows.interval[~rows.is_rest]
     # Off the middle of the turn, which is where it is looked for first.
     moment = float(turns[7] @ [0.6, 0.4])
-    real = recording(Term("dropped_samples", {"count": 1.0, "moment": moment}), rate=100.0)
+    lost = Term("dropped_samples", {"count": 1.0, "moment": moment})
+    real = recording(lost, poses=18, rate=100.0)
     # The simulation holds the last sample where one is missing.
     some = Recording(
         real.time[:-1], real.accel[:-1], real.gyro[:-1], "device", temperature=real.temperature[:-1]

@@ -31,7 +31,7 @@ def overlap(one: tuple[float, float], other: tuple[float, float]) -> float:
 def turned(real: Recording, triad: str, share: FloatArray) -> Recording:
     """Return the recording of `seed=8` with one triad's axes turned by a part of 3 mrad."""
     motion = bench_protocol(
-        np.random.default_rng(8), poses=18, first_pose=2.0, pose_duration=(3.0, 4.0)
+        np.random.default_rng(8), poses=14, first_pose=2.0, pose_duration=(3.0, 4.0)
     )
     state = motion.state(real.time)
     axis = 3e-3 * np.array([0.8, -0.5, 0.3])

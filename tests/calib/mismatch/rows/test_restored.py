@@ -29,8 +29,8 @@ from ..bench import GRAVITY, problem, recording
 def test_the_change_of_a_low_pass_is_the_difference_that_it_made(
     shape: dict[str, float], share: float
 ) -> None:
-    clean = recording()
-    filtered = recording(Term("bandwidth", shape))
+    clean = recording(poses=18)
+    filtered = recording(Term("bandwidth", shape), poses=18)
     poses = find_poses(clean)
     _, self_mode = problem()
     rows, plain = (
@@ -47,8 +47,8 @@ def test_the_change_of_a_low_pass_is_the_difference_that_it_made(
 
 @pytest.mark.parametrize("delay", [0.004, -0.03, 0.1])
 def test_the_change_of_a_delay_is_the_difference_that_it_made(delay: float) -> None:
-    clean = recording()
-    late = recording(Term("time_offset", {"gyro_delay": delay}))
+    clean = recording(poses=18)
+    late = recording(Term("time_offset", {"gyro_delay": delay}), poses=18)
     poses = find_poses(late)
     grids = [make_grid(real, poses) for real in (late, clean)]
     twin = SelfProblem(grids[1], None, gravity=GRAVITY, full_gyro=False).twin

@@ -87,7 +87,7 @@ def test_where_and_how_many_are_found_among_the_jolts_of_a_hand() -> None:
     found = 0
     for seed in range(2, 8):
         rng = np.random.default_rng(seed)
-        whole = recording(rate=100.0, seed=seed)
+        whole = recording(poses=18, rate=100.0, seed=seed)
         poses = find_poses(whole)
         moving = np.linalg.norm(whole.gyro, axis=1) > 0.3
         jolts = 0.05 * (moving & (rng.random(len(whole)) < 0.2))[:, None]

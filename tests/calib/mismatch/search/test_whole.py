@@ -34,7 +34,7 @@ def low_pass(triad: str, cutoff: float, order: int) -> Term:
 
 def problem(effect: str, *values: float | str) -> tuple[SelfProblem, Rows, Stack]:
     term = late(*values) if effect == "late" else low_pass(*values)
-    real = recording(term, rate=100.0)
+    real = recording(term, poses=18, rate=100.0)
     grid = make_grid(real, find_poses(real))
     self_mode = SelfProblem(grid, None, gravity=GRAVITY, full_gyro=False)
     rows = self_mode.rows()
