@@ -15,7 +15,7 @@ from calib.effects import effects
 from calib.effects.base import Effect, TransformEffect
 from calib.mismatch.hypotheses.score import Stack
 from calib.mismatch.noise.contrast import contrast_variance
-from calib.mismatch.noise.noise import expected_levels, make_whitener
+from calib.mismatch.noise.noise import Whitener, expected_levels, make_whitener
 from calib.mismatch.rows.grid import make_grid
 from calib.mismatch.rows.rows import Rows
 from calib.mismatch.search.ranking import CLAIM, Ranking, make_stack, rank
@@ -154,7 +154,7 @@ def _shows_by_itself(effect: Effect) -> bool:
 @pytest.fixture(scope="module")
 def bench_problem() -> SelfProblem:
     rng = np.random.default_rng(21)
-    motion = bench_protocol(rng, poses=24, first_pose=2.0, pose_duration=(3.0, 4.0))
+    motion = bench_protocol(rng, poses=16, first_pose=2.0, pose_duration=(3.0, 4.0))
     model = SensorModel(
         Triad(rng.normal(0, 0.2, 3), rng.normal(0, 0.01, 3)), Triad(rng.normal(0, 0.01, 3))
     )
@@ -164,27 +164,27 @@ def bench_problem() -> SelfProblem:
 
 
 @pytest.fixture(scope="module")
-def clean_rank(bench_problem: SelfProblem) -> tuple[Rows, Stack, Ranking]:
+def clean_rank(bench_problem: SelfProblem) -> tuple[Rows, Stack, Ranking, Whitener]:
     rows = bench_problem.rows()
     stack = make_stack(rows, skip=(), reference=False)
-    return rows, stack, rank(rows, stack, [], expected_levels(rows))
+    clean = rank(rows, stack, [], expected_levels(rows))
+    mean = np.hstack((rows.baseline, rows.nuisance))
+    return rows, stack, clean, make_whitener(rows, clean.levels, contrast_variance(rows), mean)
 
 
 @pytest.mark.parametrize(
     "effect", [e for e in effects().values() if _shows_by_itself(e)], ids=lambda e: e.slug
 )
 def test_an_effect_is_found_when_injected_silent_when_absent_and_not_blamed_on_another(
-    effect: Effect, clean_rank: tuple[Rows, Stack, Ranking]
+    effect: Effect, clean_rank: tuple[Rows, Stack, Ranking, Whitener]
 ) -> None:
-    rows, stack, clean = clean_rank
+    rows, stack, clean, whitener = clean_rank
     assert clean.groups[effect.slug] < np.log(CLAIM)
     assert clean.total < np.log(CLAIM)
     single = [c for c in stack if c.name == effect.slug and len(c.index) == 1]
     # The middle shape of the first parameter.
     first = [c for c in single if c.parameters == single[0].parameters]
     own = first[len(first) // 2]
-    mean = np.hstack((rows.baseline, rows.nuisance))
-    whitener = make_whitener(rows, clean.levels, contrast_variance(rows), mean)
     column = stack.of(own) @ np.ones(len(own.index))
     size = np.sqrt(400.0 / np.square(whitener.project(column)).sum())
     injected = replace(rows, residual=rows.residual + size * column)
