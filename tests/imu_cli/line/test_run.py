@@ -126,7 +126,7 @@ def test_a_unit_is_flashed_and_verified_over_a_port(tmp_path: Path) -> None:
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
     emulator = [sys.executable, "-m", "imu_cli", "emulate", "vectornav", "--motion", "bench"]
     with subprocess.Popen(
-        [*emulator, "--seed", "11", "--speed", "20", "--rate", "100"],
+        [*emulator, "--seed", "11", "--speed", "20", "--rate", "50"],
         stdout=subprocess.PIPE,
         text=True,
         env=environment,
@@ -140,17 +140,12 @@ def test_a_unit_is_flashed_and_verified_over_a_port(tmp_path: Path) -> None:
                 '[record]\nduration = "185 s"\n[flash]\n[verify]\nduration = "10 s"\n',
                 encoding="utf-8",
             )
-            done = subprocess.run(
-                [sys.executable, "-m", "imu_cli", "run", str(station), "--serial", "V1", "--json"],
-                capture_output=True,
-                text=True,
-                timeout=180,
-                check=False,
-                env=environment,
+            done = CliRunner().invoke(
+                app, ["run", str(station), "--serial", "V1", "--json"], catch_exceptions=False
             )
         finally:
             device.terminate()
-    assert done.returncode == 0, done.stdout + done.stderr
+    assert done.exit_code == 0, done.stdout + done.stderr
     record = json.loads(done.stdout)
     assert record["outcome"] == "PASS"
     names = [step["name"] for step in record["steps"]]
