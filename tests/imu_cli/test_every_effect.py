@@ -101,7 +101,7 @@ def test_a_calibration_with_an_effect_simulates_corrects_and_shows_it(
 def test_what_a_diagnosis_found_corrects_another_recording(effect: str, tmp_path: Path) -> None:
     def recorded(name: str, *options: object, seed: int) -> Recording:
         run(
-            *("simulate", "--duration", "150s", "--rate", RATE, "--seed", seed, *options),
+            *("simulate", "--duration", "120s", "--rate", RATE, "--seed", seed, *options),
             *("-o", tmp_path / name),
         )
         return read_recording(tmp_path / name)

@@ -29,7 +29,7 @@ MISALIGNED = Term("gyro_misalignment", {"mxy": 0.005, "mzx": -0.004})
 @cache
 def motion() -> Motion:
     rng = np.random.default_rng(6)
-    return bench_protocol(rng, poses=10, first_pose=1.0, pose_duration=(2.0, 3.0))
+    return bench_protocol(rng, poses=8, first_pose=1.0, pose_duration=(2.0, 3.0))
 
 
 def made(rate: float, *terms: Term, noise: NoiseModel | None = None) -> Recording:

@@ -151,7 +151,7 @@ def test_half_a_metre_from_what_is_captured_there_is_an_arm_and_no_other_gravity
 @pytest.mark.parametrize(("error", "possible"), [(0.08, True), (2.0, False)])
 def test_gravity_is_not_what_it_is_nowhere_on_earth(error, possible):
     """What mimics another gravity that no place has is said otherwise, or not explained."""
-    real = recorded(Term("gravity_magnitude", {"error": error}), rate=100.0)
+    real = recorded(Term("gravity_magnitude", {"error": error}))
     found = diagnose_reference(real, captured(start=0.0), gravity=GRAVITY)
     assert ("gravity_magnitude" in named(found)) == possible
     assert found.findings or found.unexplained

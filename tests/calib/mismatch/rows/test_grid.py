@@ -26,7 +26,7 @@ SHAKEN = 0.4
 def shaken(*terms: Term):
     """Return the motion of a bench that is shaken in some rests, and its recording."""
     rng = np.random.default_rng(11)
-    motion = bench_protocol(rng, poses=24, vibration=SHAKEN)
+    motion = bench_protocol(rng, poses=18, vibration=SHAKEN)
     model = SensorModel(terms=terms, reference_temperature=30.0)
     return motion, simulate(motion, model, CONSUMER, rng=rng, rate=100.0)
 
@@ -113,7 +113,7 @@ def test_a_hand_at_the_end_of_a_recording_gets_no_name(seed):
     assert not found.findings
 
 
-@pytest.mark.parametrize(("rate", "tone"), [(100.0, 12.0), (100.0, 40.0), (200.0, 25.3)])
+@pytest.mark.parametrize(("rate", "tone"), [(100.0, 40.0), (200.0, 25.3)])
 def test_what_a_tone_rectifies_is_found_in_its_size(rate: float, tone: float) -> None:
     """Second differences of samples would have 0.1 to 2.4 times the variance of these tones."""
     motion = bench_protocol(np.random.default_rng(41), poses=16, vibration=1.0)

@@ -21,19 +21,20 @@ NOISE = {"accel": CONSUMER.accel_noise_density * 5.0, "gyro": CONSUMER.gyro_nois
 
 @cache
 def recorded(seed: int) -> Recording:
-    return bench(seed)
+    return bench(seed, duration=90.0)
 
 
-def bench(seed: int, *terms: Term) -> Recording:
+def bench(seed: int, *terms: Term, duration: float) -> Recording:
     rng = np.random.default_rng(seed)
-    motion = make_motion("bench", rng=rng, duration=120.0, gravity=9.80665)
+    motion = make_motion("bench", rng=rng, duration=duration, gravity=9.80665)
     accel, gyro = Triad(rng.normal(0, 0.2, 3)), Triad(rng.normal(0, 0.01, 3))
     model = SensorModel(accel, gyro, terms=terms)
     return simulate(motion, model, CONSUMER, rng=rng, rate=50.0)
 
 
-@pytest.mark.parametrize("seed", [131, 132])
-@pytest.mark.parametrize(("triad", "times"), [("gyro", 12.0), ("gyro", 25.0), ("accel", 25.0)])
+@pytest.mark.parametrize(
+    ("seed", "triad", "times"), [(131, "gyro", 12.0), (132, "gyro", 25.0), (131, "accel", 25.0)]
+)
 def test_counts_of_many_times_the_noise_leave_nothing_else_to_say(
     seed: int, triad: str, times: float
 ) -> None:
@@ -57,7 +58,7 @@ QUADRATIC = Term("accel_quadratic", {"kx": 3e-3, "ky": -3e-3, "kz": 3e-3})
 )
 def test_something_tells_of_coarse_counts(triad: str, term: Term, shown: str) -> None:
     """In a turn a gyroscope passes many counts; and means of rests err in a way that is known."""
-    made = bench(137, term)
+    made = bench(137, term, duration=120.0)
     lsb = 12.0 * NOISE[triad]
     coarse = replace(made, **{triad: np.round(getattr(made, triad) / lsb) * lsb})
     found = diagnose_recording(coarse, gravity=9.80665)
@@ -96,7 +97,7 @@ def test_a_rest_that_never_leaves_its_counts_has_a_verdict() -> None:
 def test_rounding_that_is_half_hidden_follows_nothing() -> None:
     """What the Earth turns moves levels between counts: their errors follow the orientation."""
     rng = np.random.default_rng(22)
-    motion = bench_protocol(rng, poses=40, pose_duration=(5.0, 7.0))
+    motion = bench_protocol(rng, poses=30, pose_duration=(5.0, 7.0))
     model = SensorModel(terms=(Term("earth_rate", {"north": 5.08e-5, "up": 5.23e-5}),))
     made = simulate(motion, model, CONSUMER.scaled(0.1), rng=rng, rate=50.0)
     lsb = 4.0 * 0.1 * NOISE["gyro"]

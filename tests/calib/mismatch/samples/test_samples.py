@@ -144,7 +144,7 @@ def test_counts_are_coarse_though_a_rest_has_a_few_jerks() -> None:
 
 
 def test_means_off_by_coarse_counts_are_no_second_finding() -> None:
-    for seed in (3, 5, 8):
+    for seed in (3, 5):
         recording = simulated(seed=seed)
         lsb = 0.1
         accel = np.round(recording.accel / lsb) * lsb

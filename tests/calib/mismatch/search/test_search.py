@@ -22,7 +22,7 @@ def test_what_an_exponential_leaves_is_not_named_after_it_again():
     real = recording(
         Term("gyro_warm_up", {"kx": 0.02, "ky": -0.02, "tau": 15.0}),
         Term("gyro_warm_up", {"kx": 0.04, "ky": 0.03, "tau": 150.0}),
-        poses=24,
+        poses=18,
     )
     # Without a thermometer nothing but time is left to follow.
     found = diagnose_recording(replace(real, temperature=None), gravity=GRAVITY)
