@@ -277,3 +277,7 @@ def test_a_walk_is_told_less_by_flicker_than_flicker_of_another_axis():
     alike = apart("gyro.x flicker", "gyro.y flicker")
     assert alike == pytest.approx(np.sqrt(2) * WITHIN)
     assert np.exp(2 * apart("gyro.x walk", "gyro.x flicker")) > 10 > np.exp(2 * alike)
+    # And less than by the walk of another axis of the same part.
+    together = apart("gyro.x walk", "gyro.y walk")
+    assert together < apart("gyro.x walk", "gyro.y flicker")
+    assert together > alike
