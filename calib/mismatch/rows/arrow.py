@@ -24,6 +24,10 @@ from scipy import linalg, sparse
 from calib.mismatch.rows.banded import Banded, Part, placed
 from calib.types import BoolArray, FloatArray, IntArray
 
+ROUNDED = (1e-13, 1e-11, 1e-9, 1e-7)
+"""Shares of variances that may be noise of their own, so that a covariance has a Cholesky factor:
+rounding leaves it with none where errors of hundreds of g are next to those of white noise."""
+
 HALVED = 64
 """Rows of a triangle above which it is inverted by halves."""
 
@@ -325,9 +329,14 @@ def _flat(parts: FloatArray) -> FloatArray:
 
 
 def _factor(matrix: FloatArray) -> FloatArray:
-    # The transpose is in Fortran's order, so that LAPACK copies nothing.
-    lower = linalg.cholesky(matrix.T, lower=True, overwrite_a=True, check_finite=False)
-    return np.asarray(lower)
+    """Return the Cholesky factor of a covariance; where rounding has spoilt it, of one near it."""
+    for share in ROUNDED:
+        try:
+            # The transpose is in Fortran's order, as LAPACK wants it.
+            return np.asarray(linalg.cholesky(matrix.T, lower=True, check_finite=False))
+        except linalg.LinAlgError:
+            matrix = matrix + share * np.diag(np.diag(matrix))
+    return np.asarray(linalg.cholesky(matrix.T, lower=True, check_finite=False))
 
 
 def _inverse(lower: FloatArray) -> FloatArray:

@@ -7,7 +7,7 @@ import pytest
 from scipy import sparse
 
 from calib.mismatch.noise.noise import covariance, expected_levels, range_basis
-from calib.mismatch.rows.arrow import Arrow, Factor
+from calib.mismatch.rows.arrow import Arrow, Factor, _factor
 from calib.mismatch.rows.rows import Component, Rows
 
 from ..bench import problem
@@ -116,3 +116,16 @@ def test_columns_that_are_nearly_dependent_have_the_basis_of_those_that_are_not(
     basis = range_basis(both)
     assert basis.shape[1] == 7
     np.testing.assert_allclose(basis.T @ basis, np.eye(7), atol=1e-13)
+
+
+def test_a_covariance_that_rounding_has_spoilt_is_factored_as_near_as_can_be():
+    """Two rows see one large error: what is left of their difference is below the last digit."""
+    large, rng = 1e9, np.random.default_rng(5)
+    seen = rng.normal(size=(6, 2))
+    exact = large * seen @ seen.T + 1e-9 * np.eye(6)
+    with pytest.raises(np.linalg.LinAlgError):
+        np.linalg.cholesky(exact - 1e-7 * np.eye(6))
+    lower = _factor(exact - 1e-7 * np.eye(6))
+    assert lower @ lower.T == pytest.approx(exact, abs=1e-10 * large)
+    with pytest.raises(np.linalg.LinAlgError):
+        _factor(np.diag([1.0, -1.0]))
