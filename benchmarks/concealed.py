@@ -7,7 +7,8 @@ baseline and attitudes have absorbed what they can. Then the recording alone goe
 diagnosis.
 
 ``--quick`` takes minutes on one core; ``--seeds 20`` is the full table. ``--parts crosstalk`` are
-further kinds outside the catalogue: what a channel hears of the motion of other axes.
+further kinds outside the catalogue: what a channel hears of the motion of other axes; ``--parts
+drifting`` clean recordings of parts that drift many times as far as most.
 """
 
 from __future__ import annotations
@@ -56,6 +57,9 @@ from calib.statics import find_poses
 GRAVITY = 9.80665
 RATE = 100.0
 GOALS = {100: 0.98, 50: 0.92, 25: 0.60}
+DRIFTING = (4.0, 10.0, 30.0)
+"""Times the random walk of a consumer part, whose Allan plots rise from two minutes on: from eight
+seconds on, from one, and from a tenth."""
 
 
 @dataclass(frozen=True)
@@ -109,6 +113,9 @@ def main() -> int:
         cases += [Case("single", (n,), p, s) for n in names for p in powers for s in seen]
     if "clean" in args.parts:
         cases += [Case("clean", (), 0.0, 10_000 + args.first + s) for s in range(clean)]
+    if "drifting" in args.parts:
+        each = range(10_000 + args.first, 10_000 + args.first + clean)
+        cases += [Case("drifting", (), times, s) for times in DRIFTING for s in each]
     if "pairs" in args.parts:
         rng = np.random.default_rng(7 + args.first)
         pairs = [tuple(rng.choice(names, 2, replace=False)) for _ in range(max(4, 2 * seeds))]
@@ -178,9 +185,10 @@ def run(case: Case) -> Result:
     motion = bench_protocol(rng, poses=30, power_on=0.0, vibration=vibration)
     model = random_sensor(rng)
     noise_seed = int(rng.integers(1 << 40))
+    noise = walking(case.power) if case.kind == "drifting" else CONSUMER
 
     def record(sensor: SensorModel) -> Recording:
-        return simulate(motion, sensor, CONSUMER, rng=np.random.default_rng(noise_seed), rate=RATE)
+        return simulate(motion, sensor, noise, rng=np.random.default_rng(noise_seed), rate=RATE)
 
     result = Result(case)
     clean = record(model)
@@ -250,6 +258,15 @@ def run(case: Case) -> Result:
                 result.overlap, common / (max(b, interval[1]) - min(a, interval[0]))
             )
     return result
+
+
+def walking(times: float) -> NoiseModel:
+    """Return the noise of a part whose biases walk so many times as far as most do."""
+    return replace(
+        CONSUMER,
+        accel_random_walk=times * CONSUMER.accel_random_walk,
+        gyro_random_walk=times * CONSUMER.gyro_random_walk,
+    )
 
 
 def random_sensor(rng: np.random.Generator) -> SensorModel:
@@ -516,6 +533,15 @@ def report(results: list[Result]) -> int:
         false = sum(bool(r.found or r.unexplained) for r in clean)
         print(f"\nclean recordings: {false} of {len(clean)} with anything found")
         missed += false / len(clean) > 0.005
+    drifting = [r for r in results if r.case.kind == "drifting"]
+    if drifting:
+        print("\n| random walk, times | clean recordings | a name found | anything found |")
+        print("|---|---|---|---|")
+        for times in sorted({r.case.power for r in drifting}):
+            part = [r for r in drifting if r.case.power == times]
+            named = sum(bool(r.found) for r in part)
+            some = sum(bool(r.found or r.unexplained) for r in part)
+            print(f"| {times:g} | {len(part)} | {named} | {some} |")
     pairs = [r for r in results if r.case.kind == "pairs"]
     if pairs:
         hits = Counter(

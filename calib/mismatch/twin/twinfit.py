@@ -21,6 +21,10 @@ from calib.types import BoolArray, FloatArray, IntArray
 # many times what uncalibrated parts have. It is no part of any evidence.
 _LOOSE = {"bias": 2.0, "scale_factor_error": 0.5, "misalignment": 0.3}
 
+_OFF = 0.05
+"""How far off means at rest may be, where a hand or a machine shakes them, in m/s². Beside them it
+is that knowledge: of few poses they would make a twin of a hundred g, from which no fit returns."""
+
 
 def start_twin(grid: Grid, model: SensorModel | None, *, gravity: float, full_gyro: bool) -> Twin:
     """Return a first twin: the given model, or one from the rests alone."""
@@ -52,10 +56,9 @@ def start_twin(grid: Grid, model: SensorModel | None, *, gravity: float, full_gy
         pull = np.array([now[n] for n in accel]) / loose
         ridge = np.zeros((len(accel), flat.shape[1]))
         ridge[:, : len(accel)] = np.diag(1.0 / loose)
-        # The ridge weighs as 1 m/s² of residual does: nothing beside poses that determine.
         step = np.linalg.lstsq(
-            np.vstack((flat, 1e-3 * ridge)),
-            np.concatenate((residual.ravel(), -1e-3 * pull)),
+            np.vstack((flat, _OFF * ridge)),
+            np.concatenate((residual.ravel(), -_OFF * pull)),
             rcond=None,
         )[0]
         twin = twin.moved(
