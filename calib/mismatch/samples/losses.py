@@ -17,6 +17,7 @@ import numpy as np
 from calib.faults import ROBUST
 from calib.mismatch.noise.sampling import unresolved
 from calib.mismatch.rows.closure import (
+    Closures,
     Ended,
     Spans,
     close_turns,
@@ -171,7 +172,12 @@ class _Closures:
             integrate_half(spans, *signals), *ups, spans.duration, gravity=twin.gravity
         )
         jolts = unresolved(closed, half - left, *signals, noise[points], spans)
-        self._scatter[turns] = np.sqrt(np.square(scatter * scale) + jolts)
+        white, leaned = _white(closed, noise[points], spans), _leaned(grid, twin, noise)
+        for ends, pose in ((closed.before, grid.before), (closed.after, grid.after)):
+            white += np.square(ends).sum(axis=2) * leaned[pose[turns], None]
+        # Most turns show theirs; one that is shaken, or ends in a rest that is, has more.
+        louder = np.maximum(white / scale**2 - np.median(white / scale**2, axis=0), 0.0)
+        self._scatter[turns] = np.sqrt((scatter**2 + louder) * scale**2 + jolts)
         self.scores = self._sizes(left, turns)
 
     def mended(self, s: int) -> Loss:
@@ -244,6 +250,23 @@ class _Closures:
 
     def _sizes(self, closures: FloatArray, turns: IntArray) -> FloatArray:
         return np.asarray(np.sqrt(np.mean(np.square(closures / self._scatter[turns]), axis=1)))
+
+
+def _white(closed: Closures, noise: FloatArray, spans: Spans) -> FloatArray:
+    """Return the variance (k, 5) of closures by noise (n, 6) of their points."""
+    out = np.zeros((len(spans.start), 5))
+    parts = (closed.accel_weights, noise[:, :3]), (closed.gyro_weights, noise[:, 3:])
+    for weights, own in parts:
+        each = np.einsum("rnc,nc->nr", np.square(weights), own)
+        out += np.add.reduceat(each, spans.start)
+    return out
+
+
+def _leaned(grid: Grid, twin: Twin, noise: FloatArray) -> FloatArray:
+    """Return the variance (p,) of the angles of poses, rad², by the noise of means over rests."""
+    rest = grid.pose >= 0
+    told = np.bincount(grid.pose[rest], 1.0 / noise[rest, :3].mean(axis=1), grid.n_poses)
+    return np.asarray(1.0 / told / twin.gravity**2)
 
 
 def _jump(values: FloatArray) -> FloatArray:

@@ -9,7 +9,12 @@ from calib.effects import effects
 from calib.effects.base import Term
 from calib.mismatch import Diagnosis, diagnose_recording
 from calib.mismatch.engine import _in_motion
+from calib.mismatch.samples.spectrum import LOUDER_THERE
+from calib.model import SensorModel
 from calib.recording import Recording
+from calib.simulate import simulate
+from calib.simulation.bench import bench_protocol
+from calib.simulation.noise import CONSUMER
 
 from .bench import GRAVITY, recording
 
@@ -41,6 +46,17 @@ def test_what_changes_within_few_rests_has_its_name() -> None:
     found = _diagnose(3, warm)
     assert {f.effect for f in found.findings} == {"gyro_warm_up"}
     assert found.unexplained == ()
+
+
+@pytest.mark.parametrize("seed", [4, 6, 7])
+def test_of_few_shaken_poses_nothing_is_said_but_where_they_shake(seed: int) -> None:
+    """What shakes their means allowed for sensors of many g, and no fit came back from there."""
+    rng = np.random.default_rng(seed)
+    motion = bench_protocol(rng, poses=9, first_pose=5.0, vibration=2.0)
+    real = simulate(motion, SensorModel(), CONSUMER.scaled(0.1), rng=rng, rate=50.0)
+    found = diagnose_recording(real, gravity=GRAVITY)
+    assert found.findings == ()
+    assert {left.follows for left in found.unexplained} <= {LOUDER_THERE}
 
 
 def test_two_turns_leave_the_gyroscope_open() -> None:
