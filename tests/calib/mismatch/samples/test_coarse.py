@@ -72,25 +72,21 @@ def test_something_tells_of_coarse_counts(triad: str, term: Term, shown: str) ->
         assert abs(value.value - true) < 4.0 * value.sigma
 
 
-def test_counts_are_coarse_though_a_third_of_the_rests_is_shaken() -> None:
-    rng = np.random.default_rng(9)
-    motion = make_motion("vibrating", rng=rng, duration=120.0, gravity=9.80665)
-    made = simulate(motion, SensorModel(), CONSUMER.scaled(0.1), rng=rng, rate=50.0)
-    lsb = 0.2
-    found = diagnose_recording(
-        replace(made, accel=np.round(made.accel / lsb) * lsb), gravity=9.80665
-    )
-    assert [f.effect for f in found.findings] == ["quantization"]
-
-
-def test_a_rest_that_never_leaves_its_counts_has_a_verdict() -> None:
-    rng = np.random.default_rng(1)
-    motion = make_motion("record-player", rng=rng, duration=60.0, gravity=9.80665)
-    made = simulate(motion, SensorModel(), CONSUMER, rng=rng, rate=100.0)
-    lsb = 0.3
-    found = diagnose_recording(
-        replace(made, accel=np.round(made.accel / lsb) * lsb), gravity=9.80665
-    )
+@pytest.mark.parametrize(
+    ("kind", "seed", "duration", "noise", "rate", "lsb"),
+    [
+        pytest.param("vibrating", 9, 120.0, 0.1, 50.0, 0.2, id="shaken in a third of its rests"),
+        pytest.param("record-player", 1, 60.0, 1.0, 100.0, 0.3, id="stuck in a rest"),
+    ],
+)
+def test_coarse_counts_of_an_accelerometer_are_all_that_is_found(
+    kind: str, seed: int, duration: float, noise: float, rate: float, lsb: float
+) -> None:
+    rng = np.random.default_rng(seed)
+    motion = make_motion(kind, rng=rng, duration=duration, gravity=9.80665)
+    made = simulate(motion, SensorModel(), CONSUMER.scaled(noise), rng=rng, rate=rate)
+    coarse = replace(made, accel=np.round(made.accel / lsb) * lsb)
+    found = diagnose_recording(coarse, gravity=9.80665)
     assert [f.effect for f in found.findings] == ["quantization"]
 
 
