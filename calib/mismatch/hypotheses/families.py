@@ -13,6 +13,7 @@ from calib.effects.base import PRESENCE, Effect, ShapeParameter, TransformEffect
 from calib.mismatch.hypotheses.candidates import Candidate
 from calib.mismatch.hypotheses.score import LARGE, Stack
 from calib.mismatch.rows.onset import Onset
+from calib.mismatch.rows.resolved import are_resolved
 from calib.mismatch.rows.restored import whole_changes
 from calib.mismatch.rows.rows import Kind, Rows
 from calib.recording import CHANNELS
@@ -128,6 +129,9 @@ def effect_columns(
     """Return the row columns of an effect's parameters, in units of their typical sizes."""
     if not reference and all(p.unit == PRESENCE for p in effect.parameters):
         assert isinstance(effect, TransformEffect)
+        if "both_cutoff" in shape and not _resolved(rows):
+            # What samples do not resolve of the turns would be such a filter.
+            return {}
         return whole_changes(effect, rows, shape)
     sizes = {p.name: p.typical for p in effect.parameters if reference or not p.reference_only}
     out = {}
@@ -146,6 +150,12 @@ def effect_columns(
             if np.abs(values).max() > 0:
                 out[name] = values
     return out
+
+
+def _resolved(rows: Rows) -> bool:
+    if "resolved" not in rows.kept:
+        rows.kept["resolved"] = are_resolved(rows)
+    return bool(rows.kept["resolved"])
 
 
 def _plain_columns(effect: Effect, rows: Rows, shape: Mapping[str, float]) -> dict[str, FloatArray]:
