@@ -6,7 +6,6 @@ rate of temperature, a delay, a low-pass): then the last samples of a batch wait
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -16,7 +15,7 @@ from calib.effects import get_effect
 from calib.effects.base import State
 from calib.model import affine
 from calib.recording import Recording
-from calib.thermometer import known_temperature
+from calib.thermometer import Temperature, known_temperature
 from calib.types import BoolArray, FloatArray
 
 
@@ -53,8 +52,8 @@ class Corrector:
     calibration : Calibration
     interval : float, s
         Time between samples, by which time constants become numbers of samples.
-    temperature : function of (n,) times, s, or None
-        The temperature in °C, where it is known better than what the thermometer reads by itself
+    temperature : Temperature or None
+        Where it is known better than what the thermometer reads by itself
         (`calib.thermometer.known_temperature`). A stream does not know what will be read next.
 
     Warm-up is counted from the stream's first sample.
@@ -63,7 +62,7 @@ class Corrector:
     calibration: Calibration
     interval: float
     coverage: Coverage = field(default_factory=Coverage)
-    temperature: Callable[[FloatArray], FloatArray] | None = None
+    temperature: Temperature | None = None
     _held: Block | None = None
     _context: int = 0
     _start: float | None = None
@@ -110,14 +109,17 @@ class Corrector:
         if self._start is None:
             self._start = float(block.time[0])
         whole, bad = _fill(block)
-        if self.temperature is not None:
-            whole = replace(whole, temperature=self.temperature(whole.time))
+        known, slope = self.temperature, None
+        if known is not None:
+            whole = replace(whole, temperature=known(whole.time))
+            slope = known.rate_at(whole.time)
         signals = self.calibration.correct(
             State(
                 whole.time,
                 whole.accel,
                 whole.gyro,
                 whole.temperature,
+                temperature_slope=slope,
                 power_on=self._start,
                 gravity=self.calibration.gravity.value,
             )

@@ -19,15 +19,15 @@ References
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import cho_solve_banded, cholesky_banded
 from scipy.special import log_ndtr
 
 from calib.recording import Recording
-from calib.spline import spline_at
+from calib.spline import spline_between, spline_slopes
 from calib.types import BoolArray, FloatArray, IntArray
 
 CELLS, LEAST = 400, 100
@@ -100,13 +100,52 @@ class _Readings:
     noises: FloatArray
 
 
-def known_temperature(
-    batches: Iterable[Recording],
-) -> Callable[[FloatArray], FloatArray] | None:
-    """Return the temperature at any times of a recording, or None if it was not measured.
+@dataclass(frozen=True, eq=False)
+class Temperature:
+    """Temperature as it was: a smooth path, and how fast it goes.
 
-    Of a recording of any length, in memory for `MOST` of its readings: of more, each second one is
-    left out, again and again.
+    Before the first reading and after the last it is what these made it.
+
+    Parameters
+    ----------
+    time : (k,) array, s
+        Middles of cells.
+    value, rate : (k,) arrays, °C and K/s
+    first, last : float, s
+        Of the readings.
+    """
+
+    time: FloatArray
+    value: FloatArray
+    rate: FloatArray
+    first: float
+    last: float
+
+    def __call__(self, when: FloatArray) -> FloatArray:
+        """Return the temperature at (n,) times, °C."""
+        when = np.clip(when, self.first, self.last)
+        near = np.clip(np.searchsorted(self.time, when) - 1, 0, len(self.time) - 2)
+        path = spline_between(self.time, self.value[:, None], self.rate[:, None], near, when)
+        return path[..., 0]
+
+    def rate_at(self, when: FloatArray) -> FloatArray:
+        """Return its rate at (n,) times, K/s.
+
+        That of the path, which is as smooth as the readings let it be: a line through some seconds
+        of them would be late by half of these where a recording begins, and heats fastest.
+        """
+        return np.interp(when, self.time, self.rate)
+
+    def since(self, start: float) -> Temperature:
+        """Return the same, with times counted from `start`."""
+        first, last = self.first - start, self.last - start
+        return replace(self, time=self.time - start, first=first, last=last)
+
+
+def known_temperature(batches: Iterable[Recording]) -> Temperature | None:
+    """Return the temperature of a recording of any length, or None if it was not measured.
+
+    In memory for `MOST` of its readings: of more, each second one is left out, again and again.
     """
     parts: list[tuple[FloatArray, FloatArray]] = []
     every, offset, kept = 1, 0, 0
@@ -121,22 +160,30 @@ def known_temperature(
             time, reading = map(np.concatenate, zip(*parts, strict=True))
             parts, every = [(time[::2], reading[::2])], 2 * every
             kept = len(parts[0][0])
-    if not parts:
+    if not kept:
         return None
     time, reading = map(np.concatenate, zip(*parts, strict=True))
-    smooth = smooth_temperature(time, reading)
-    return lambda when: np.interp(when, time, smooth)
+    return smooth_temperature(time, reading)
 
 
-def smooth_temperature(time: FloatArray, reading: FloatArray) -> FloatArray:
-    """Return the temperature at (n,) times, s, from readings of it."""
-    if len(time) < 2 or np.ptp(reading) == 0 or np.ptp(time) == 0:
-        return reading
+def smooth_temperature(time: FloatArray, reading: FloatArray) -> Temperature:
+    """Return the temperature that (n,) readings at times in s agree with."""
+    first, last = float(time[0]), float(time[-1])
+    if first == last or np.ptp(reading) == 0:
+        return _line(first, last, float(reading[0]), 0.0)
     readings = _in_cells(time, reading)
     if len(np.unique(readings.cell)) <= len(DIFFERENCES):
         line = np.polynomial.Polynomial.fit(time, reading, 1)
-        return np.asarray(line(time))
-    return spline_at(readings.time, _smoothest(readings)[:, None], time)[:, 0]
+        return _line(first, last, float(line(first)), float(line.deriv()(first)))
+    path = _smoothest(readings)
+    rate = spline_slopes(readings.time, path[:, None])[:, 0]
+    return Temperature(readings.time, path, rate, first, last)
+
+
+def _line(first: float, last: float, value: float, rate: float) -> Temperature:
+    """Return a temperature that goes on from a value at a rate."""
+    time = np.array([first, max(last, np.nextafter(first, np.inf))])
+    return Temperature(time, value + rate * (time - first), np.full(2, rate), first, last)
 
 
 def _in_cells(time: FloatArray, reading: FloatArray) -> _Readings:

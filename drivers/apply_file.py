@@ -11,7 +11,7 @@ from calib.calibration import Calibration
 from calib.compare import device_mismatch
 from calib.errors import RecordingError
 from calib.recording import Recording
-from calib.thermometer import known_temperature
+from calib.thermometer import Temperature, known_temperature
 from calib.types import FloatArray
 from drivers.formats import open_batches, open_writer
 
@@ -25,7 +25,7 @@ def corrected_batches(
     *,
     name: str,
     coverage: Coverage,
-    temperature: Callable[[FloatArray], FloatArray] | None = None,
+    temperature: Temperature | None = None,
 ) -> Iterator[Recording]:
     """Yield the corrected batches of one recording.
 
@@ -38,7 +38,7 @@ def corrected_batches(
         Of the calibration, for the recording's notes.
     coverage : Coverage
         Is filled in on the way.
-    temperature : function of (n,) times, s, or None
+    temperature : Temperature or None
         As in `calib.apply.Corrector`.
 
     Raises

@@ -226,11 +226,6 @@ class State:
         return line_slope(self.time, self.temperature, first, last)
 
 
-def local_slope(time: FloatArray, values: FloatArray, *, window: float) -> FloatArray:
-    """Return the least-squares slope of (n,) values over `window` seconds about each time."""
-    return line_slope(time, values, *windows(time, window))
-
-
 def line_slope(time: FloatArray, values: FloatArray, first: IntArray, last: IntArray) -> FloatArray:
     """Return the least-squares slopes of (n,) values over samples ``[first, last)``."""
     if len(time) < 2:

@@ -29,7 +29,7 @@ from calib.rotation import (
     quat_multiply,
 )
 from calib.simulation.kinematics import Kinematics, Motion, Path, Segment, Turning
-from calib.thermometer import known_temperature
+from calib.thermometer import Temperature, known_temperature
 from calib.turns import turns_and_shaking
 from calib.types import FloatArray
 
@@ -75,6 +75,7 @@ def motion_of(
         recording.accel,
         recording.gyro,
         temperature=None if temperature is None else temperature(time),
+        temperature_slope=None if temperature is None else temperature.rate_at(time),
         power_on=float(recording.time[0]),
         gravity=gravity,
     )
@@ -296,10 +297,7 @@ def _interpolated(time: FloatArray, values: FloatArray) -> Callable[[FloatArray]
     return lambda when: np.stack([np.interp(when, time, v) for v in values.T], axis=1)
 
 
-def temperature_of(recording: Recording) -> Callable[[FloatArray], FloatArray] | None:
-    """Return the recorded temperature, without its thermometer's noise and steps."""
+def temperature_of(recording: Recording) -> Temperature | None:
+    """Return the recorded temperature, without its thermometer's noise and steps, from time 0."""
     known = known_temperature((recording,))
-    if known is None:
-        return None
-    start = float(recording.time[0])
-    return lambda when: known(when + start)
+    return None if known is None else known.since(float(recording.time[0]))

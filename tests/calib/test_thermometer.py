@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from calib import thermometer
-from calib.effects.base import SLOPE_WINDOW, local_slope
 from calib.recording import Recording
 from calib.thermometer import known_temperature, smooth_temperature
 from calib.types import FloatArray
@@ -48,12 +47,10 @@ def test_rate_of_temperature_from_any_thermometer(kind: str) -> None:
     read, limit = READ[kind]
     for seed in range(3):
         reading = read(WARM, np.random.default_rng(seed))
-        smooth = smooth_temperature(TIME, reading)
-        # Points as a diagnosis has them: ends are known worse than all else.
-        found = local_slope(TIME[::25], smooth[::25], window=SLOPE_WINDOW)
-        inside = slice(80, -80)
-        error = 1e3 * (found - SLOPE[::25])[inside]
-        assert np.sqrt(np.mean(error**2)) < limit
+        error = 1e3 * (smooth_temperature(TIME, reading).rate_at(TIME) - SLOPE)
+        # Ends are known worse than all else.
+        assert np.sqrt(np.mean(error[2000:-2000] ** 2)) < limit
+        assert np.sqrt(np.mean(error**2)) < 1.5 * limit
 
 
 @pytest.mark.parametrize("step", [0.0, 0.01, 0.0625, 0.5])
@@ -63,40 +60,43 @@ def test_a_cycle_is_followed(step: float, cycles: float) -> None:
     time = TIME[:12000]
     cycle = 27.0 + 4.0 * np.sin(2 * np.pi * cycles * time / time[-1])
     reading = step * np.round(cycle / step) if step else cycle
-    assert np.abs(smooth_temperature(time, reading) - cycle).max() < 0.1 + 0.3 * step
+    assert np.abs(smooth_temperature(time, reading)(time) - cycle).max() < 0.1 + 0.3 * step
 
 
 def test_constant_temperature_has_no_rate() -> None:
     reading = 25.0 + np.random.default_rng(4).normal(0, 0.3, len(TIME))
     smooth = smooth_temperature(TIME, reading)
-    assert np.abs(local_slope(TIME, smooth, window=SLOPE_WINDOW)).max() < 1e-3
-    assert abs(smooth.mean() - 25.0) < 3 * 0.3 / np.sqrt(len(TIME)) + 1e-3
+    assert np.abs(smooth.rate_at(TIME)).max() < 1e-3
+    assert abs(smooth(TIME).mean() - 25.0) < 3 * 0.3 / np.sqrt(len(TIME)) + 1e-3
 
 
 @pytest.mark.parametrize("n", [1, 2, 3, 5, 8, 30])
 def test_few_readings(n: int) -> None:
     time = np.arange(n) * 0.5
     smooth = smooth_temperature(time, 20.0 + 0.1 * time)
-    np.testing.assert_allclose(smooth, 20.0 + 0.1 * time, atol=0.05)
+    np.testing.assert_allclose(smooth(time), 20.0 + 0.1 * time, atol=0.05)
+    np.testing.assert_allclose(smooth.rate_at(time), 0.1 * (n > 1), atol=0.03)
 
 
 def test_readings_that_are_missing_for_a_while() -> None:
     some = (TIME < 200.0) | (TIME > 260.0)
     reading = WARM + np.random.default_rng(5).normal(0, 0.03, len(WARM))
     smooth = smooth_temperature(TIME[some], reading[some])
-    assert np.abs(smooth - WARM[some]).max() < 0.03
+    assert np.abs(smooth(TIME[some]) - WARM[some]).max() < 0.03
 
 
 def test_stuck_reading_is_left_alone() -> None:
     stuck = np.full(1000, 31.0)
-    assert np.array_equal(smooth_temperature(TIME[:1000], stuck), stuck)
+    known = smooth_temperature(TIME[:1000], stuck)
+    assert np.array_equal(known(TIME[:1000]), stuck)
+    assert not known.rate_at(TIME[:1000]).any()
 
 
 def test_a_quick_change_is_followed() -> None:
     # A hot air gun at 200 s: 10 K in 15 s.
     path = 25.0 + 10.0 / (1.0 + np.exp(-(TIME - 200.0) / 3.0))
     reading = path + np.random.default_rng(6).normal(0, 0.1, len(TIME))
-    assert np.abs(smooth_temperature(TIME, reading) - path).max() < 0.3
+    assert np.abs(smooth_temperature(TIME, reading)(TIME) - path).max() < 0.3
 
 
 def test_a_long_recording_s_temperature_is_known_in_little_memory(monkeypatch) -> None:

@@ -129,11 +129,11 @@ class ComparisonProblem:
         self.band, self.interval, self.unresolved = band, real.interval, blur > 0
         self.judged: BoolArray | None = None
         self.measured = np.hstack((real.accel, real.gyro))[self.index]
-        self.temperature = (
-            None
-            if real.temperature is None
-            else smooth_temperature(real.time, real.temperature)[self.index]
-        )
+        self.temperature: FloatArray | None = None
+        self.temperature_slope: FloatArray | None = None
+        if real.temperature is not None:
+            known = smooth_temperature(real.time, real.temperature)
+            self.temperature, self.temperature_slope = known(self.time), known.rate_at(self.time)
         start = SensorModel() if model is None else model
         if model is None and self.temperature is not None:
             start = replace(start, reference_temperature=float(np.median(self.temperature)))
@@ -208,7 +208,7 @@ class ComparisonProblem:
             known_gradient=gradient_in(mat, state.known_gradient, self.rests),
             mat_ns=None if state.mat_ns is None else state.mat_ns @ mat.T,
             temperature=self.temperature,
-            temperature_slope=None,
+            temperature_slope=self.temperature_slope,
             reference_temperature=model.reference_temperature,
             power_on=self.power_on,
             gravity=self.gravity,

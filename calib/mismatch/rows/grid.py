@@ -13,7 +13,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from calib.effects.base import SLOPE_WINDOW, local_slope
+from calib.effects.base import SLOPE_WINDOW, line_slope, windows
 from calib.mismatch.rows.closure import Spans
 from calib.poses import Poses, average_poses
 from calib.recording import Recording
@@ -74,8 +74,9 @@ class Grid:
     first, last : (s,) arrays of int
         Points ``[first, last)`` of each segment, in the order of time.
     interval : (s, 2) array, s
-    temperature_slope : (n,) array or None
-        Rate of temperature, only where no seconds are known: as if all had taken `UNCLOCKED`.
+    temperature_slope : (n,) array, K/s, or None
+        Rate of temperature. Where no seconds are known, as if all had taken `UNCLOCKED`, and by a
+        line through a thirtieth of that: neither is known how long heat takes through a package.
     began : float, s
         When the recording did, be its first pose used or not: warm-up is counted from there.
     before, after : (s,) arrays of int
@@ -291,10 +292,10 @@ def _fill(
         when = recording.time
         if recording.clock == "invalid":
             when = np.linspace(0.0, UNCLOCKED, len(recording))
-        smooth = smooth_temperature(when, recording.temperature)
+        known = smooth_temperature(when, recording.temperature)
+        temperature, slope = mean(known(when)), mean(known.rate_at(when))
         if recording.clock == "invalid":
-            slope = mean(local_slope(when, smooth, window=SLOPE_WINDOW))
-        temperature = mean(smooth)
+            slope = mean(line_slope(when, known(when), *windows(when, SLOPE_WINDOW)))
     rest = np.repeat(before == after, last - first)
     interval = np.stack(
         (recording.time[bounds[first, 0]], recording.time[bounds[last - 1, 1] - 1]), axis=1

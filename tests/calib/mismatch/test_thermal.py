@@ -14,6 +14,7 @@ from calib.mismatch.twin.selfmode import SelfProblem
 from calib.model import SensorModel, Triad
 from calib.recording import Recording
 from calib.simulate import Sampling, simulate
+from calib.simulation.bench import bench_protocol
 from calib.simulation.motions import thermal_soak
 from calib.simulation.noise import CONSUMER
 from calib.statics import find_poses
@@ -101,3 +102,14 @@ def test_a_cube_comes_only_with_all_lower_powers():
     assert [len(c.parameters) for c in cubes] == [9]
     assert {len(c.parameters) for c in own} == {1, 3, 6, 9}
     assert sum(c.weight for c in own) == pytest.approx(PHYSICAL / len(tried_effects()))
+
+
+def test_what_warms_up_and_its_rate_fade_alike_and_neither_is_preferred():
+    """A rate that is late where it is fastest lost that by 1 in 40."""
+    rng = np.random.default_rng(1)
+    motion = bench_protocol(rng, poses=30, warm_up=25.0, warm_up_time=100.0, power_on=0.0)
+    model = SensorModel(terms=(Term("gyro_temperature_rate", {"ky": -6e-3, "kz": -6e-3}),))
+    real = simulate(motion, model, CONSUMER, rng=rng, rate=50.0)
+    (finding,) = diagnose_recording(real, gravity=GRAVITY).findings
+    odds = {finding.effect: 1.0} | {r.effect: r.odds for r in finding.rivals}
+    assert 0.2 < odds["gyro_temperature_rate"] / odds["gyro_bias_temperature"] < 5.0

@@ -22,7 +22,7 @@ def test_a_twin_mimics_a_shape_that_is_within_two_standard_errors(beyond, monkey
     stack = make_stack(rows, skip=(), reference=False)
     whitener = make_whitener(rows, expected_levels(rows), rows.white_diagonal, fitted(rows, []))
     warm = [c for c in stack if c.name == "gyro_warm_up" and c.parameters == AXES]
-    candidate = min(warm, key=lambda c: abs(c.shape["tau"] - 90.0))
+    candidate = min(warm, key=lambda c: abs(c.shape["tau"] - 60.0))
     rate = effect_columns(get_effect("gyro_temperature_rate"), rows, {}, reference=False)
     twin = whitener.project(np.stack([rate[k] for k in AXES], axis=1))
     own = whitener.project(stack.of(candidate))
