@@ -10,6 +10,7 @@ from calib import faults
 from calib.gravity import STANDARD_GRAVITY as G
 from calib.poses import Poses
 from calib.recording import CHANNELS, Clock, Recording
+from calib.repeats import find_repeats
 from calib.statics import find_poses
 from calib.tilts import Closure
 from calib.types import BoolArray, FloatArray
@@ -230,12 +231,12 @@ def _samples(recording: Recording, at_rest: BoolArray) -> list[Finding]:
                 (float(time[start]),),
             )
         )
-    repeats = faults.find_repeats(values, ~at_rest)
+    repeats = find_repeats(values, ~at_rest)
     if repeats.size:
         out.append(
             Finding(
                 "repeats",
-                f"{_many(repeats.size)} ({repeats.size / n:.2%}) the same as the one before in "
+                f"{_many(repeats.size)} ({repeats.size / n:.2%}) the same as ones just before in "
                 "all channels",
                 count=int(repeats.size),
                 times=_first(time[repeats]),

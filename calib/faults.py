@@ -1,4 +1,4 @@
-"""Faults of recordings that show in the samples themselves: gaps, repeats, clipping, spikes.
+"""Faults of recordings that show in the samples themselves: gaps, clipping, spikes, stuck channels.
 
 No threshold is in the units of a sensor. Each test asks how probable what is seen would be for a
 sensor that works, from the scatter, the resolution and the motion of the recording at hand.
@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import ndtr, pdtrc
+from scipy.special import ndtr
 
 from calib.errors import RecordingError
 from calib.recording import CHANNELS, Recording
@@ -134,41 +134,6 @@ def find_wild(values: FloatArray) -> BoolArray:
     padded = np.pad(size, ((2, 2), (0, 0)), mode="reflect") if len(size) > 2 else size
     around = [padded[k : k + len(size)] for k in (0, 1, 3, 4)] if len(size) > 2 else [size]
     return np.asarray(beyond & (size > WILD * np.median(around, axis=0)))
-
-
-def find_repeats(values: FloatArray, moving: BoolArray) -> IntArray:
-    """Return samples that repeat the one before in all channels, if chance does not explain them.
-
-    Rounding makes neighbours equal by chance. Channels are independent of each other, so that the
-    chance of channel c is seen where *another* channel changes, and that of all is the product.
-    That holds where all of them move, or none: so rests and motion are looked at by themselves.
-    Where nothing changes for longer than a block there is no noise to tell a repeat by; and if that
-    is a fifth of the recording, as without noise rests are, pauses of any length are no repeats.
-    """
-    equal = values[1:] == values[:-1]
-    whole = equal.all(axis=1)
-    start, stop = runs(whole)
-    long = stop - start >= BLOCK
-    if (stop - start)[long].sum() > 0.2 * len(whole):
-        long = stop - start >= 8
-    for begin, end in zip(start[long].tolist(), stop[long].tolist(), strict=True):
-        whole[begin:end] = False
-    if not whole.any():
-        return np.zeros(0, np.int64)
-    count = int(whole.sum())
-    order = np.argsort(moving[1:], kind="stable")
-    equal = equal[order]
-    others = equal.sum(axis=1)[:, None] - equal < values.shape[1] - 1
-    seen = _block_sums(others)
-    hits = _block_sums(others & equal)
-    chance = (hits + 0.5) / (seen + 1.0)
-    informed = (seen >= 8).all(axis=1)
-    if informed.any():
-        chance[~informed] = np.quantile(chance[informed], 0.9, axis=0)
-    expected = float((_block_sums(np.ones((len(whole), 1))) * chance.prod(axis=1)[:, None]).sum())
-    if pdtrc(count - 1, 1.2 * expected) > FALSE_ALARM:
-        return np.zeros(0, np.int64)
-    return np.flatnonzero(whole) + 1
 
 
 STEEP = 10.0
@@ -307,7 +272,7 @@ def _turning(values: FloatArray, turns: IntArray, least: FloatArray) -> IntArray
 
 def _mostly_constant(constant: BoolArray, moving: BoolArray) -> bool:
     """Return whether a channel is constant in most blocks at rest, of which `constant` says so."""
-    at_rest = _block_sums(moving[1:, None])[: len(constant), 0] == 0
+    at_rest = block_sums(moving[1:, None])[: len(constant), 0] == 0
     return bool(at_rest.sum() > 4 and constant[at_rest].mean() > 0.5)
 
 
@@ -382,7 +347,7 @@ def runs(mask: BoolArray) -> tuple[IntArray, IntArray]:
 def _equal_share(channel: FloatArray) -> FloatArray:
     """Return the share of samples equal to the one before, for each block."""
     equal = (channel[1:] == channel[:-1])[:, None]
-    return (_block_sums(equal) / _block_sums(np.ones((len(equal), 1))))[:, 0]
+    return (block_sums(equal) / block_sums(np.ones((len(equal), 1))))[:, 0]
 
 
 def _longest(share: FloatArray, n: int) -> float:
@@ -391,6 +356,7 @@ def _longest(share: FloatArray, n: int) -> float:
     return float(np.log(FALSE_ALARM / n) / np.log(chance))
 
 
-def _block_sums(flags: BoolArray | FloatArray) -> FloatArray:
+def block_sums(flags: BoolArray | FloatArray) -> FloatArray:
+    """Return the sums of (n, k) flags over each `BLOCK` of samples."""
     edges = np.arange(0, len(flags), BLOCK)
     return np.asarray(np.add.reduceat(flags, edges, axis=0, dtype=np.float64), np.float64)

@@ -14,7 +14,7 @@ from calib import DeviceInfo, Recording, SensorModel, Triad
 from calib.audit import Finding, audit, check_units
 from calib.effects.base import State
 from calib.errors import UnitError
-from calib.faults import find_clipping, find_gaps, find_repeats, find_spikes, find_stuck, values_of
+from calib.faults import find_clipping, find_gaps, find_spikes, find_stuck, values_of
 from drivers.formats import read_recording
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -88,27 +88,6 @@ def test_jitter_and_repeats_and_rate() -> None:
     assert finding.times[0] == pytest.approx(5.0)
     late = replace(b, time=b.time * 1000, temperature=None)
     assert "rate" in {found.kind for found in audit(late).findings}
-
-
-def test_chance_repeats_of_a_coarse_sensor_are_no_fault() -> None:
-    # Noise of a quarter of the resolution: neighbours are equal more often than not.
-    coarse = np.round(RNG(1).normal(0, 0.25, (20_000, 6)) + RNG(2).uniform(-0.5, 0.5, 6))
-    assert (coarse[1:] == coarse[:-1]).all(axis=1).mean() > 0.02
-    still = np.zeros(len(coarse), bool)
-    assert find_repeats(coarse, still).size == 0
-    coarse[5000:15000:10] = coarse[4999:14999:10]
-    assert find_repeats(coarse, still).size > 900
-
-
-def test_chance_repeats_are_no_fault_where_rests_are_shorter_than_a_block() -> None:
-    # At rest all channels stay on their counts; in motion none does.
-    moving = np.arange(20_000) % 60 >= 40
-    level = np.where(moving, 20.0, 0.2)[:, None]
-    coarse = np.round(level * RNG(1).normal(0, 1, (20_000, 6)) + RNG(2).uniform(-0.5, 0.5, 6))
-    assert (coarse[1:] == coarse[:-1]).all(axis=1).mean() > 0.02
-    assert find_repeats(coarse, moving).size == 0
-    coarse[50:-1:60] = coarse[49:-1:60][: len(coarse[50:-1:60])]
-    assert find_repeats(coarse, moving).size > 300
 
 
 def test_a_coarse_channel_between_two_counts_is_not_stuck_while_others_move() -> None:

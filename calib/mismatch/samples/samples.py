@@ -22,6 +22,7 @@ from calib.mismatch.noise.hush import least_noise, silent
 from calib.mismatch.samples.losses import Loss
 from calib.poses import Poses
 from calib.recording import CHANNELS, Recording
+from calib.repeats import find_repeats
 from calib.synchrony import STEP, gyro_delay
 from calib.tilts import FEWEST, Closure
 from calib.types import BoolArray, FloatArray, IntArray
@@ -173,7 +174,7 @@ def look_at_faults(recording: Recording, moving: BoolArray, *, whole: bool) -> S
         unexplained.append(
             Unexplained((CHANNELS[c],), (where,), "nothing: it is stuck", faults.FALSE_ALARM)
         )
-    repeats = np.zeros(0, np.int64) if still else faults.find_repeats(values, moving)
+    repeats = np.zeros(0, np.int64) if still else find_repeats(values, moving)
     if repeats.size:
         findings.append(_repeats(recording, repeats))
     findings += _coarse(recording, values, moving, step)

@@ -246,7 +246,7 @@ def test_a_repeated_sample_is_one_finding_though_all_that_follows_is_late():
     assert item.parameters["moment"].value == pytest.approx(turn.mean(), abs=0.03)
 
 
-@pytest.mark.parametrize(("count", "turn"), [(-2.0, 1), (2.0, 4)])
+@pytest.mark.parametrize(("count", "turn"), [(3.0, 1), (2.0, 4)])
 def test_samples_lost_at_rest_are_lost_anywhere_in_it(count, turn):
     """Where the next turn sets in the line of a delay is off: it said when, to a sample."""
     at = float(motion().turns[turn][1]) + 0.8
@@ -260,11 +260,13 @@ def test_samples_lost_at_rest_are_lost_anywhere_in_it(count, turn):
     assert abs(moment.value - at) < 3.0 * moment.sigma < 6.0
 
 
-def test_a_sample_repeated_at_rest_is_one_finding():
+@pytest.mark.parametrize("count", [-1.0, -2.0])
+def test_samples_repeated_at_rest_are_one_finding(count):
     at = float(motion().turns[1][1]) + 0.8
-    real = recorded(Term("dropped_samples", {"count": -1.0, "moment": at}), seed=13)
+    real = recorded(Term("dropped_samples", {"count": count, "moment": at}), seed=13)
     found = diagnose_reference(real, recorded(seed=3, rate=64.0, offset=4.0), gravity=GRAVITY)
     (item,) = (f for f in found.findings if f.effect == "dropped_samples")
+    assert item.parameters["count"].value == count
     assert item.parameters["moment"].value == pytest.approx(at, abs=0.03)
 
 

@@ -1,0 +1,102 @@
+"""Samples that come twice: the one before again, or the last few, as a buffer has them.
+
+Noise never repeats to the last bit in all channels at once, but for what rounding makes of it.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import pdtrc
+
+from calib.faults import BLOCK, FALSE_ALARM, block_sums, runs
+from calib.types import BoolArray, FloatArray, IntArray
+
+MOST = 32
+"""Samples that come again together, at most: what a buffer or a packet holds."""
+
+
+def find_repeats(values: FloatArray, moving: BoolArray) -> IntArray:
+    """Return samples that came just before: the last one, or the last few in their order.
+
+    Parameters
+    ----------
+    values : (n, 6) array
+    moving : (n,) array of bool
+        Chance is not the same at rest and in motion.
+    """
+    key = _keys(values)
+    found = [_beyond_chance(values, moving, 1, _repeated(key))]
+    for lag in range(2, min(MOST, len(values) - 1) + 1):
+        found.append(_beyond_chance(values, moving, lag, _replayed(key, lag)))
+    return np.unique(np.concatenate(found))
+
+
+def _keys(values: FloatArray) -> NDArray[np.uint64]:
+    """Return a number for each sample (n, 6): the same where all channels are, and else another."""
+    # No two zeros; the odds of a coincidence are 2**-64.
+    bits = np.ascontiguousarray(values + 0.0).view(np.uint64)
+    mixed = np.random.default_rng(0).integers(1 << 63, size=bits.shape[1], dtype=np.uint64)
+    return np.asarray((bits ^ (bits >> np.uint64(29))) @ (2 * mixed + np.uint64(1)))
+
+
+def _repeated(key: NDArray[np.uint64]) -> BoolArray:
+    """Return which samples, from the second on, are the one before.
+
+    Where nothing changes for longer than a block there is no noise to tell a repeat by; and if that
+    is a fifth of the recording, as without noise rests are, pauses of any length are no repeats.
+    """
+    whole = np.asarray(key[1:] == key[:-1])
+    start, stop = runs(whole)
+    long = stop - start >= BLOCK
+    if (stop - start)[long].sum() > 0.2 * len(whole):
+        long = stop - start >= 8
+    for begin, end in zip(start[long].tolist(), stop[long].tolist(), strict=True):
+        whole[begin:end] = False
+    return whole
+
+
+def _replayed(key: NDArray[np.uint64], lag: int) -> BoolArray:
+    """Return which samples, from ``lag`` on, are those of a block of ``lag`` that comes twice.
+
+    What does not change comes again at any lag, and is no block.
+    """
+    out = np.zeros(len(key) - lag, bool)
+    at = np.flatnonzero(key[lag:] == key[:-lag])
+    if len(at) < lag:
+        return out
+    # Rounding repeats single ones by chance.
+    cut = np.flatnonzero(np.diff(at) > 1) + 1
+    begin, end = np.append(0, cut), np.append(cut, len(at))
+    whole = end - begin >= lag
+    begin, end = begin[whole], end[whole]
+    still = np.append(0, np.cumsum(key[1:] == key[:-1]))
+    block = still[at[end - 1] + lag] == still[at[begin]]
+    for first, last in zip(at[begin[block]].tolist(), at[end[block] - 1].tolist(), strict=True):
+        out[first : last + 1] = True
+    return out
+
+
+def _beyond_chance(values: FloatArray, moving: BoolArray, lag: int, which: BoolArray) -> IntArray:
+    """Return the samples of those ``which`` from ``lag`` on, none if chance may explain them.
+
+    Rounding makes samples equal by chance. Channels are independent of each other, so that the
+    chance of channel c is seen where *another* channel changes, and that of all is the product.
+    That holds where all of them move, or none: so rests and motion are looked at by themselves.
+    """
+    count = int(which.sum())
+    if not count:
+        return np.zeros(0, np.int64)
+    equal = values[lag:] == values[:-lag]
+    equal = equal[np.argsort(moving[lag:], kind="stable")]
+    others = equal.sum(axis=1)[:, None] - equal < values.shape[1] - 1
+    seen = block_sums(others)
+    hits = block_sums(others & equal)
+    chance = (hits + 0.5) / (seen + 1.0)
+    informed = (seen >= 8).all(axis=1)
+    if informed.any():
+        chance[~informed] = np.quantile(chance[informed], 0.9, axis=0)
+    expected = float((block_sums(np.ones((len(which), 1))) * chance.prod(axis=1)[:, None]).sum())
+    if pdtrc(count - 1, 1.2 * expected) > FALSE_ALARM / (1 if lag == 1 else MOST):
+        return np.zeros(0, np.int64)
+    return np.flatnonzero(which) + lag
