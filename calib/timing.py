@@ -12,6 +12,7 @@ from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
+from scipy.special import chdtri
 
 from calib.recording import Recording
 from calib.types import BoolArray, FloatArray, IntArray
@@ -55,6 +56,15 @@ HELD_UP = 6.0
 STEADY = 20.0
 """Time over which the clock that stamps is steady, s: crystals change by less than 1 ppm in it."""
 
+BATCHES = 8
+"""Parts of that time whose means scatter as much as stamps, late together, let them."""
+
+MEANS = 64
+"""Batches of samples whose means tell how well a clock is known."""
+
+BENT = 0.01
+"""Chance below which a clock that deviates so much from straight pieces has more of them."""
+
 
 def evened(recording: Recording) -> Recording:
     """Return the recording with times of a steady clock, if its samples were taken evenly.
@@ -77,10 +87,10 @@ def even_times(
 ) -> FloatArray | None:
     """Return the times at which samples were taken, (n,), if evenly; None if the stamps are right.
 
-    Times are ``a + T k`` with the number k of a sample (lost ones counted), plus the mean
-    deviation of the stamps from that over `STEADY`, so that a clock that drifts is followed. They
-    are right if the values (each against the cubic through its four neighbours) are smoother over
-    them than over the stamps.
+    Times are ``a + T k`` with the number k of a sample (lost ones counted). A clock that does not
+    keep its pace is followed: by the fewest straight pieces, none shorter than `STEADY`, about
+    which stamps scatter by chance. They are right if the values (each against the cubic through
+    its four neighbours) are smoother over them than over the stamps.
 
     Parameters
     ----------
@@ -110,6 +120,16 @@ def even_times(
         return None
     rough = [float(roughness(at, values)[usual].mean()) for at in (even, time)]
     return even if rough[0] < rough[1] else None
+
+
+def clock_errors(stamps: FloatArray, time: FloatArray) -> FloatArray:
+    """Return the standard errors of the offset (s) and the pace of times that follow stamps.
+
+    From the means of batches of (n,) stamps less times; zero where the stamps are the times.
+    """
+    off = np.array([part.mean() for part in np.array_split(stamps - time, MEANS)])
+    spread = float(np.std(off)) / np.sqrt(MEANS)
+    return np.array([spread, spread * np.sqrt(12.0) / float(time[-1] - time[0])])
 
 
 def sample_numbers(time: FloatArray, lost: IntArray | None = None) -> IntArray:
@@ -200,15 +220,35 @@ def _followed(time: FloatArray, number: IntArray) -> FloatArray:
     even = _period(time, number) * (number - number.mean())
     off = time - even
     blocks = max(2, int((time[-1] - time[0]) / STEADY))
-    cuts = np.linspace(0, len(time), blocks + 1).astype(int)[1:-1]
-    middle = np.array([part.mean() for part in np.split(even, cuts)])
-    level = np.array([_level(part) for part in np.split(off, cuts)])
+    parts = [_usual(part) for part in np.array_split(off, blocks)]
+    middle = np.array([part.mean() for part in np.array_split(even, blocks)])
+    level = np.array([part.mean() for part in parts])
+    scatter = [np.var([p.mean() for p in np.array_split(part, BATCHES)]) for part in parts]
+    knots, level = _pieces(middle, level, float(np.mean(scatter)) / (BATCHES - 1))
     # The clock goes on at either end as it goes beside it.
-    slope = np.diff(level) / np.diff(middle)
-    begin = level[0] - slope[0] * (middle[0] - even[0])
-    end = level[-1] + slope[-1] * (even[-1] - middle[-1])
-    middle, level = np.r_[even[0], middle, even[-1]], np.r_[begin, level, end]
-    return np.asarray(even + np.interp(even, middle, level))
+    slope = np.diff(level) / np.diff(knots)
+    begin = level[0] - slope[0] * (knots[0] - even[0])
+    end = level[-1] + slope[-1] * (even[-1] - knots[-1])
+    knots, level = np.r_[even[0], knots, even[-1]], np.r_[begin, level, end]
+    return np.asarray(even + np.interp(even, knots, level))
+
+
+def _pieces(at: FloatArray, level: FloatArray, variance: float) -> tuple[FloatArray, FloatArray]:
+    """Return the ends of the fewest straight pieces that levels scatter about as they should.
+
+    Of a clock that keeps its pace stamps then tell one offset and one pace, which all samples share
+    in; and no bends, which are nothing but scatter.
+    """
+    pieces = 1
+    while pieces + 1 < len(at):
+        knots = np.linspace(at[0], at[-1], pieces + 1)
+        hats = np.stack([np.interp(at, knots, unit) for unit in np.eye(pieces + 1)], axis=1)
+        fitted = np.linalg.lstsq(hats, level, rcond=None)[0]
+        left = float(np.square(level - hats @ fitted).sum())
+        if left <= variance * chdtri(len(at) - pieces - 1, BENT):
+            return knots, np.asarray(fitted)
+        pieces *= 2
+    return at, level
 
 
 def _period(time: FloatArray, number: IntArray) -> float:
@@ -217,11 +257,11 @@ def _period(time: FloatArray, number: IntArray) -> float:
     return float(at @ (time - time.mean())) / float(at @ at)
 
 
-def _level(off: FloatArray) -> float:
-    """Return the mean of what stamps are off by, those that were held up cut to size."""
+def _usual(off: FloatArray) -> FloatArray:
+    """Return what stamps are off by, those that were held up cut to size."""
     middle = float(np.median(off))
-    usual = HELD_UP * float(np.median(np.abs(off - middle)))
-    return float(np.clip(off, middle - usual, middle + usual).mean())
+    most = HELD_UP * float(np.median(np.abs(off - middle)))
+    return np.clip(off, middle - most, middle + most)
 
 
 def roughness(time: FloatArray, values: FloatArray) -> FloatArray:

@@ -14,7 +14,7 @@ from calib.recording import Recording
 from calib.simulate import simulate
 from calib.simulation.bench import bench_protocol
 from calib.simulation.noise import CONSUMER
-from calib.timing import even_times, evened, sample_numbers
+from calib.timing import clock_errors, even_times, evened, sample_numbers
 from calib.types import FloatArray
 
 GRAVITY = 9.80665
@@ -65,6 +65,34 @@ def test_even_times_come_back(kind: str, rate: float) -> None:
     assert np.ptp(late) < 1.5 * np.ptp(shown.time - true.time)
     # In turns the median distance from the stamps stays what a constant delay is.
     assert np.abs(np.median(found.time - shown.time)) < 0.5 / rate + 1e-3
+
+
+def test_a_clock_that_keeps_its_pace_has_no_bends() -> None:
+    true = bench(64.0, poses=40)
+    normal, bends = [], []
+    for seed in range(60):
+        shown = stamps("jitter", true.time, np.random.default_rng((7, seed)))
+        found = evened(replace(true, time=shown)).time
+        pace, offset = np.polyfit(true.time - true.time.mean(), found - true.time, 1)
+        errors = clock_errors(shown, found)
+        normal.append(np.array([offset, pace]) / errors)
+        line = offset + pace * (true.time - true.time.mean())
+        bends.append(np.abs(found - true.time - line).max())
+    # Of a chance of BENT there are one or two in 60.
+    assert np.sum(np.array(bends) > 1e-8) <= 4
+    # One standard error each: chi-squared of 60, between its quantiles of 1e-3.
+    size = np.square(normal).sum(axis=0)
+    assert (size > 32.0).all()
+    assert (size < 99.6).all()
+
+
+def test_a_clock_that_changes_its_pace_is_followed() -> None:
+    true = bench(100.0, poses=60)
+    wander = 2e-3 * np.sin(true.time / 60)
+    rng = np.random.default_rng(8)
+    shown = true.time + wander + np.clip(rng.normal(0, 5e-4, len(true)), -4e-3, 4e-3)
+    left = evened(replace(true, time=shown)).time - true.time - wander
+    assert np.std(left) < 0.05 * np.std(wander)
 
 
 def test_samples_taken_unevenly_keep_their_times() -> None:

@@ -28,7 +28,7 @@ from calib.recording import Recording
 from calib.rotation import rotvec_from_mat
 from calib.statics import find_poses
 from calib.threads import one_thread
-from calib.timing import evened
+from calib.timing import clock_errors, evened
 from calib.types import FloatArray
 
 _OPEN = {"bias": 0.1, "scale_factor_error": 0.02, "misalignment": 0.02}
@@ -75,7 +75,9 @@ def diagnose_against(
     twin = diagnose_twin(real, simulated, gravity=gravity)
     if twin is not None:
         return twin
+    stamped = real.time, simulated.time
     real, simulated = evened(real), evened(simulated)
+    clocks = np.hypot(clock_errors(stamped[0], real.time), clock_errors(stamped[1], simulated.time))
     seen = look_at_samples(real, find_poses(audible(real)))
     summary = summarise(real)
     if seen.fatal:
@@ -96,7 +98,9 @@ def diagnose_against(
             f"a simulation at a higher rate: at {1.0 / simulated.interval:.3g} Hz it has too few "
             "samples for its motion, of which only the slow part was compared",
         )
-    return conclude(problem, seen, summary, setups=("clock_scale",), skip=skip, missing=few)
+    return conclude(
+        problem, seen, summary, setups=("clock_scale",), clocks=clocks, skip=skip, missing=few
+    )
 
 
 def compare_simulation(
@@ -148,10 +152,14 @@ def conclude(
     summary: Mapping[str, object],
     *,
     setups: tuple[str, ...],
+    clocks: FloatArray,
     skip: tuple[str, ...] = (),
     missing: tuple[str, ...] = (),
 ) -> Diagnosis:
-    """Search, explain, and report alignments among ``setups`` as findings."""
+    """Search, explain, and report alignments among ``setups`` as findings.
+
+    ``clocks`` are the standard errors of the clocks' offset (s) and pace, (2,).
+    """
     if problem.judged is not None:
         skip += UNPLACED
     skip += ("clock_scale", *(("reference_misalignment",) if problem.turned else ()))
@@ -160,7 +168,7 @@ def conclude(
     outcome, model = _in_samples(outcome, problem.setup.model, problem.thin)
     fit = outcome.fit(reference=True)
     findings, unexplained, (known, covariance) = explain(outcome, fit, names=problem.names)
-    found = find_setups(outcome, fit, problem, setups)
+    found = find_setups(outcome, fit, problem, setups, clocks)
     begin = outcome.rows.interval[:, 0]
     findings = [f for f in findings if not any(_the_same(f, g, begin) for g in seen.findings)]
     findings = [*seen.findings, *found, *findings]

@@ -36,7 +36,7 @@ from calib.recording import Recording
 from calib.rotation import mat_from_quat, quat_multiply
 from calib.statics import find_poses
 from calib.threads import one_thread
-from calib.timing import even_times, evened
+from calib.timing import clock_errors, even_times, evened
 from calib.types import BoolArray, FloatArray
 
 BRISK = 2.0
@@ -200,8 +200,10 @@ def diagnose_reference(
     if isinstance(reference, Recording):
         faults.check_sizes(reference, "the reference")
         check_apart(real, reference)
+    stamped = real.time, reference.time
     real = evened(real)
     reference = evened(reference) if isinstance(reference, Recording) else reference.evened()
+    clocks = np.hypot(clock_errors(stamped[0], real.time), clock_errors(stamped[1], reference.time))
     seen = look_at_samples(real, find_poses(audible(real)))
     summary = summarise(real)
     if seen.fatal:
@@ -217,7 +219,8 @@ def diagnose_reference(
             else "not known: the accelerometer is judged only at rest"
         )
     problem, skip = compare_reference(real, reference, seen, gravity=gravity, model=model)
-    return conclude(problem, seen, {**summary, **problem.notes}, setups=SETUPS, skip=skip)
+    summary |= problem.notes
+    return conclude(problem, seen, summary, setups=SETUPS, clocks=clocks, skip=skip)
 
 
 def compare_reference(

@@ -22,11 +22,21 @@ _LINEAR = {"time_offset": 0.02, "clock_scale": 1e-4, "reference_misalignment": 0
 """Sizes (SI) up to which an alignment acts in proportion, so that it can be left out again to see
 what it is worth on held-out windows."""
 
+_STAMPED = {"time_offset": 0, "clock_scale": 1}
+"""Alignments that are no better known than the clocks."""
+
 
 def find_setups(
-    outcome: Outcome, fit: Estimate, problem: ComparisonProblem, setups: tuple[str, ...]
+    outcome: Outcome,
+    fit: Estimate,
+    problem: ComparisonProblem,
+    setups: tuple[str, ...],
+    clocks: FloatArray,
 ) -> list[Finding]:
-    """Return the alignments that are beyond noise as findings, with the evidence of any other."""
+    """Return the alignments that are beyond noise as findings, with the evidence of any other.
+
+    ``clocks`` are the standard errors, (2,), of the offset (s) and the pace of what stamped.
+    """
     out = []
     alignment, mat = problem.setup.alignment, problem.setup.mat_sr
     p = len(problem.names)
@@ -45,6 +55,8 @@ def find_setups(
         sizes = {x.name: x.typical for x in get_effect(slug).parameters}
         typical = np.array([sizes[n] for n in names])
         covariance = fit.covariance[np.ix_(p + own, p + own)]
+        if slug in _STAMPED:
+            covariance = covariance + clocks[_STAMPED[slug]] ** 2
         e_value = prior * bayes_factor(value[own], covariance, typical)
         if e_value >= CLAIM:
             out.append(_setup(outcome, problem, slug, names, own, value[own], covariance, e_value))

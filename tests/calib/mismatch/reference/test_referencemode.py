@@ -79,6 +79,19 @@ def test_two_alike_imus_are_consistent():
     assert found.verdict == "consistent"
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_what_scatter_of_stamps_does_is_nothing_of_the_sensor(seed):
+    rng = np.random.default_rng((11, seed))
+    real, other = recorded(rate=56.0), recorded(seed=3, rate=200.0, offset=12.0)
+    scatter = np.clip(rng.normal(0, 0.3, len(real)), -0.4, 0.4) / 56.0
+    shown = replace(real, time=real.time + scatter, clock="host")
+    found = diagnose_reference(shown, other, gravity=GRAVITY)
+    assert set(named(found)) == {"time_offset"}
+    assert found.verdict == "explained"
+    delay = named(found)["time_offset"]["delay"]
+    assert abs(delay.value + 12.0) < 4.0 * delay.sigma
+
+
 @pytest.mark.parametrize("inverse", [False, True])
 def test_motion_capture_with_a_gap_gives_arm_and_delay(inverse):
     reference = captured(start=0.02)
