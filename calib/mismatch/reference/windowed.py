@@ -21,9 +21,9 @@ from calib.mismatch.noise.sensornoise import (
 )
 from calib.mismatch.reference.captured import Known, mean_covariance, wobble
 from calib.mismatch.reference.colour import Blur
+from calib.mismatch.reference.flicker import Slow, flicker_levels, flicker_of, slow_left
 from calib.mismatch.reference.scatter import Scatter
 from calib.mismatch.rows.rows import UNKNOWN, Component, Kind, Rows
-from calib.mismatch.search.joint import scaled
 from calib.mismatch.twin.twin import baseline_column
 from calib.recording import CHANNELS
 from calib.types import BoolArray, FloatArray, IntArray
@@ -59,7 +59,8 @@ that the truth does not follow: shaking beyond its band, play between the two.""
 class Shapes:
     """Windows ``[first, last)`` of points, and the shapes (unit vectors) that are rows there.
 
-    ``noise`` (k, 6) is the variance of a window's points. Where that is not the same throughout,
+    ``noise`` (k, 6) is the variance of a window's points, its white part, and ``flicker`` what
+    projections on the shapes have besides. Where the noise is not the same throughout,
     ``scatter`` tells of every point but for a factor of each window, and the shapes are those of
     points in units of its root. Where the accelerometer is not judged everywhere, ``told`` (k,)
     says in which windows it is.
@@ -71,6 +72,7 @@ class Shapes:
     channel: IntArray
     vectors: tuple[FloatArray, ...]
     noise: FloatArray
+    flicker: FloatArray
     scatter: Scatter | None = None
     told: BoolArray | None = None
 
@@ -117,7 +119,8 @@ def find_shapes(
     scatter : Scatter, optional
         Without, points are as noisy throughout a window.
     """
-    first, last = cut(time[blur.seen], blur.judged)
+    seen_at = time[blur.seen]
+    first, last = cut(seen_at, blur.judged)
     judged = np.stack(
         [[blur.counts(c)[a:b].all() for c in range(6)] for a, b in zip(first, last, strict=True)]
     )
@@ -128,6 +131,7 @@ def find_shapes(
         [seen_of[a:b].sum(axis=0) for a, b in zip(first, last, strict=True)]
     )
     found: list[tuple[float, int, int, FloatArray]] = []
+    slow: list[dict[int, Slow]] = [{} for _ in CHANNELS]
     for c, name in enumerate(CHANNELS):
         own = blur.see(np.array([v for channel, v in columns if channel == name]).T, c)
         own /= size[:, c, None]
@@ -156,17 +160,25 @@ def find_shapes(
             free[s, c] = max(many - 1 - shapes.shape[1], LEAST_FREE * many)
             noise[s, c] = float(rest @ rest) / free[s, c]
             found += [(float(v), s, c, x) for v, x in zip(strength[keep], shapes.T, strict=True)]
+            slow[c][s] = slow_left(rest, mean, shapes)
     noise = _levelled(noise, free, independent, blur.white, judged)
-    noise *= _of_windows(size, first, last)
     strongest = sorted(found, key=lambda item: -item[0])[:SHAPES]
     strongest.sort(key=lambda item: (item[2], item[1]))
+    segment = np.array([item[1] for item in strongest], np.int64)
+    channel = np.array([item[2] for item in strongest], np.int64)
+    kept = tuple(item[3] for item in strongest)
+    interval = (seen_at[last - 1] - seen_at[first]) / (last - first - 1)
+    level = flicker_levels(slow, noise, interval)
+    flicker = level[channel] * np.array([flicker_of(x) for x in kept])
+    worth = _of_windows(size, first, last)
     return Shapes(
         first,
         last,
-        np.array([item[1] for item in strongest], np.int64),
-        np.array([item[2] for item in strongest], np.int64),
-        tuple(item[3] for item in strongest),
-        noise,
+        segment,
+        channel,
+        kept,
+        noise * worth,
+        flicker * worth[segment, channel],
         scatter,
         None if blur.judged is None else judged[:, 0],
     )
@@ -275,6 +287,7 @@ def make_rows(
             variance = shapes.scatter.variance[blur.seen if blur.whitens else slice(None), c]
             white[own] = (square @ variance)[own] / np.square(typical[segment[own], c])
     variance = shapes.noise[segment, channel] * white
+    variance[dense:] += shapes.flicker / count[shapes.segment]
     quiet = np.quantile(shapes.noise, 0.2, axis=0)
     restless = shapes.noise[segment, channel] > RESTLESS * quiet[channel]
     interval = np.stack((time[first], time[last - 1]), axis=1)
@@ -371,22 +384,3 @@ def _components(
         drift = DRIFT[name.split(".")[0]] ** 2 * density[c]
         out += drift_components(name, pieces[c][:dense], flicker, walk, drift, SPREAD)
     return tuple(out)
-
-
-def robust_step(rows: Rows) -> FloatArray:
-    """Return the Gauss-Newton step of baseline and nuisances, by Huber's weights."""
-    sigma = np.sqrt(np.concatenate((rows.expected_variance(), rows.white_diagonal)))
-    design = np.hstack((rows.baseline, rows.nuisance)) / sigma[:, None]
-    y = rows.residual / sigma
-    ridge = np.diag(1.0 / rows.prior[:, 1])
-    pull = -rows.prior[:, 0] / rows.prior[:, 1]
-    weight = np.ones(len(y))
-    step = np.zeros(design.shape[1])
-    for _ in range(5):
-        root = np.sqrt(weight)
-        stacked, size = scaled(np.vstack((design * root[:, None], ridge)))
-        step = np.linalg.lstsq(stacked, np.append(y * root, pull), rcond=1e-12)[0] / size
-        left = np.abs(y - design @ step)
-        scale = max(float(np.median(left)) / 0.6745, 1.0)
-        weight = np.minimum(1.0, 3.0 * scale / np.maximum(left, 1e-12)) / scale**2
-    return np.asarray(step)

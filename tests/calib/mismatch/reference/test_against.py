@@ -269,3 +269,21 @@ def test_a_recording_beside_itself_is_no_comparison(part: slice):
         diagnose_against(real, real.slice(*part.indices(len(real))[:2]), gravity=GRAVITY)
     with pytest.raises(NoCommonMotionError, match="one recording"):
         diagnose_reference(real, real, gravity=GRAVITY)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_quiet_sensor_that_flickers_has_nothing_else(seed: int):
+    """White noise says little of what it does over seconds."""
+    rng = np.random.default_rng(seed)
+    quiet = replace(
+        CONSUMER,
+        accel_noise_density=0.3 * CONSUMER.accel_noise_density,
+        gyro_noise_density=0.3 * CONSUMER.gyro_noise_density,
+        accel_bias_instability=3.0 * CONSUMER.accel_bias_instability,
+        gyro_bias_instability=3.0 * CONSUMER.gyro_bias_instability,
+    )
+    handled = bench_protocol(rng, poses=16, first_pose=3.0, pose_duration=(3.0, 6.0))
+    real = simulate(handled, SensorModel(), quiet, rng=rng, rate=100.0)
+    sim = simulate(handled, SensorModel(), NoiseModel(), rng=rng, rate=80.0)
+    found = diagnose_against(real, sim, gravity=GRAVITY)
+    assert found.verdict == "consistent", [f.effect for f in found.findings]
