@@ -6,12 +6,14 @@ from itertools import product
 
 import numpy as np
 
-from calib.mismatch.noise.noise import typical
 from calib.mismatch.rows.rows import Rows
 from calib.types import BoolArray, FloatArray
 
 FEW = 5
 """Contrasts of one kind and channel from which on what repeats in them is taken out."""
+
+STRAY = 3.0
+"""Standard deviations beyond which a contrast is that of something else."""
 
 
 def contrast_variance(rows: Rows, *, apart: BoolArray | None = None) -> FloatArray:
@@ -65,6 +67,23 @@ def contrast_variance(rows: Rows, *, apart: BoolArray | None = None) -> FloatArr
     return variance
 
 
+def calm_variance(rows: Rows) -> FloatArray:
+    """Return the variance of the contrast rows by white noise; of those off course, by what it is.
+
+    A knock or a slip in one rest does not say how a bias drifts in all others: what is more than
+    `STRAY` times as large as its channel's are says nothing.
+    """
+    variance = rows.white_diagonal.copy()
+    square = np.square(rows.residual[rows.n_dense :]) / variance
+    channel = rows.channel[rows.n_dense :]
+    for c in range(6):
+        own = channel == c
+        if own.any():
+            most = STRAY**2 * max(typical(square[own]), 1.0)
+            variance[own] *= np.where(square[own] > most, square[own], 1.0)
+    return variance
+
+
 def contrast_likelihood(rows: Rows, variance: FloatArray) -> float:
     """Return the log-likelihood of the contrast rows as noise of this variance."""
     y = rows.residual[rows.n_dense :]
@@ -74,3 +93,9 @@ def contrast_likelihood(rows: Rows, variance: FloatArray) -> float:
 def _inflation(total: float, count: int) -> float:
     """Return a factor on variance from a sum of squares, shrunk to 1 as by six more; at least 1."""
     return max(1.0, (total + 6.0) / (count + 6.0))
+
+
+def typical(squares: FloatArray) -> float:
+    """Return the variance of normal errors by the median of their squares."""
+    # The median of chi-squared with one degree of freedom is 0.4549.
+    return float(np.median(squares)) / 0.4549

@@ -76,20 +76,41 @@ def foretold(rows: Rows, levels: FloatArray) -> tuple[Foretold, ...]:
 
     The last is kept of each channel: where one's levels are tried, those of the others stay.
     """
-    if not rows.is_rest.any() or rows.n_dense == len(rows.residual):
-        return ()
-    if "drifts" not in rows.kept:
-        rows.kept["drifts"] = [_drifts(rows, c) for c in range(len(CHANNELS))]
-        rows.kept["foretold"] = {}
+    drifts = _all_drifts(rows)
     level = {c.name: value for c, value in zip(rows.components, levels, strict=True)}
-    kept: dict[str, tuple[bytes, Foretold | None]] = rows.kept["foretold"]
-    for name, drift in zip(CHANNELS, rows.kept["drifts"], strict=True):
-        leaning = name if name.startswith("gyro") else "accel"
-        kinds = f"{name} flicker", f"{name} walk", f"{leaning} {LEAN}", f"{name} jitter"
-        size = np.array([level.get(kind, 0.0) for kind in kinds])
+    kept: dict[str, tuple[bytes, Foretold | None]] = rows.kept.setdefault("foretold", {})
+    for name, drift in drifts.items():
+        size = np.array([level.get(kind, 0.0) for kind in (*_kinds(name), f"{name} jitter")])
         if drift is not None and kept.get(name, (b"",))[0] != size.tobytes():
             kept[name] = size.tobytes(), _alone(drift, size[:3], float(size[3]))
     return tuple(known for _, known in kept.values() if known is not None)
+
+
+def drift_in_contrasts(rows: Rows) -> FloatArray:
+    """Return the variance (k, n) that each of k components gives n contrasts, for levels of one."""
+    out = np.zeros((len(rows.components), len(rows.residual) - rows.n_dense))
+    number = {c.name: i for i, c in enumerate(rows.components)}
+    for name, drift in _all_drifts(rows).items():
+        for kind, own in zip(_kinds(name), () if drift is None else drift.own, strict=False):
+            if drift is not None and kind in number:
+                out[number[kind], drift.contrast] = np.diag(own)
+    return out
+
+
+def _kinds(channel: str) -> tuple[str, str, str]:
+    """Return the components that change a channel within a rest, as `_Drifts` has them."""
+    leaning = channel if channel.startswith("gyro") else "accel"
+    return f"{channel} flicker", f"{channel} walk", f"{leaning} {LEAN}"
+
+
+def _all_drifts(rows: Rows) -> dict[str, _Drifts | None]:
+    """Return what there is of each channel; nothing where there is no rest, or no contrast."""
+    if not rows.is_rest.any() or rows.n_dense == len(rows.residual):
+        return {}
+    if "drifts" not in rows.kept:
+        rows.kept["drifts"] = {name: _drifts(rows, c) for c, name in enumerate(CHANNELS)}
+    drifts: dict[str, _Drifts | None] = rows.kept["drifts"]
+    return drifts
 
 
 def _alone(drift: _Drifts, size: FloatArray, jitter: float) -> Foretold | None:

@@ -2,6 +2,8 @@
 
 Their levels are estimated by restricted maximum likelihood: the likelihood of what no column of
 the mean can reach. With the columns of every effect in the mean, an effect cannot hide as drift.
+Contrasts have a say in them too: a bias that flickers, or a sensor that leans, changes within rests
+as it does from rest to rest, and most effects do not.
 
 References
 ----------
@@ -17,7 +19,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import linalg
 
-from calib.mismatch.noise.coupling import Foretold, foretold
+from calib.mismatch.noise.contrast import calm_variance, typical
+from calib.mismatch.noise.coupling import Foretold, drift_in_contrasts, foretold
 from calib.mismatch.noise.sensornoise import LEAN
 from calib.mismatch.rows.arrow import Factor
 from calib.mismatch.rows.rows import UNKNOWN, Rows
@@ -106,22 +109,21 @@ def estimate_levels(
     Parameters
     ----------
     rows : Rows
-    mean : (n_dense, p) array
-        Columns of the mean; any rank.
+    mean : (m, p) array
+        Columns of the mean; any rank. Only rows that tell of levels count (`level_basis`).
     start : (c,) array
         Levels to start from.
     """
-    y = rows.residual[: rows.n_dense]
     centre = np.log(expected_levels(rows))
     precision = prior_precision(rows)
-    basis = range_basis(mean)
+    basis = level_basis(rows, mean)
     logs = np.log(start)
     best: tuple[float, FloatArray] | None = None
     halved, caution, log_share, gain = 0, 0.1, 0.0, np.inf
     for _ in range(iterations):
         levels = np.exp(logs)
-        factor = rows.arrow.factorise(levels)
-        likelihood, white, left = _restricted(factor, basis, y)
+        weighing = Weighing.of(rows, levels)
+        likelihood, white, left = _restricted(weighing, basis, rows.residual)
         value = likelihood - 0.5 * float((logs - centre) @ precision @ (logs - centre))
         if best is not None and value < best[0] - 1e-6:
             # Too long a step: go back half way.
@@ -136,10 +138,10 @@ def estimate_levels(
         ratio = gain / before if np.isfinite(before) else 1.0
         if gain < NEAR or (ratio < 0.5 and gain * ratio / (1 - ratio) < NEAR):
             break
-        py, trace, vpy = rows.arrow.slopes(factor, white, left)
+        py, trace, vpy = weighing.slopes(rows, white, left)
         trace, vpy = trace * levels, vpy * levels
         gradient = 0.5 * (vpy.T @ py - trace) - precision @ (logs - centre)
-        information = _information(factor, white, vpy) + precision
+        information = _information(weighing, white, vpy) + precision
         log_share = -0.5 * float(np.linalg.slogdet(np.linalg.solve(precision, information))[1])
         # Average information is poor far from the optimum; near it, caution only costs steps.
         information += np.diag(caution * np.abs(trace))
@@ -150,9 +152,62 @@ def estimate_levels(
     return Levels(np.exp(best[1]), best[0], log_share)
 
 
-def _information(factor: Factor, white: FloatArray, vpy: FloatArray) -> FloatArray:
+@dataclass(frozen=True, eq=False)
+class Weighing:
+    """What whitens rows by themselves, at some levels: dense ones, and contrasts as independent.
+
+    But for contrasts in which components do not show: beside a truth they say nothing of levels.
+
+    Parameters
+    ----------
+    factor : Factor
+        Of the covariance of the dense rows.
+    scale : (n,) array
+        Standard deviations of the contrasts.
+    drift : (c, n) array
+        Their variances by each component, for levels of one.
+    """
+
+    factor: Factor
+    scale: FloatArray
+    drift: FloatArray
+
+    @classmethod
+    def of(cls, rows: Rows, levels: FloatArray) -> Weighing:
+        """Return the weighing at some levels."""
+        if "contrasts" not in rows.kept:
+            drift = drift_in_contrasts(rows)
+            told = slice(len(drift.T) if drift.any() else 0)
+            rows.kept["contrasts"] = calm_variance(rows)[told], drift[:, told]
+        calm, drift = rows.kept["contrasts"]
+        return cls(rows.arrow.factorise(levels), np.sqrt(calm + levels @ drift), drift)
+
+    def solve(self, values: FloatArray) -> FloatArray:
+        """Return whitened (m, ...) values."""
+        dense = len(values) - len(self.scale)
+        rest = values[dense:] / (self.scale if values.ndim == 1 else self.scale[:, None])
+        return np.concatenate((self.factor.solve(values[:dense]), rest))
+
+    @property
+    def log_det(self) -> float:
+        """The logarithm of the determinant of the covariance."""
+        return self.factor.log_det + 2.0 * float(np.log(self.scale).sum())
+
+    def slopes(
+        self, rows: Rows, mean: FloatArray, left: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return what the restricted likelihood needs to climb, as `Arrow.slopes` does."""
+        dense = rows.n_dense
+        py, trace, vpy = rows.arrow.slopes(self.factor, mean[:dense], left[:dense])
+        free = 1.0 - np.einsum("np,np->n", mean[dense:], mean[dense:])
+        trace = trace + self.drift @ (free / np.square(self.scale))
+        rest = left[dense:] / self.scale
+        return np.append(py, rest), trace, np.concatenate((vpy, (self.drift * rest).T))
+
+
+def _information(weighing: Weighing, white: FloatArray, vpy: FloatArray) -> FloatArray:
     """Return the average information ``(V_i P y)' P (V_j P y) / 2``, (c, c)."""
-    pulled = factor.solve(vpy)
+    pulled = weighing.solve(vpy)
     kept = white.T @ pulled
     return np.asarray(0.5 * (pulled.T @ pulled - kept.T @ kept))
 
@@ -173,12 +228,12 @@ def spread_of_variance(
     Parameters
     ----------
     rows : Rows
-    mean : (n_dense, p) array
+    mean : (m, p) array
         Columns of the mean beside which the levels were estimated.
     levels : (c,) array
         Their estimates.
-    influence : (n_dense, k) array
-        One a in each column, as far as it weighs rows with levels.
+    influence : (m, k) array
+        One a in each column.
     variance : (k,) array
         What each v is.
 
@@ -187,14 +242,16 @@ def spread_of_variance(
     .. [1] Giesbrecht, Burns, "Two-stage analysis based on a mixed model: large-sample asymptotic
        theory and small-sample simulation results", Biometrics 41, 1985, p. 477.
     """
-    factor = rows.arrow.factorise(levels)
-    _, white, left = _restricted(factor, range_basis(mean), rows.residual[: rows.n_dense])
-    vpy = rows.arrow.slopes(factor, white, left)[2] * levels
-    precision = _information(factor, white, vpy) + prior_precision(rows)
+    weighing = Weighing.of(rows, levels)
+    _, white, left = _restricted(weighing, level_basis(rows, mean), rows.residual)
+    vpy = weighing.slopes(rows, white, left)[2] * levels
+    precision = _information(weighing, white, vpy) + prior_precision(rows)
     slopes = np.empty((len(levels), influence.shape[1]))
     for i, c in enumerate(rows.components):
         felt = c.response.T @ influence[c.index]
         slopes[i] = levels[i] * np.einsum("sk,sk->k", felt, c.kernel @ felt)
+    told = influence[rows.n_dense : rows.n_dense + len(weighing.scale)]
+    slopes += levels[:, None] * (weighing.drift @ np.square(told))
     # Beside priors a variance is less than its parts would make: they are shares of it.
     share = slopes / np.maximum(np.maximum(variance, slopes.sum(axis=0)), 1e-300)
     spread = np.einsum("ik,ik->k", share, np.linalg.solve(precision, share))
@@ -233,10 +290,10 @@ def find_levels(rows: Rows, mean: FloatArray, start: FloatArray) -> Levels:
     return best
 
 
-def typical(squares: FloatArray) -> float:
-    """Return the variance of normal errors by the median of their squares."""
-    # The median of chi-squared with one degree of freedom is 0.4549.
-    return float(np.median(squares)) / 0.4549
+def level_basis(rows: Rows, mean: FloatArray) -> FloatArray:
+    """Return the `range_basis` of (m, p) columns on the rows that tell of levels."""
+    told = rows.n_dense + len(Weighing.of(rows, expected_levels(rows)).scale)
+    return range_basis(mean[:told])
 
 
 def range_basis(mean: FloatArray, *, tolerance: float = 1e-9) -> FloatArray:
@@ -286,11 +343,11 @@ def _orthonormal(scaled: FloatArray) -> FloatArray | None:
 
 
 def _restricted(
-    factor: Factor, basis: FloatArray, y: FloatArray
+    weighing: Weighing, basis: FloatArray, y: FloatArray
 ) -> tuple[float, FloatArray, FloatArray]:
     """Return the restricted log-likelihood, the whitened mean (orthonormal), and what it leaves."""
-    mean, left = factor.solve(basis), factor.solve(y)
-    log_det = factor.log_det
+    mean, left = weighing.solve(basis), weighing.solve(y[: len(basis)])
+    log_det = weighing.log_det
     if basis.size:
         try:
             inner = linalg.cholesky(mean.T @ mean, lower=True, check_finite=False)
@@ -380,10 +437,9 @@ def make_whitener(
 def level_likelihood(rows: Rows, basis: FloatArray, levels: FloatArray) -> float:
     """Return the penalised restricted log-likelihood of given levels.
 
-    ``basis`` is the `range_basis` of the mean's dense rows.
+    ``basis`` is the `level_basis` of the mean.
     """
-    factor = rows.arrow.factorise(levels)
-    likelihood, _, _ = _restricted(factor, basis, rows.residual[: rows.n_dense])
+    likelihood, _, _ = _restricted(Weighing.of(rows, levels), basis, rows.residual)
     return likelihood - _penalty(rows, levels)
 
 

@@ -204,12 +204,9 @@ def _unsure(
 ) -> FloatArray:
     """Return how much wider errors are, as the noise is uncertain, than where it is known."""
     mean = fitted(rows, accepted)
-    dense = slice(rows.n_dense)
     whitener = make_whitener(rows, levels, contrast, mean[:, :0])
     influence = whitener.unwhiten_transposed(whitener.whiten(mean) @ covariance)
-    return wider(
-        spread_of_variance(rows, mean[dense], levels, influence[dense], np.diag(covariance))
-    )
+    return wider(spread_of_variance(rows, mean, levels, influence, np.diag(covariance)))
 
 
 def wider(spread: FloatArray) -> FloatArray:

@@ -81,7 +81,7 @@ def refit(
     ``refine`` is whether the shape of the last finding is one of the grid's, and yet to be refined.
     """
     contrast = contrast_noise(rows, accepted)
-    levels = find_levels(rows, fitted(rows, accepted)[: rows.n_dense], levels).values
+    levels = find_levels(rows, fitted(rows, accepted), levels).values
     rough = refine and accepted and not accepted[-1].in_model
     for _ in range(REFINED if rough else 0):
         before = accepted[-1].candidate
@@ -89,7 +89,7 @@ def refit(
         if accepted[-1].candidate is before or not before.physical:
             break
         # What a shape that was not yet right had left is noise no more.
-        levels = estimate_levels(rows, fitted(rows, accepted)[: rows.n_dense], levels).values
+        levels = estimate_levels(rows, fitted(rows, accepted), levels).values
     rows, accepted, steps, off = _stepped(problem, rows, accepted, levels, contrast)
     straight = steps == 1 and off < BENT
     for _ in range(REFINED if rough else 0):
@@ -125,7 +125,7 @@ def _placed_anew(
     if not isinstance(effect, TransformEffect):
         return None, levels
     mean = fitted(rows, accepted)
-    levels = estimate_levels(rows, mean[: rows.n_dense], levels).values
+    levels = estimate_levels(rows, mean, levels).values
     whitener = make_whitener(rows, levels, contrast, mean)
     y, size = whitener.project(rows.residual), last.values / last.typical
 

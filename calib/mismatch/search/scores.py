@@ -19,9 +19,9 @@ from calib.mismatch.noise.noise import (
     Whitener,
     estimate_levels,
     find_levels,
+    level_basis,
     level_likelihood,
     make_whitener,
-    range_basis,
 )
 from calib.mismatch.rows.rows import Rows
 from calib.mismatch.search.accepted import Accepted, contrast_noise, fitted
@@ -56,7 +56,6 @@ class Scores:
     @classmethod
     def of(cls, rows: Rows, stack: Stack, accepted: list[Accepted], start: FloatArray) -> Scores:
         mean = fitted(rows, accepted)
-        dense = mean[: rows.n_dense]
         # Beside what was accepted they start from what was found with it.
         find = estimate_levels if accepted else find_levels
         return cls(
@@ -65,8 +64,8 @@ class Scores:
             accepted=accepted,
             mean=mean,
             contrast=contrast_noise(rows, accepted),
-            base=find(rows, dense, start),
-            basis=range_basis(dense),
+            base=find(rows, mean, start),
+            basis=level_basis(rows, mean),
             weight=stack.weight,
         )
 
@@ -109,13 +108,13 @@ class Scores:
         Beside it the levels with all physics in the mean, and the evidence for physics there.
         """
         rows, stack, base = self.rows, self.stack, self.base
-        dense = self.basis
-        wide = np.hstack((dense, physics(stack)[: rows.n_dense]))
+        told = len(self.basis)
+        wide = np.hstack((self.basis, physics(stack)[:told]))
         every = find_levels(rows, wide, base.values)
         rivals = strongest_rivals(stack, evidence - self.weight)
         alone = [stack.of(c) for c in rivals.values() if len(c.channels) == 1]
-        strongest = np.hstack(alone)[: rows.n_dense]
-        free = estimate_levels(rows, np.hstack((dense, strongest)), every.values)
+        strongest = np.hstack(alone)[:told]
+        free = estimate_levels(rows, np.hstack((self.basis, strongest)), every.values)
         hidden: list[Hidden] = []
         for channels in (*((c,) for c in CHANNELS), CHANNELS[:3], CHANNELS[3:]):
             for physical, other in ((True, every), (False, free)):
@@ -147,7 +146,7 @@ class Scores:
             factors = moved.log_bayes_factors(whitener, whitener.project(rows.residual))
             here = moved[int(np.argmax(factors))]
             own = moved.of(here)
-        with_own = np.hstack((self.basis, own[: rows.n_dense]))
+        with_own = np.hstack((self.basis, own[: len(self.basis)]))
         start = _swap(rows, base.values, every.values, leader.channels)
         found = estimate_levels(rows, with_own, start)
         outside, cost = self._suited(found.values, here, own)

@@ -109,7 +109,7 @@ def search(problem: Problem, *, skip: tuple[str, ...] = ()) -> Outcome:
         ranking = rank(rows, stack, accepted, levels)
     contrast = contrast_noise(rows, accepted)
     # The ranking took the better of two maxima: its own is left to be approached more closely.
-    levels = estimate_levels(rows, fitted(rows, accepted)[: rows.n_dense], ranking.levels).values
+    levels = estimate_levels(rows, fitted(rows, accepted), ranking.levels).values
     accepted = [
         replace(
             a,
@@ -133,7 +133,7 @@ def _superfluous(rows: Rows, accepted: list[Accepted], levels: FloatArray) -> Ac
         return None
     contrast = contrast_noise(rows, accepted)
     # With all findings in the mean: drift must not take up again what they explained.
-    levels = estimate_levels(rows, fitted(rows, accepted)[: rows.n_dense], levels).values
+    levels = estimate_levels(rows, fitted(rows, accepted), levels).values
     worst: tuple[float, Accepted | None] = (KEEP, None)
     for a in earlier:
         others = [b for b in accepted if b is not a]

@@ -103,7 +103,7 @@ class Judge:
     def without(self, whole: Whole) -> Levels:
         """Return the levels of the noise that an explanation leaves, and their log-likelihood."""
         rows = replace(self.rows, residual=self.rows.residual - whole.column)
-        return find_levels(rows, self.mean[: rows.n_dense], self.levels)
+        return find_levels(rows, self.mean, self.levels)
 
     def most_likely(self, found: Iterable[Whole]) -> Whole:
         """Return the explanation that is most probable, each under noise of its own."""

@@ -1,11 +1,15 @@
 """One short bench recording for the tests of the diagnosis."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
 
 from calib.effects.base import Term
+from calib.mismatch.noise.coupling import drift_in_contrasts
+from calib.mismatch.noise.noise import covariance
 from calib.mismatch.rows.grid import Grid, make_grid
+from calib.mismatch.rows.rows import Rows
 from calib.mismatch.twin.selfmode import SelfProblem
 from calib.model import SensorModel, Triad
 from calib.recording import Recording
@@ -13,6 +17,7 @@ from calib.simulate import simulate
 from calib.simulation.bench import bench_protocol
 from calib.simulation.noise import CONSUMER, NoiseModel
 from calib.statics import find_poses
+from calib.types import FloatArray
 
 GRAVITY = 9.80665
 
@@ -53,3 +58,11 @@ def problem(seed: int = 3) -> tuple[Grid, SelfProblem]:
     real = recording(seed=seed, poses=18)
     grid = make_grid(real, find_poses(real))
     return grid, SelfProblem(grid, None, gravity=GRAVITY, full_gyro=False)
+
+
+def drawn(rows: Rows, levels: FloatArray, rng: np.random.Generator) -> Rows:
+    """Return rows of nothing but noise of these levels."""
+    variance = rows.white_diagonal + levels @ drift_in_contrasts(rows)
+    dense = np.linalg.cholesky(covariance(rows, levels)) @ rng.normal(size=rows.n_dense)
+    rest = np.sqrt(variance) * rng.normal(size=len(variance))
+    return replace(rows, residual=np.append(dense, rest))

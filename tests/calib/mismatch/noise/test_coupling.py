@@ -9,9 +9,10 @@ import pytest
 from calib.mismatch.noise import noise
 from calib.mismatch.noise.contrast import contrast_variance
 from calib.mismatch.noise.coupling import _drifts, foretold
-from calib.mismatch.noise.noise import expected_levels, make_whitener
+from calib.mismatch.noise.noise import estimate_levels, expected_levels, make_whitener
 from calib.mismatch.rows.grid import make_grid
-from calib.mismatch.rows.rows import Rows
+from calib.mismatch.rows.rows import Kind, Rows
+from calib.mismatch.search.accepted import fitted
 from calib.mismatch.search.ranking import CLAIM, make_stack, rank
 from calib.mismatch.twin.selfmode import SelfProblem
 from calib.model import SensorModel
@@ -22,7 +23,7 @@ from calib.simulation.noise import CONSUMER
 from calib.statics import find_poses
 from calib.types import FloatArray
 
-from ..bench import GRAVITY, problem
+from ..bench import GRAVITY, drawn, problem
 
 
 @cache
@@ -108,3 +109,35 @@ def test_short_rests_of_a_noisy_sensor_are_left_as_they_are() -> None:
     drift = _drifts(rows, 0)
     assert drift is not None
     assert foretold(rows, 0.01 * expected_levels(rows)) == ()
+
+
+def logs_of_flicker(rows: Rows) -> FloatArray:
+    """Return the logarithms of a gyro's levels of flicker, as multiples of the usual."""
+    levels = estimate_levels(rows, fitted(rows, []), expected_levels(rows)).values
+    own = [c.name.endswith("flicker") and c.group == "gyro" for c in rows.components]
+    return np.log(levels / expected_levels(rows))[own]
+
+
+def test_changes_within_rests_tell_how_much_a_bias_flickers(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    rows, rng = slow(), np.random.default_rng(4)
+    usual = expected_levels(rows)
+    flickers = np.array([c.name.endswith("flicker") for c in rows.components])
+    draws = [drawn(rows, np.where(flickers, size * usual, usual), rng) for size in (0.2, 9.0) * 3]
+    true = np.log((0.2, 9.0) * 3)[:, None]
+    both = np.array([logs_of_flicker(real) for real in draws]) - true
+    monkeypatch.setattr(noise, "drift_in_contrasts", lambda rows: np.zeros((len(usual), 0)))
+    means = np.array([logs_of_flicker(replace(real)) for real in draws]) - true
+    assert np.square(both).mean() < 0.8 * np.square(means).mean()
+    assert abs(both.mean()) < 0.5
+
+
+def test_a_knock_in_one_rest_does_not_say_how_a_bias_drifts_in_all() -> None:
+    rows = drawn(slow(), expected_levels(slow()), np.random.default_rng(6))
+    rest = np.flatnonzero(rows.is_rest)[5]
+    knocked = (rows.segment == rest) & (rows.kind == Kind.CONTRAST)
+    residual = rows.residual.copy()
+    residual[knocked] += 30.0 * np.sqrt(rows.white_diagonal[knocked[rows.n_dense :]])
+    other = replace(rows, residual=residual)
+    assert np.abs(logs_of_flicker(other) - logs_of_flicker(rows)).max() < 0.7

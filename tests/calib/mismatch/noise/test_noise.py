@@ -13,10 +13,10 @@ from calib.mismatch.noise.noise import (
     NEAR,
     WITHIN,
     _restricted,
-    covariance,
     estimate_levels,
     expected_levels,
     find_levels,
+    level_basis,
     level_likelihood,
     make_whitener,
     prior_precision,
@@ -26,7 +26,7 @@ from calib.mismatch.noise.noise import (
 from calib.mismatch.noise.sensornoise import LEAN, shrunk
 from calib.mismatch.rows.rows import Component
 
-from ..bench import problem
+from ..bench import drawn, problem
 
 
 def test_levels_are_recovered():
@@ -37,15 +37,11 @@ def test_levels_are_recovered():
     true = 30.0
     for axis in "xyz":
         levels[names.index(f"gyro.{axis} flicker")] *= true
-    factor = np.linalg.cholesky(covariance(rows, levels))
-    mean = np.hstack((rows.baseline, rows.nuisance))[: rows.n_dense]
+    mean = np.hstack((rows.baseline, rows.nuisance))
     rng = np.random.default_rng(1)
     found = []
     for _ in range(6):
-        residual = np.concatenate(
-            (factor @ rng.normal(size=rows.n_dense), np.zeros(len(rows.residual) - rows.n_dense))
-        )
-        fit = estimate_levels(replace(rows, residual=residual), mean, expected_levels(rows))
+        fit = estimate_levels(drawn(rows, levels, rng), mean, expected_levels(rows))
         found += [
             fit.values[names.index(f"gyro.{a} flicker")]
             / rows.components[names.index(f"gyro.{a} flicker")].expected
@@ -60,16 +56,13 @@ def test_levels_are_found_where_turns_close_badly():
     _, self_mode = problem()
     rows = self_mode.rows()
     names = [c.name for c in rows.components]
-    mean = np.hstack((rows.baseline, rows.nuisance))[: rows.n_dense]
+    mean = np.hstack((rows.baseline, rows.nuisance))
     rng = np.random.default_rng(4)
     for size in (1e3, 1e3, 1e5, 1e5):
         levels = expected_levels(rows)
         for name in ("attitude", "velocity by effort"):
             levels[names.index(name)] *= size
-        residual = np.zeros(len(rows.residual))
-        factor = np.linalg.cholesky(covariance(rows, levels))
-        residual[: rows.n_dense] = factor @ rng.normal(size=rows.n_dense)
-        bad = replace(rows, residual=residual)
+        bad = drawn(rows, levels, rng)
         known = estimate_levels(bad, mean, levels)
         found = find_levels(bad, mean, expected_levels(rows))
         assert found.log_likelihood > known.log_likelihood - 0.5
@@ -79,13 +72,13 @@ def test_the_maximum_is_reached_to_what_evidence_needs():
     """Steps end where what is left of their gains is small, not where one gains little."""
     _, self_mode = problem()
     rows = self_mode.rows()
-    mean = np.hstack((rows.baseline, rows.nuisance))[: rows.n_dense]
+    mean = np.hstack((rows.baseline, rows.nuisance))
     start = expected_levels(rows)
     found = estimate_levels(rows, mean, start)
     closer = found
     for _ in range(5):
         closer = estimate_levels(rows, mean, closer.values)
-    assert found.log_likelihood > level_likelihood(rows, range_basis(mean), start) + 1.0
+    assert found.log_likelihood > level_likelihood(rows, level_basis(rows, mean), start) + 1.0
     assert closer.log_likelihood - NEAR < found.log_likelihood <= closer.log_likelihood
 
 
@@ -163,16 +156,13 @@ def test_levels_of_a_sensor_that_leans_are_found():
     """Not the other maximum, where all of its drift is far from what is expected."""
     _, self_mode = problem()
     rows = self_mode.rows()
-    mean = np.hstack((rows.baseline, rows.nuisance))[: rows.n_dense]
+    mean = np.hstack((rows.baseline, rows.nuisance))
     levels = expected_levels(rows)
     leans = [i for i, c in enumerate(rows.components) if c.group == LEAN]
     levels[leans] *= 1e4
     rng = np.random.default_rng(8)
-    factor = np.linalg.cholesky(covariance(rows, levels))
     for _ in range(4):
-        residual = np.zeros(len(rows.residual))
-        residual[: rows.n_dense] = factor @ rng.normal(size=rows.n_dense)
-        found = find_levels(replace(rows, residual=residual), mean, expected_levels(rows))
+        found = find_levels(drawn(rows, levels, rng), mean, expected_levels(rows))
         gyros = np.log10(found.values[leans[1:]] / levels[leans[1:]])
         assert np.abs(gyros).max() < 1.0
 
@@ -183,13 +173,10 @@ def test_likelihood_is_averaged_over_the_prior_of_a_level(size, error):
     rows = self_mode.rows()
     component = next(c for c in rows.components if c.name == "attitude by angle")
     rows = replace(rows, components=(component,))
-    mean = np.hstack((rows.baseline, rows.nuisance))[: rows.n_dense]
-    basis = range_basis(mean)
+    mean = np.hstack((rows.baseline, rows.nuisance))
+    basis = level_basis(rows, mean)
     levels = np.array([max(size, 1e-3) * component.expected])
-    factor = np.linalg.cholesky(covariance(rows, levels))
-    residual = np.zeros(len(rows.residual))
-    residual[: rows.n_dense] = factor @ np.random.default_rng(7).normal(size=rows.n_dense)
-    rows = replace(rows, residual=residual)
+    rows = drawn(rows, levels, np.random.default_rng(7))
     fit = estimate_levels(rows, mean, expected_levels(rows))
     logs = np.linspace(-8, 8, 321) * component.spread
     each = [level_likelihood(rows, basis, component.expected * np.exp(np.array([u]))) for u in logs]
@@ -213,7 +200,8 @@ def test_a_variance_from_n_rows_is_as_uncertain_as_that_of_so_many_squares():
     level = float(left @ left) / (n - 4)
     residual = np.append(y, np.zeros(len(rows.residual) - n))
     rows = replace(rows, residual=residual, white=1e-12 * np.eye(n), components=(part,))
-    influence = mean @ np.linalg.inv(mean.T @ mean)
+    influence = np.zeros((len(rows.residual), 4))
+    influence[:n] = mean @ np.linalg.inv(mean.T @ mean)
     variance = level * np.square(influence).sum(axis=0)
     found = spread_of_variance(rows, mean, np.array([level]), influence, variance)
     # The prior knows the logarithm to 1.4.

@@ -20,7 +20,7 @@ from calib.mismatch.search.accepted import Accepted
 from calib.mismatch.search.estimate import estimate, settle, wider
 from calib.mismatch.search.refine import likelihood_gain
 
-from ..bench import problem
+from ..bench import drawn, problem
 
 NAMES = ("kx", "kz")
 
@@ -164,7 +164,7 @@ def test_drift_of_unknown_size_is_in_the_errors_of_what_it_can_mimic():
     rows = self_mode.rows()
     mean, contrast = np.hstack((rows.baseline, rows.nuisance)), rows.white_diagonal
     slow = named(rows, "gyro_bias_temperature", NAMES)
-    beside = np.hstack((mean, slow.columns))[: rows.n_dense]
+    beside = np.hstack((mean, slow.columns))
     groups = [c.group for c in rows.components]
     rng = np.random.default_rng(8)
     z = []
@@ -172,12 +172,7 @@ def test_drift_of_unknown_size_is_in_the_errors_of_what_it_can_mimic():
         # Parts of one make differ in how much they drift, by a factor of 2.
         shared = {group: rng.normal(0, 1.4) if group else 0.0 for group in sorted(set(groups))}
         true = expected_levels(rows) * np.exp([shared[group] for group in groups])
-        dense = np.linalg.cholesky(covariance(rows, true))
-        residual = np.append(
-            dense @ rng.normal(size=rows.n_dense),
-            np.sqrt(contrast) * rng.normal(size=len(contrast)),
-        )
-        real = replace(rows, residual=residual)
+        real = drawn(rows, true, rng)
         levels = find_levels(real, beside, expected_levels(rows)).values
         fit = estimate(real, (slow,), levels, contrast, reference=False)
         part = slice(fit.at[0], fit.at[1])
