@@ -27,9 +27,10 @@ noise levels of their own."""
 def grouped(stack: Stack, evidence: FloatArray) -> tuple[dict[str, Candidate], dict[str, float]]:
     """Return the best candidate of each group, and the group's evidence."""
     names, code = stack.groups()
-    order = np.lexsort((-np.arange(len(code)), evidence, code))
-    best = order[np.append(np.diff(code[order]) > 0, True)]
-    top = evidence[best]
+    top = np.full(len(names), -np.inf)
+    np.maximum.at(top, code, evidence)
+    highest = np.flatnonzero(evidence == top[code])
+    best = highest[np.unique(code[highest], return_index=True)[1]]
     total = top + np.log(np.bincount(code, np.exp(evidence - top[code])))
     return (
         {g: stack[i] for g, i in zip(names, best.tolist(), strict=True)},

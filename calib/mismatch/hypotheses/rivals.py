@@ -185,10 +185,10 @@ def _sorted(
     """
     times = np.frombuffer(interval).reshape(-1, 2)
     slots = np.frombuffer(middle), np.frombuffer(first, np.int64)
-    local = [*in_windows(times, *slots, CORNERS), *gains_in_time(times)]
+    local = [*in_windows(times, *slots, CORNERS, waves=True), *gains_in_time(times)]
     joint = [
         _of_triad(item, slots[1])
-        for item in in_windows(times, *slots, MIDDLE)
+        for item in in_windows(times, *slots, MIDDLE, waves=False)
         if item.name in _OF_TRIADS and item.shape != APART
         if item.name == "bias in a window" or item.window[1] - item.window[0] >= FLUCTUATION
     ]

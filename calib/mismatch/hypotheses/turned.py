@@ -40,10 +40,11 @@ EARLIEST = 0.25
 SHORTEST = 3
 """Segments (or twice as many parts of them) in a window, fewest: a turn is known from several."""
 
-FOR_GOOD = np.array([[1.0]])
-AND_BACK = np.array([[1.0], [-1.0]])
-AT_A_PACE = np.eye(2)
-"""What is made of the sums from moments on: of the first, of both, of a constant and a ramp."""
+FOR_GOOD = np.eye(3)
+AND_BACK = np.repeat(np.eye(3), 2, axis=0) * np.tile([[1.0], [-1.0]], (3, 1))
+AT_A_PACE = np.eye(6)
+"""What is made of the sums from moments on, about each axis: of the first, of both, of a constant
+and a ramp."""
 
 
 def turned_axes(stack: Stack, rows: Rows, weight: float) -> Iterator[Candidate]:
@@ -78,7 +79,7 @@ def turned_axes(stack: Stack, rows: Rows, weight: float) -> Iterator[Candidate]:
                 triad,
                 shape=dict(RAMP) if part < 0 else {},
                 interval=interval,
-                mixing=np.kron(np.eye(3), mixing),
+                mixing=mixing,
             )
 
 

@@ -140,8 +140,13 @@ def in_windows(
     middle: FloatArray,
     first: IntArray,
     corners: Mapping[float, tuple[int, int]],
+    *,
+    waves: bool,
 ) -> Iterator[Local]:
-    """Yield what each window of segments (s, 2) may hold, with slots as `Slots` has them."""
+    """Yield what each window of segments (s, 2) may hold, with slots as `Slots` has them.
+
+    Waves only if they are wanted.
+    """
     for a, b in windows(len(interval)):
         start, stop = float(interval[a, 0]), float(interval[b - 1, 1])
         time = middle[first[a] : first[b]]
@@ -153,18 +158,15 @@ def in_windows(
         if FLUCTUATION <= b - a <= MOST_APART:
             own = np.repeat(np.eye(b - a), np.diff(first[a : b + 1]), axis=0)
             yield Local("fluctuation in a window", (a, b), (start, stop), dict(APART), own)
-        shapes: list[tuple[str, dict[str, float]]] = []
         if b - a >= FLUCTUATION:
             for corner, (each, most) in corners.items():
-                order = float(min(each * (b - a), most))
-                shapes.append(("fluctuation", {"order": order, "corner": corner}))
-        if b - a >= WAVES:
+                shape = {"order": float(min(each * (b - a), most)), "corner": corner}
+                mixing = function_of_time(shape, time, start, stop)
+                yield Local("fluctuation in a window", (a, b), (start, stop), shape, mixing)
+        if waves and b - a >= WAVES:
             cycles = np.arange(0.5, (b - a) / SHORTEST_WAVE + 0.25, 0.5)
-            shapes += [("wave", {"period": (stop - start) / k}) for k in cycles]
-        for kind, shape in shapes:
-            name = f"{kind} in a window"
-            mixing = function_of_time(shape, time, start, stop)
-            yield Local(name, (a, b), (start, stop), shape, mixing)
+            for shape, mixing in _waves(cycles, time, start, stop):
+                yield Local("wave in a window", (a, b), (start, stop), shape, mixing)
 
 
 def function_of_time(
@@ -184,6 +186,16 @@ def function_of_time(
         # What disturbs seldom does so as much upwards as downwards: pulses have a sign.
         return cosines(np.pi * since / (stop - start), len(order)) * size
     return np.ones((len(time), 1))
+
+
+def _waves(
+    cycles: FloatArray, time: FloatArray, start: float, stop: float
+) -> Iterator[tuple[dict[str, float], FloatArray]]:
+    """Yield waves of so many cycles in a window: their shape, and `function_of_time` of it."""
+    period = (stop - start) / cycles
+    phase = 2 * np.pi * (time - start) / period[:, None]
+    mixing = np.stack((np.ones(phase.shape), np.cos(phase), np.sin(phase)), axis=2)
+    yield from zip([{"period": p} for p in period.tolist()], mixing, strict=True)
 
 
 def cosines(phase: FloatArray, count: int) -> FloatArray:
@@ -299,9 +311,8 @@ def throughout(
 ) -> Iterator[tuple[dict[str, float], FloatArray]]:
     """Yield waves that a whole recording may have: their shape, and what each slot has of them."""
     start, stop = float(interval[0, 0]), float(interval[-1, 1])
-    for cycles in np.arange(1.0, len(interval) / SHORTEST_WAVE + 0.25, 0.5):
-        shape = {"period": (stop - start) / cycles}
-        yield shape, function_of_time(shape, middle, start, stop)
+    cycles = np.arange(1.0, len(interval) / SHORTEST_WAVE + 0.25, 0.5)
+    yield from _waves(cycles, middle, start, stop)
 
 
 def gains_in_time(interval: FloatArray) -> Iterator[Local]:

@@ -16,7 +16,9 @@ one of them something else may happen.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from scipy import fft
@@ -65,19 +67,33 @@ def slow_left(rest: FloatArray, mean: FloatArray, shapes: FloatArray) -> Slow:
     mean, shapes : (n,) and (n, s) arrays
         Orthonormal.
     """
-    known = fft.dct(np.column_stack((mean, shapes)), axis=0, norm="ortho")[1 : BESIDE + 1]
-    slowest = min(SLOWEST, len(rest) - 1)
+    cosines = _slowest_cosines(len(rest))
+    known = np.column_stack((cosines @ mean, cosines @ shapes))
+    slowest = min(SLOWEST, len(cosines))
     kept = np.eye(len(known))[:slowest] - known[:slowest] @ known.T
     white = np.diagonal(kept)
     tells = white > LEFT
-    square = np.square(fft.dct(rest, norm="ortho")[1 : slowest + 1])
+    square = np.square(cosines[:slowest] @ rest)
     flicker = np.square(kept) @ _of_cosines(len(rest))[: len(known)]
     return Slow(square[tells], white[tells], flicker[tells])
 
 
-def flicker_of(shape: FloatArray) -> float:
-    """Return the variance of a projection on a unit vector (n,), for an instability of one."""
-    return float(_of_cosines(len(shape)) @ np.square(fft.dct(shape, norm="ortho")[1:]))
+@lru_cache(maxsize=8)
+def _slowest_cosines(n: int) -> FloatArray:
+    """Return the `BESIDE` slowest cosines of unit length over n points, one in each row."""
+    order = np.arange(1, min(BESIDE + 1, n))[:, None]
+    return np.asarray(np.sqrt(2.0 / n) * np.cos(np.pi / n * order * (np.arange(n) + 0.5)))
+
+
+def flicker_of(shapes: Sequence[FloatArray]) -> FloatArray:
+    """Return the variances (k,) of projections on k unit vectors, for an instability of one."""
+    length = np.array([len(x) for x in shapes], np.int64)
+    out = np.empty(len(shapes))
+    for n in np.unique(length).tolist():
+        own = np.flatnonzero(length == n)
+        part = fft.dct(np.stack([shapes[i] for i in own.tolist()]), norm="ortho")[:, 1:]
+        out[own] = np.square(part) @ _of_cosines(n)
+    return out
 
 
 def flicker_levels(

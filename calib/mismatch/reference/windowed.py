@@ -134,7 +134,8 @@ def find_shapes(
     slow: list[dict[int, Slow]] = [{} for _ in CHANNELS]
     for c, name in enumerate(CHANNELS):
         own = blur.see(np.array([v for channel, v in columns if channel == name]).T, c)
-        own /= size[:, c, None]
+        if scatter is not None:
+            own /= size[:, c, None]
         seen = blur.see(left[:, c], c) / size[:, c]
         counts = blur.counts(c)
         counts = counts[2:] & counts[:-2] if counts.any() else ~counts[2:]
@@ -169,7 +170,7 @@ def find_shapes(
     kept = tuple(item[3] for item in strongest)
     interval = (seen_at[last - 1] - seen_at[first]) / (last - first - 1)
     level = flicker_levels(slow, noise, interval)
-    flicker = level[channel] * np.array([flicker_of(x) for x in kept])
+    flicker = level[channel] * flicker_of(kept)
     worth = _of_windows(size, first, last)
     return Shapes(
         first,

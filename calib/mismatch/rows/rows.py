@@ -38,6 +38,9 @@ class Kind(IntEnum):
 UNKNOWN = 2.5
 """Spread of the level of noise that nobody knows beforehand."""
 
+_FOUND = ("arrow", "confined", "kept", "turns")
+"""What rows find out once, and not from their residual."""
+
 
 @dataclass(frozen=True, eq=False)
 class Component:
@@ -245,6 +248,12 @@ class Rows:
     def columns(self, channel: int, values: FloatArray) -> FloatArray:
         """Return the (m, k) row columns of (n, k) values on one channel."""
         out: FloatArray = self.functional[channel] @ values
+        return out
+
+    def with_residual(self, residual: FloatArray) -> Rows:
+        """Return the rows with another residual: what was found of all else holds for these too."""
+        out = replace(self, residual=residual)
+        vars(out).update({name: vars(self)[name] for name in _FOUND if name in vars(self)})
         return out
 
     def without(self, drop: BoolArray) -> Rows:

@@ -11,9 +11,9 @@ from scipy.special import log_ndtr, logsumexp
 from calib.effects import get_effect
 from calib.mismatch.hypotheses.candidates import Candidate
 from calib.mismatch.hypotheses.score import Stack
-from calib.mismatch.noise.noise import Whitener, make_whitener
+from calib.mismatch.noise.noise import Whitener
 from calib.mismatch.rows.rows import Rows
-from calib.mismatch.search.accepted import Accepted, accept, contrast_noise, fitted, lasting
+from calib.mismatch.search.accepted import Accepted, accept, lasting
 from calib.mismatch.search.estimate import pseudo_inverse
 from calib.mismatch.search.ranking import CLAIM, DRIFTING, Ranking, rank
 from calib.mismatch.search.witness import witnessed
@@ -40,8 +40,7 @@ def choose(rows: Rows, ranking: Ranking, accepted: list[Accepted]) -> Candidate 
     what it alone shows.
     """
     best = ranking.best
-    mean, contrast = fitted(rows, accepted), contrast_noise(rows, accepted)
-    whitener = make_whitener(rows, ranking.levels, contrast, mean)
+    whitener = ranking.whitener
     y = whitener.project(rows.residual)
     groups = {
         g: v + possible(ranking.stack, best[g], whitener, y)

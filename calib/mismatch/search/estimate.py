@@ -108,7 +108,7 @@ def settle(
 ) -> tuple[Rows, list[Accepted]]:
     """Return rows with every finding's part in them, and findings with the best of all shapes."""
     residual = rows.residual + sum(a.columns @ (a.values / a.typical) for a in accepted)
-    rows = replace(rows, residual=residual)
+    rows = rows.with_residual(residual)
     out = [replace(a, values=np.zeros(len(a.values)), in_model=False) for a in accepted]
     shaped = [(i, item) for i, a in enumerate(out) for item in _shapes(a)]
     for _ in range(SWEEPS if len(shaped) > 1 else 1):

@@ -23,7 +23,7 @@ from calib.mismatch.findings.evidence import gather
 from calib.mismatch.findings.heldout import HeldOut, held_out, pose_levels
 from calib.mismatch.hypotheses.families import is_moment
 from calib.mismatch.hypotheses.places import joined
-from calib.mismatch.noise.noise import make_whitener, range_basis
+from calib.mismatch.noise.noise import make_whitener
 from calib.mismatch.rows.rows import Kind, Rows
 from calib.mismatch.search.accepted import Accepted, fitted
 from calib.mismatch.search.estimate import Estimate, pseudo_inverse
@@ -353,12 +353,11 @@ def changes(outcome: Outcome) -> tuple[tuple[Change, ...], tuple[float, float]]:
         whitener = make_whitener(rows, outcome.levels, outcome.contrast, mean)
         white = whitener.project(residual)
         likelihood.append(-0.5 * float(white @ white))
-        plain = range_basis(whitener.whiten(mean))
         fit = whitener.whiten(residual)
         coefficients = np.linalg.lstsq(whitener.whiten(mean), fit, rcond=1e-10)[0]
         left = residual - mean @ coefficients
         floor = np.append(rows.variance(outcome.levels), outcome.contrast)
-        keep = 1.0 - plain.shape[1] / len(residual)
+        keep = 1.0 - whitener.basis.shape[1] / len(residual)
         for label, unit, own in _row_kinds(rows):
             out.setdefault(label, []).append(float(np.sqrt(np.mean(np.square(left[own])))))
             units[label] = (unit, float(np.sqrt(np.mean(floor[own]) * keep)))

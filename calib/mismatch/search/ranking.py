@@ -58,6 +58,8 @@ class Ranking:
     best: dict[str, Candidate]
     groups: dict[str, float]
     levels: FloatArray
+    whitener: Whitener
+    """Under these levels, with what is fitted projected out."""
     drifting: frozenset[str] = frozenset()
     pair: tuple[float, Candidate] | None = None
     beside: Mapping[str, FloatArray] = field(default_factory=dict)
@@ -137,7 +139,7 @@ def rank(rows: Rows, stack: Stack, accepted: list[Accepted], start: FloatArray) 
     whitener = scores.whitener(base.values, scores.contrast)
     counted = [best[g] for g, v in groups.items() if v > np.log(COUNTS)]
     drifting = _drifting(rows, stack, whitener, counted)
-    ranking = Ranking(stack, evidence, best, groups, base.values, drifting, beside=beside)
+    ranking = Ranking(stack, evidence, best, groups, base.values, whitener, drifting, beside=beside)
     if accepted or ranking.claims:
         return ranking
     return replace(ranking, pair=_pair(scores, hidden))

@@ -28,6 +28,9 @@ from calib.mismatch.search.accepted import Accepted, contrast_noise, fitted
 from calib.recording import CHANNELS
 from calib.types import BoolArray, FloatArray
 
+_TOGETHER = (*((c,) for c in CHANNELS), CHANNELS[:3], CHANNELS[3:])
+"""Channels whose drift is one answer: those of a triad, and each by itself."""
+
 
 @dataclass(frozen=True, eq=False)
 class Hidden:
@@ -116,20 +119,26 @@ class Scores:
         strongest = np.hstack(alone)[:told]
         free = estimate_levels(rows, np.hstack((self.basis, strongest)), every.values)
         hidden: list[Hidden] = []
-        for channels in (*((c,) for c in CHANNELS), CHANNELS[:3], CHANNELS[3:]):
-            for physical, other in ((True, every), (False, free)):
-                which = stack.of_channels(channels, physical=physical) & running
-                if not which.any():
-                    continue
-                levels = _swap(rows, base.values, other.values, channels)
-                null = self._null(levels)
-                if physical:
-                    scored = self.at(levels, self.contrast, null, which)
-                    hidden.append(Hidden(scored, null - base.log_likelihood, which, levels))
-                else:
-                    strong = rivals[channels]
-                    outside, cost = self._suited(levels, strong, stack.of(strong))
-                    scored = self.at(levels, outside, null + cost, which)
+        # Of channels whose drift nothing takes up the levels are the same: they are scored at once.
+        alike: dict[bytes, tuple[FloatArray, list[BoolArray]]] = {}
+        for channels in _TOGETHER:
+            which = stack.of_channels(channels, physical=True) & running
+            if which.any():
+                levels = _swap(rows, base.values, every.values, channels)
+                alike.setdefault(levels.tobytes(), (levels, []))[1].append(which)
+        for levels, each in alike.values():
+            null = self._null(levels)
+            scored = self.at(levels, self.contrast, null, np.logical_or.reduce(each))
+            cost = null - base.log_likelihood
+            hidden += [Hidden(scored, cost, which, levels) for which in each]
+            evidence = np.maximum(evidence, scored)
+        for channels in _TOGETHER:
+            which = stack.of_channels(channels, physical=False) & running
+            if which.any():
+                levels = _swap(rows, base.values, free.values, channels)
+                strong = rivals[channels]
+                outside, cost = self._suited(levels, strong, stack.of(strong))
+                scored = self.at(levels, outside, self._null(levels) + cost, which)
                 evidence = np.maximum(evidence, scored)
         return evidence, every, hidden
 

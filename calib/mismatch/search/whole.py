@@ -102,7 +102,7 @@ class Judge:
 
     def without(self, whole: Whole) -> Levels:
         """Return the levels of the noise that an explanation leaves, and their log-likelihood."""
-        rows = replace(self.rows, residual=self.rows.residual - whole.column)
+        rows = self.rows.with_residual(self.rows.residual - whole.column)
         return find_levels(rows, self.mean, self.levels)
 
     def most_likely(self, found: Iterable[Whole]) -> Whole:
@@ -280,7 +280,7 @@ def _untried_odds(
     triad, effect = "gyro" if late > 0 else "accel", get_effect(LOW_PASS)
     mine = own.columns @ (own.values / own.typical)
     if own.in_model:
-        rows = replace(rows, residual=rows.residual + mine)
+        rows = rows.with_residual(rows.residual + mine)
     judge = Judge(rows, others, levels)
     share = 0.0
     for order in (1, 2):

@@ -10,7 +10,7 @@ from calib.mismatch.noise.noise import (
     make_whitener,
 )
 from calib.mismatch.search import choice
-from calib.mismatch.search.accepted import fitted
+from calib.mismatch.search.accepted import contrast_noise, fitted
 from calib.mismatch.search.choice import choose, possible
 from calib.mismatch.search.ranking import Ranking, make_stack, rank
 
@@ -22,8 +22,9 @@ def ranked(stacked, evidence, drifting=frozenset()):
     rows, stack = stacked
     best = {c.group: c for c in evidence}
     groups = {c.group: value for c, value in evidence.items()}
-    levels = expected_levels(rows)
-    return Ranking(stack, np.zeros(0), best, groups, levels, drifting)
+    levels, mean = expected_levels(rows), fitted(rows, [])
+    whitener = make_whitener(rows, levels, contrast_noise(rows, []), mean)
+    return Ranking(stack, np.zeros(0), best, groups, levels, whitener, drifting)
 
 
 def wave_in_a_window(stack, channel):
