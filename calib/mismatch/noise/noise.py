@@ -22,7 +22,7 @@ from scipy import linalg
 from calib.mismatch.noise.contrast import calm_variance, typical
 from calib.mismatch.noise.coupling import Foretold, drift_in_contrasts, foretold
 from calib.mismatch.noise.sensornoise import LEAN
-from calib.mismatch.rows.arrow import Factor
+from calib.mismatch.rows.arrow import Factor, times_inverse
 from calib.mismatch.rows.rows import UNKNOWN, Rows
 from calib.types import FloatArray, IntArray
 
@@ -336,7 +336,7 @@ def _orthonormal(scaled: FloatArray) -> FloatArray | None:
             return None
         if np.diag(inner).min() < INDEPENDENT:
             return None
-        q = np.ascontiguousarray(linalg.blas.dtrsm(1.0, inner, q.T, lower=1).T)
+        q = times_inverse(q, inner)
         if np.diag(inner).min() > CLEAR:
             break
     return q
@@ -351,7 +351,7 @@ def _restricted(
     if basis.size:
         try:
             inner = linalg.cholesky(mean.T @ mean, lower=True, check_finite=False)
-            mean = linalg.blas.dtrsm(1.0, inner, mean.T, lower=1, overwrite_b=1).T
+            mean = times_inverse(mean, inner)
         except linalg.LinAlgError:
             # Squared, a mean that noise weighs as 1e8 to one is singular.
             mean, inner = np.linalg.qr(mean)

@@ -357,6 +357,14 @@ def _inverse(lower: FloatArray) -> FloatArray:
     return out
 
 
+def times_inverse(values: FloatArray, lower: FloatArray) -> FloatArray:
+    """Return ``values L'^-1`` for (n, k) values.
+
+    Where n is many times k, a product with the inverse is twice as fast as solving.
+    """
+    return np.asarray(linalg.blas.dtrmm(1.0, _inverse(lower), values.T, lower=1).T)
+
+
 def _solve(lower: FloatArray, values: FloatArray, *, transposed: bool = False) -> FloatArray:
     """Return ``L^-1 values`` or ``L'^-1 values`` in the place of the values, which are nobody's."""
     if not lower.size:
