@@ -43,11 +43,12 @@ from calib.mismatch.reference.colour import (
 from calib.mismatch.reference.floor import with_rounding
 from calib.mismatch.reference.scatter import scatter
 from calib.mismatch.reference.setup import BASELINE, GYRO_ANGLES, LOOSE, Setup
+from calib.mismatch.reference.shapes import Shapes, find_shapes
 from calib.mismatch.reference.step import robust_step
 from calib.mismatch.reference.stilled import gradient_in, resting, stilled
 from calib.mismatch.reference.truths import RecordingTruth
 from calib.mismatch.reference.visible import catalogue_shapes
-from calib.mismatch.reference.windowed import Shapes, find_shapes, make_rows
+from calib.mismatch.reference.windowed import make_rows
 from calib.mismatch.reference.witnessed import witnessed
 from calib.mismatch.rows.rows import Rows
 from calib.mismatch.twin.twin import baseline_column
@@ -256,7 +257,6 @@ class ComparisonProblem:
             self.shapes,
             felt,
             left,
-            blur=self.blur,
             names=self.names,
             nuisance=[
                 *(

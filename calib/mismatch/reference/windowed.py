@@ -1,4 +1,4 @@
-"""Windows of the differences between a recording and a truth, and the rows that they make.
+"""The rows that differences between a recording and a truth make.
 
 In each window and on each channel a difference is projected on its mean and on given shapes.
 """
@@ -6,7 +6,7 @@ In each window and on each channel a difference is projected on its mean and on 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy import sparse
@@ -20,32 +20,11 @@ from calib.mismatch.noise.sensornoise import (
     flicker_covariance,
 )
 from calib.mismatch.reference.captured import Known, mean_covariance, wobble
-from calib.mismatch.reference.colour import Blur
-from calib.mismatch.reference.flicker import Slow, flicker_levels, flicker_of, slow_left
-from calib.mismatch.reference.scatter import Scatter
+from calib.mismatch.reference.shapes import Shapes
 from calib.mismatch.rows.rows import UNKNOWN, Component, Kind, Rows
 from calib.mismatch.twin.twin import baseline_column
 from calib.recording import CHANNELS
 from calib.types import BoolArray, FloatArray, IntArray
-
-SEGMENTS = 80
-"""Windows that a recording is cut into, at most."""
-
-SHORTEST = 1.0
-"""s of a window, at least."""
-
-SHAPES = 1200
-"""Rows that follow a shape within a window, at most: the strongest ones are kept."""
-
-VISIBLE = 0.1
-"""A shape that effects of typical size reach by less than this, in standard errors, is no row."""
-
-LEAST_FREE = 0.3
-"""Share of a window's independent samples that tell of its noise at least: weak shapes that are
-much alike take up fewer of them than there are shapes."""
-
-BEYOND = 3.0
-"""Standard errors by which the noise of one window must be above that of most to be its own."""
 
 LIKE_REST = 1.5
 """Up to so much more noise than quiet ones a window has none of its own."""
@@ -55,192 +34,11 @@ RESTLESS = 4.0
 that the truth does not follow: shaking beyond its band, play between the two."""
 
 
-@dataclass(frozen=True, eq=False)
-class Shapes:
-    """Windows ``[first, last)`` of points, and the shapes (unit vectors) that are rows there.
-
-    ``noise`` (k, 6) is the variance of a window's points, its white part, and ``flicker`` what
-    projections on the shapes have besides. Where the noise is not the same throughout,
-    ``scatter`` tells of every point but for a factor of each window, and the shapes are those of
-    points in units of its root. Where the accelerometer is not judged everywhere, ``told`` (k,)
-    says in which windows it is.
-    """
-
-    first: IntArray
-    last: IntArray
-    segment: IntArray
-    channel: IntArray
-    vectors: tuple[FloatArray, ...]
-    noise: FloatArray
-    flicker: FloatArray
-    scatter: Scatter | None = None
-    told: BoolArray | None = None
-
-
-def cut(time: FloatArray, judged: BoolArray | None = None) -> tuple[IntArray, IntArray]:
-    """Return windows ``[first, last)`` of equal length with at least 12 points each.
-
-    Where the accelerometer is ``judged``, (n,) bool, in parts only, windows begin and end with
-    these.
-    """
-    span = time[-1] - time[0]
-    count = int(np.clip(span / SHORTEST, 1, SEGMENTS))
-    even = time[0] + span * np.arange(count + 1) / count
-    edges = np.searchsorted(time, even)
-    edges[-1] = len(time)
-    if judged is not None:
-        turns = np.flatnonzero(np.diff(judged)) + 1
-        away = np.abs(even[:, None] - time[turns]).min(axis=1, initial=np.inf)
-        edges = np.unique(
-            np.concatenate(([0, len(time)], turns, edges[away > 0.5 * even[1] - 0.5 * even[0]]))
-        )
-    keep = np.diff(edges) >= 12
-    return edges[:-1][keep], edges[1:][keep]
-
-
-def find_shapes(
-    time: FloatArray,
-    left: FloatArray,
-    columns: list[tuple[str, FloatArray]],
-    *,
-    blur: Blur,
-    scatter: Scatter | None = None,
-) -> Shapes:
-    """Return windows, the shapes that columns have in each, and the noise of its samples.
-
-    Parameters
-    ----------
-    time : (n,) array, s
-    left : (n, 6) array
-        Recording minus model.
-    columns : list of (channel, (n,) values)
-    blur : Blur
-        Windows and shapes are of the m points that it leaves.
-    scatter : Scatter, optional
-        Without, points are as noisy throughout a window.
-    """
-    seen_at = time[blur.seen]
-    first, last = cut(seen_at, blur.judged)
-    judged = np.stack(
-        [[blur.counts(c)[a:b].all() for c in range(6)] for a, b in zip(first, last, strict=True)]
-    )
-    noise, free = np.empty((len(first), 6)), np.empty((len(first), 6))
-    size = _sizes(scatter, blur)
-    seen_of = np.ones_like(size) if scatter is None else scatter.seen
-    independent = blur.power * np.array(
-        [seen_of[a:b].sum(axis=0) for a, b in zip(first, last, strict=True)]
-    )
-    found: list[tuple[float, int, int, FloatArray]] = []
-    slow: list[dict[int, Slow]] = [{} for _ in CHANNELS]
-    for c, name in enumerate(CHANNELS):
-        own = blur.see(np.array([v for channel, v in columns if channel == name]).T, c)
-        if scatter is not None:
-            own /= size[:, c, None]
-        seen = blur.see(left[:, c], c) / size[:, c]
-        counts = blur.counts(c)
-        counts = counts[2:] & counts[:-2] if counts.any() else ~counts[2:]
-        rough = float(np.median(np.abs(np.diff(seen, n=2))[counts])) / 0.6745 / np.sqrt(6.0)
-        rough = max(rough, 1e-9)
-        for s, (a, b) in enumerate(zip(first, last, strict=True)):
-            if not judged[s, c]:
-                noise[s, c], free[s, c] = 0.0, 1.0
-                continue
-            mean = 1.0 / size[a:b, c]
-            mean /= np.linalg.norm(mean)
-            part = own[a:b] - np.outer(mean, mean @ own[a:b])
-            values, vectors = np.linalg.eigh(part.T @ part)
-            strength = np.sqrt(np.maximum(values[::-1], 0.0)) / rough
-            keep = (strength > VISIBLE) & (strength > 1e-6 * strength[0])
-            keep[max((b - a) // 3, 1) :] = False
-            shapes = part @ vectors[:, ::-1][:, keep]
-            shapes /= np.linalg.norm(shapes, axis=0)
-            y = seen[a:b] - mean * (mean @ seen[a:b])
-            rest = y - shapes @ (shapes.T @ y)
-            # So many of its samples are independent; the mean and the shapes take up one each.
-            many = independent[s, c]
-            free[s, c] = max(many - 1 - shapes.shape[1], LEAST_FREE * many)
-            noise[s, c] = float(rest @ rest) / free[s, c]
-            found += [(float(v), s, c, x) for v, x in zip(strength[keep], shapes.T, strict=True)]
-            slow[c][s] = slow_left(rest, mean, shapes)
-    noise = _levelled(noise, free, independent, blur.white, judged)
-    strongest = sorted(found, key=lambda item: -item[0])[:SHAPES]
-    strongest.sort(key=lambda item: (item[2], item[1]))
-    segment = np.array([item[1] for item in strongest], np.int64)
-    channel = np.array([item[2] for item in strongest], np.int64)
-    kept = tuple(item[3] for item in strongest)
-    interval = (seen_at[last - 1] - seen_at[first]) / (last - first - 1)
-    level = flicker_levels(slow, noise, interval)
-    flicker = level[channel] * flicker_of(kept)
-    worth = _of_windows(size, first, last)
-    return Shapes(
-        first,
-        last,
-        segment,
-        channel,
-        kept,
-        noise * worth,
-        flicker * worth[segment, channel],
-        scatter,
-        None if blur.judged is None else judged[:, 0],
-    )
-
-
-def _sizes(scatter: Scatter | None, blur: Blur) -> FloatArray:
-    """Return the root of how far the points that are seen scatter, (m, 6), the blur left aside."""
-    if scatter is None:
-        return np.ones((len(blur.seen), len(CHANNELS)))
-    out = []
-    for c in range(len(CHANNELS)):
-        if blur.whitens:
-            out.append(scatter.variance[blur.seen, c])
-            continue
-        square = blur.matrices[c // 3].power(2)
-        out.append(square @ scatter.variance[:, c] / np.asarray(square.sum(axis=1)).ravel())
-    return np.asarray(np.sqrt(np.stack(out, axis=1)))
-
-
-def _of_windows(size: FloatArray, first: IntArray, last: IntArray) -> FloatArray:
-    """Return the variance (k, 6) of points that tell as much as those of windows do."""
-    worth = [np.square(1.0 / size[a:b]).mean(axis=0) for a, b in zip(first, last, strict=True)]
-    return np.asarray(1.0 / np.array(worth))
-
-
-def _levelled(
-    noise: FloatArray,
-    free: FloatArray,
-    independent: FloatArray,
-    white: tuple[float, float],
-    judged: BoolArray,
-) -> FloatArray:
-    """Return the noise of windows (k, 6): that of most of them, or more where there is more.
-
-    Where shapes take up most of a window, little of its noise is left to be seen. What is more is
-    not of the colour of the rest: it is taken as white, of which the share ``white`` is seen. What
-    was not ``judged`` (k, 6) says nothing.
-    """
-    out = np.ones_like(noise)
-    for c in range(6):
-        own = judged[:, c]
-        if not own.any():
-            continue
-        told = own & (free[:, c] > 0.5 * independent[:, c])
-        if told.sum() < 5:
-            told = own & (free[:, c] >= np.quantile(free[own, c], 0.8))
-        # The median of chi-squared is below its mean: Wilson and Hilferty's approximation.
-        middle = (1.0 - 2.0 / (9.0 * np.maximum(free[told, c], 1.0))) ** 3
-        most = max(float(np.median(noise[told, c] / middle)), 1e-18)
-        beyond = noise[:, c] > most * (1.0 + BEYOND * np.sqrt(2.0 / free[:, c]))
-        more = (noise[:, c] - most) / white[c // 3]
-        out[:, c] = most + np.where(beyond, more, 0.0)
-    return out
-
-
 def make_rows(
     shapes: Shapes,
     state: State,
     left: FloatArray,
     *,
-    blur: Blur,
     names: tuple[str, ...],
     nuisance: list[Mapping[str, FloatArray]],
     aligned: tuple[str, ...],
@@ -252,41 +50,15 @@ def make_rows(
     Each is scaled such that white samples give it the variance of a mean. What is ``known`` of the
     noise of a captured motion says more of means than the noise of samples does.
     """
-    first, last = shapes.first, shapes.last
+    blur, first, last = shapes.blur, shapes.first, shapes.last
     count = last - first
     time = state.time[blur.seen]
-    n, k = len(time), len(first)
+    k = len(first)
     dense, m = 6 * k, 6 * k + len(shapes.vectors)
-    channel = np.concatenate((np.tile(np.arange(6), k), shapes.channel))
-    segment = np.concatenate((np.repeat(np.arange(k), 6), shapes.segment))
+    channel, segment = shapes.channels, shapes.segments
     kind = np.full(m, int(Kind.CONTRAST))
     kind[:dense] = Kind.MEAN
-    size = _sizes(shapes.scatter, blur)
-    typical = np.sqrt(_of_windows(size, first, last))
-    functional, white = [], np.zeros(m)
-    for c in range(6):
-        own = np.flatnonzero(channel == c)
-        many = count[segment[own]]
-        points = np.concatenate([np.arange(first[s], last[s]) for s in segment[own]])
-        relative = size[points, c] / np.repeat(typical[segment[own], c], many)
-        mean = np.repeat(own < dense, many)
-        values = np.repeat(1.0 / np.where(own < dense, many, np.sqrt(many)), many) / relative
-        values[mean] /= relative[mean]
-        vectors = [shapes.vectors[i] for i in own[own >= dense] - dense]
-        values[~mean] *= np.concatenate((np.zeros(0), *vectors))
-        ends = np.zeros(m + 1, np.int64)
-        ends[own + 1] = many
-        seen = sparse.csr_matrix((values, points, np.cumsum(ends)), shape=(m, n))
-        functional.append(blur.seen_by(seen, c))
-        weight = seen if blur.whitens else functional[c]
-        square = sparse.csr_matrix(
-            (np.square(weight.data), weight.indices, weight.indptr), shape=weight.shape
-        )
-        if shapes.scatter is None:
-            white += np.asarray(square.sum(axis=1)).ravel()
-        else:
-            variance = shapes.scatter.variance[blur.seen if blur.whitens else slice(None), c]
-            white[own] = (square @ variance)[own] / np.square(typical[segment[own], c])
+    functional, white = shapes.weights
     variance = shapes.noise[segment, channel] * white
     variance[dense:] += shapes.flicker / count[shapes.segment]
     quiet = np.quantile(shapes.noise, 0.2, axis=0)
@@ -326,7 +98,7 @@ def make_rows(
         baseline=np.stack([column(baseline_column(x, state)) for x in names], axis=1),
         names=names,
         nuisance=np.stack([column(x) for x in nuisance], axis=1),
-        functional=tuple(functional),
+        functional=functional,
         state=state,
         point_segment=point_segment,
         white=matrix,

@@ -12,7 +12,8 @@ from calib.mismatch import diagnose_reference
 from calib.mismatch.reference.band import zero_phase
 from calib.mismatch.reference.colour import WHITE, Blur, Colour, gaussian, whitening
 from calib.mismatch.reference.scatter import Scatter, scatter
-from calib.mismatch.reference.windowed import find_shapes, make_rows
+from calib.mismatch.reference.shapes import find_shapes
+from calib.mismatch.reference.windowed import make_rows
 from calib.mismatch.rows.rows import Kind, Rows
 from calib.recording import CHANNELS, Recording
 from calib.rotation import skew
@@ -65,7 +66,6 @@ def windows(
         find_shapes(state.time, left, columns, blur=blur, scatter=rough),
         state,
         left,
-        blur=blur,
         names=("gyro.bias.x",),
         nuisance=[{"gyro.x": np.ones(N)}],
         aligned=(),

@@ -8,8 +8,9 @@ from calib.mismatch.hypotheses.candidates import Candidate
 from calib.mismatch.noise.contrast import contrast_variance
 from calib.mismatch.reference.band import limited, low_passed, widened, zero_phase
 from calib.mismatch.reference.colour import Blur, find_colour, gaussian, whitening
+from calib.mismatch.reference.shapes import find_shapes
 from calib.mismatch.reference.truths import ENDS, RecordingTruth
-from calib.mismatch.reference.windowed import find_shapes, make_rows
+from calib.mismatch.reference.windowed import make_rows
 from calib.mismatch.rows.rows import Kind, Rows
 from calib.mismatch.search.accepted import Accepted
 from calib.mismatch.search.joint import cut
@@ -53,7 +54,6 @@ def rows_of(
         find_shapes(time, left, columns, blur=blur),
         state,
         left,
-        blur=blur,
         names=("gyro.bias.x",),
         nuisance=[{"gyro.x": np.ones(len(time))}],
         aligned=aligned,

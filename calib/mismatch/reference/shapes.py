@@ -1,0 +1,264 @@
+"""Windows of the differences between a recording and a truth, and the shapes that count in each.
+
+Effects have more columns than a window needs: a few orthogonal shapes span most of them there.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy import sparse
+
+from calib.mismatch.reference.colour import Blur
+from calib.mismatch.reference.flicker import Slow, flicker_levels, flicker_of, slow_left
+from calib.mismatch.reference.scatter import Scatter
+from calib.recording import CHANNELS
+from calib.types import BoolArray, FloatArray, IntArray
+
+SEGMENTS = 80
+"""Windows that a recording is cut into, at most."""
+
+SHORTEST = 1.0
+"""s of a window, at least."""
+
+SHAPES = 1200
+"""Rows that follow a shape within a window, at most: the strongest ones are kept."""
+
+VISIBLE = 0.1
+"""A shape that effects of typical size reach by less than this, in standard errors, is no row."""
+
+LEAST_FREE = 0.3
+"""Share of a window's independent samples that tell of its noise at least: weak shapes that are
+much alike take up fewer of them than there are shapes."""
+
+BEYOND = 3.0
+"""Standard errors by which the noise of one window must be above that of most to be its own."""
+
+
+@dataclass(frozen=True, eq=False)
+class Shapes:
+    """Windows ``[first, last)`` of points, and the shapes (unit vectors) that are rows there.
+
+    ``noise`` (k, 6) is the variance of a window's points, its white part, and ``flicker`` what
+    projections on the shapes have besides. Points are seen through the ``blur``. Where the noise is
+    not the same throughout, ``scatter`` tells of every point but for a factor of each window, and
+    the shapes are those of points in units of its root. Where the accelerometer is not judged
+    everywhere, ``told`` (k,) says in which windows it is.
+    """
+
+    first: IntArray
+    last: IntArray
+    segment: IntArray
+    channel: IntArray
+    vectors: tuple[FloatArray, ...]
+    noise: FloatArray
+    flicker: FloatArray
+    blur: Blur
+    scatter: Scatter | None = None
+    told: BoolArray | None = None
+
+    @property
+    def channels(self) -> IntArray:
+        """The channel of each row: those of all means, and of the shapes."""
+        return np.concatenate((np.tile(np.arange(6), len(self.first)), self.channel))
+
+    @property
+    def segments(self) -> IntArray:
+        """The window of each row."""
+        return np.concatenate((np.repeat(np.arange(len(self.first)), 6), self.segment))
+
+    @cached_property
+    def weights(self) -> tuple[tuple[sparse.csr_matrix, ...], FloatArray]:
+        """What rows feel of the n points on each channel, (m, n), and of white noise, (m,)."""
+        first, last, blur, scatter = self.first, self.last, self.blur, self.scatter
+        channel, segment, count = self.channels, self.segments, last - first
+        dense, m = 6 * len(first), len(channel)
+        size = _sizes(scatter, blur)
+        typical = np.sqrt(_of_windows(size, first, last))
+        functional, white = [], np.zeros(m)
+        for c in range(6):
+            own = np.flatnonzero(channel == c)
+            many = count[segment[own]]
+            points = np.concatenate([np.arange(first[s], last[s]) for s in segment[own]])
+            relative = size[points, c] / np.repeat(typical[segment[own], c], many)
+            mean = np.repeat(own < dense, many)
+            values = np.repeat(1.0 / np.where(own < dense, many, np.sqrt(many)), many) / relative
+            values[mean] /= relative[mean]
+            vectors = [self.vectors[i] for i in own[own >= dense] - dense]
+            values[~mean] *= np.concatenate((np.zeros(0), *vectors))
+            ends = np.zeros(m + 1, np.int64)
+            ends[own + 1] = many
+            shape = m, len(blur.seen)
+            seen = sparse.csr_matrix((values, points, np.cumsum(ends)), shape=shape)
+            functional.append(blur.seen_by(seen, c))
+            weight = seen if blur.whitens else functional[c]
+            square = sparse.csr_matrix(
+                (np.square(weight.data), weight.indices, weight.indptr), shape=weight.shape
+            )
+            if scatter is None:
+                white += np.asarray(square.sum(axis=1)).ravel()
+            else:
+                variance = scatter.variance[blur.seen if blur.whitens else slice(None), c]
+                white[own] = (square @ variance)[own] / np.square(typical[segment[own], c])
+        return tuple(functional), white
+
+
+def cut(time: FloatArray, judged: BoolArray | None = None) -> tuple[IntArray, IntArray]:
+    """Return windows ``[first, last)`` of equal length with at least 12 points each.
+
+    Where the accelerometer is ``judged``, (n,) bool, in parts only, windows begin and end with
+    these.
+    """
+    span = time[-1] - time[0]
+    count = int(np.clip(span / SHORTEST, 1, SEGMENTS))
+    even = time[0] + span * np.arange(count + 1) / count
+    edges = np.searchsorted(time, even)
+    edges[-1] = len(time)
+    if judged is not None:
+        turns = np.flatnonzero(np.diff(judged)) + 1
+        away = np.abs(even[:, None] - time[turns]).min(axis=1, initial=np.inf)
+        edges = np.unique(
+            np.concatenate(([0, len(time)], turns, edges[away > 0.5 * even[1] - 0.5 * even[0]]))
+        )
+    keep = np.diff(edges) >= 12
+    return edges[:-1][keep], edges[1:][keep]
+
+
+def find_shapes(
+    time: FloatArray,
+    left: FloatArray,
+    columns: list[tuple[str, FloatArray]],
+    *,
+    blur: Blur,
+    scatter: Scatter | None = None,
+) -> Shapes:
+    """Return windows, the shapes that columns have in each, and the noise of its samples.
+
+    Parameters
+    ----------
+    time : (n,) array, s
+    left : (n, 6) array
+        Recording minus model.
+    columns : list of (channel, (n,) values)
+    blur : Blur
+        Windows and shapes are of the m points that it leaves.
+    scatter : Scatter, optional
+        Without, points are as noisy throughout a window.
+    """
+    seen_at = time[blur.seen]
+    first, last = cut(seen_at, blur.judged)
+    judged = np.stack(
+        [[blur.counts(c)[a:b].all() for c in range(6)] for a, b in zip(first, last, strict=True)]
+    )
+    noise, free = np.empty((len(first), 6)), np.empty((len(first), 6))
+    size = _sizes(scatter, blur)
+    seen_of = np.ones_like(size) if scatter is None else scatter.seen
+    independent = blur.power * np.array(
+        [seen_of[a:b].sum(axis=0) for a, b in zip(first, last, strict=True)]
+    )
+    found: list[tuple[float, int, int, FloatArray]] = []
+    slow: list[dict[int, Slow]] = [{} for _ in CHANNELS]
+    for c, name in enumerate(CHANNELS):
+        own = blur.see(np.array([v for channel, v in columns if channel == name]).T, c)
+        if scatter is not None:
+            own /= size[:, c, None]
+        seen = blur.see(left[:, c], c) / size[:, c]
+        counts = blur.counts(c)
+        counts = counts[2:] & counts[:-2] if counts.any() else ~counts[2:]
+        rough = float(np.median(np.abs(np.diff(seen, n=2))[counts])) / 0.6745 / np.sqrt(6.0)
+        rough = max(rough, 1e-9)
+        for s, (a, b) in enumerate(zip(first, last, strict=True)):
+            if not judged[s, c]:
+                noise[s, c], free[s, c] = 0.0, 1.0
+                continue
+            mean = 1.0 / size[a:b, c]
+            mean /= np.linalg.norm(mean)
+            part = own[a:b] - np.outer(mean, mean @ own[a:b])
+            values, vectors = np.linalg.eigh(part.T @ part)
+            strength = np.sqrt(np.maximum(values[::-1], 0.0)) / rough
+            keep = (strength > VISIBLE) & (strength > 1e-6 * strength[0])
+            keep[max((b - a) // 3, 1) :] = False
+            shapes = part @ vectors[:, ::-1][:, keep]
+            shapes /= np.linalg.norm(shapes, axis=0)
+            y = seen[a:b] - mean * (mean @ seen[a:b])
+            rest = y - shapes @ (shapes.T @ y)
+            # So many of its samples are independent; the mean and the shapes take up one each.
+            many = independent[s, c]
+            free[s, c] = max(many - 1 - shapes.shape[1], LEAST_FREE * many)
+            noise[s, c] = float(rest @ rest) / free[s, c]
+            found += [(float(v), s, c, x) for v, x in zip(strength[keep], shapes.T, strict=True)]
+            slow[c][s] = slow_left(rest, mean, shapes)
+    noise = _levelled(noise, free, independent, blur.white, judged)
+    strongest = sorted(found, key=lambda item: -item[0])[:SHAPES]
+    strongest.sort(key=lambda item: (item[2], item[1]))
+    segment = np.array([item[1] for item in strongest], np.int64)
+    channel = np.array([item[2] for item in strongest], np.int64)
+    kept = tuple(item[3] for item in strongest)
+    interval = (seen_at[last - 1] - seen_at[first]) / (last - first - 1)
+    level = flicker_levels(slow, noise, interval)
+    flicker = level[channel] * flicker_of(kept)
+    worth = _of_windows(size, first, last)
+    return Shapes(
+        first,
+        last,
+        segment,
+        channel,
+        kept,
+        noise * worth,
+        flicker * worth[segment, channel],
+        blur,
+        scatter,
+        None if blur.judged is None else judged[:, 0],
+    )
+
+
+def _sizes(scatter: Scatter | None, blur: Blur) -> FloatArray:
+    """Return the root of how far the points that are seen scatter, (m, 6), the blur left aside."""
+    if scatter is None:
+        return np.ones((len(blur.seen), len(CHANNELS)))
+    out = []
+    for c in range(len(CHANNELS)):
+        if blur.whitens:
+            out.append(scatter.variance[blur.seen, c])
+            continue
+        square = blur.matrices[c // 3].power(2)
+        out.append(square @ scatter.variance[:, c] / np.asarray(square.sum(axis=1)).ravel())
+    return np.asarray(np.sqrt(np.stack(out, axis=1)))
+
+
+def _of_windows(size: FloatArray, first: IntArray, last: IntArray) -> FloatArray:
+    """Return the variance (k, 6) of points that tell as much as those of windows do."""
+    worth = [np.square(1.0 / size[a:b]).mean(axis=0) for a, b in zip(first, last, strict=True)]
+    return np.asarray(1.0 / np.array(worth))
+
+
+def _levelled(
+    noise: FloatArray,
+    free: FloatArray,
+    independent: FloatArray,
+    white: tuple[float, float],
+    judged: BoolArray,
+) -> FloatArray:
+    """Return the noise of windows (k, 6): that of most of them, or more where there is more.
+
+    Where shapes take up most of a window, little of its noise is left to be seen. What is more is
+    not of the colour of the rest: it is taken as white, of which the share ``white`` is seen. What
+    was not ``judged`` (k, 6) says nothing.
+    """
+    out = np.ones_like(noise)
+    for c in range(6):
+        own = judged[:, c]
+        if not own.any():
+            continue
+        told = own & (free[:, c] > 0.5 * independent[:, c])
+        if told.sum() < 5:
+            told = own & (free[:, c] >= np.quantile(free[own, c], 0.8))
+        # The median of chi-squared is below its mean: Wilson and Hilferty's approximation.
+        middle = (1.0 - 2.0 / (9.0 * np.maximum(free[told, c], 1.0))) ** 3
+        most = max(float(np.median(noise[told, c] / middle)), 1e-18)
+        beyond = noise[:, c] > most * (1.0 + BEYOND * np.sqrt(2.0 / free[:, c]))
+        more = (noise[:, c] - most) / white[c // 3]
+        out[:, c] = most + np.where(beyond, more, 0.0)
+    return out
