@@ -25,16 +25,17 @@ noise levels of their own."""
 
 
 def grouped(stack: Stack, evidence: FloatArray) -> tuple[dict[str, Candidate], dict[str, float]]:
-    """Return the best candidate of each group, and the group's evidence."""
+    """Return the best candidate of each group, and the group's evidence; none of -inf alone."""
     names, code = stack.groups()
     top = np.full(len(names), -np.inf)
     np.maximum.at(top, code, evidence)
     highest = np.flatnonzero(evidence == top[code])
     best = highest[np.unique(code[highest], return_index=True)[1]]
-    total = top + np.log(np.bincount(code, np.exp(evidence - top[code])))
+    total = np.bincount(code, np.exp(evidence - np.where(top > -np.inf, top, 0.0)[code]))
+    found = np.flatnonzero(top > -np.inf).tolist()
     return (
-        {g: stack[i] for g, i in zip(names, best.tolist(), strict=True)},
-        {g: float(v) for g, v in zip(names, total, strict=True)},
+        {names[k]: stack[int(best[k])] for k in found},
+        {names[k]: float(top[k] + np.log(total[k])) for k in found},
     )
 
 

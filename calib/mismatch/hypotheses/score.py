@@ -114,6 +114,11 @@ class Stack:
         return out
 
     @property
+    def physical(self) -> BoolArray:
+        """Which candidates are physics."""
+        return np.concatenate([bank.physical for bank in self.banks])
+
+    @property
     def weight(self) -> FloatArray:
         """Logarithm of the prior probability of each candidate."""
         return np.concatenate([bank.weight for bank in self.banks])

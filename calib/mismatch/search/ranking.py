@@ -115,7 +115,7 @@ def rank(rows: Rows, stack: Stack, accepted: list[Accepted], start: FloatArray) 
     """
     scores = Scores.of(rows, stack, accepted, start)
     base = scores.base
-    evidence = scores.at(base.values, scores.contrast, base.log_likelihood)
+    evidence, counted = scores.first()
     best, groups = grouped(stack, evidence)
     running = _running(groups)
     every = base
@@ -123,6 +123,10 @@ def rank(rows: Rows, stack: Stack, accepted: list[Accepted], start: FloatArray) 
     if len(running) > 1:
         names, code = stack.groups()
         which = np.array([g in running for g in names])[code]
+        if not counted.all():
+            # The strongest rivals are taken of every channel.
+            rest = scores.at(base.values, scores.contrast, base.log_likelihood, ~counted)
+            evidence = np.maximum(evidence, rest)
         evidence, every, hidden = scores.with_drift_of_all(evidence, which)
         best, groups = grouped(stack, evidence)
     beside = {}
@@ -137,8 +141,8 @@ def rank(rows: Rows, stack: Stack, accepted: list[Accepted], start: FloatArray) 
                 most, beside[name] = float(scored.max()), levels
     best, groups = grouped(stack, evidence)
     whitener = scores.whitener(base.values, scores.contrast)
-    counted = [best[g] for g, v in groups.items() if v > np.log(COUNTS)]
-    drifting = _drifting(rows, stack, whitener, counted)
+    telling = [best[g] for g, v in groups.items() if v > np.log(COUNTS)]
+    drifting = _drifting(rows, stack, whitener, telling)
     ranking = Ranking(stack, evidence, best, groups, base.values, whitener, drifting, beside=beside)
     if accepted or ranking.claims:
         return ranking

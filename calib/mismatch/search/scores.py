@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from calib.mismatch.hypotheses.answers import evidence_near, nearby, physics, strongest_rivals
+from calib.mismatch.hypotheses.bound import TOGETHER, factors_that_count
 from calib.mismatch.hypotheses.candidates import Candidate
 from calib.mismatch.hypotheses.score import Stack, log_bayes_factor
 from calib.mismatch.noise.contrast import contrast_likelihood
@@ -27,9 +28,6 @@ from calib.mismatch.rows.rows import Rows
 from calib.mismatch.search.accepted import Accepted, contrast_noise, fitted
 from calib.recording import CHANNELS
 from calib.types import BoolArray, FloatArray
-
-_TOGETHER = (*((c,) for c in CHANNELS), CHANNELS[:3], CHANNELS[3:])
-"""Channels whose drift is one answer: those of a triad, and each by itself."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,12 +70,15 @@ class Scores:
             weight=stack.weight,
         )
 
+    def first(self) -> tuple[FloatArray, BoolArray]:
+        """Return the evidence at the first levels of what counts, and which candidates that are."""
+        whitener = self.whitener(self.base.values, self.contrast)
+        y = whitener.project(self.rows.residual)
+        factors, which = factors_that_count(self.stack, self.rows, whitener, y)
+        return factors + self.weight, which
+
     def at(
-        self,
-        levels: FloatArray,
-        contrast: FloatArray,
-        null: float,
-        which: BoolArray | None = None,
+        self, levels: FloatArray, contrast: FloatArray, null: float, which: BoolArray
     ) -> FloatArray:
         """Return the evidence at some levels, of which the null has the log-likelihood `null`."""
         whitener = self.whitener(levels, contrast)
@@ -121,7 +122,7 @@ class Scores:
         hidden: list[Hidden] = []
         # Of channels whose drift nothing takes up the levels are the same: they are scored at once.
         alike: dict[bytes, tuple[FloatArray, list[BoolArray]]] = {}
-        for channels in _TOGETHER:
+        for channels in TOGETHER:
             which = stack.of_channels(channels, physical=True) & running
             if which.any():
                 levels = _swap(rows, base.values, every.values, channels)
@@ -132,7 +133,7 @@ class Scores:
             cost = null - base.log_likelihood
             hidden += [Hidden(scored, cost, which, levels) for which in each]
             evidence = np.maximum(evidence, scored)
-        for channels in _TOGETHER:
+        for channels in TOGETHER:
             which = stack.of_channels(channels, physical=False) & running
             if which.any():
                 levels = _swap(rows, base.values, free.values, channels)

@@ -12,6 +12,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from calib.mismatch.hypotheses.answers import evidence_near, grouped, leading, nearby
+from calib.mismatch.hypotheses.bound import factors_that_count
 from calib.mismatch.hypotheses.score import Stack
 from calib.mismatch.noise.noise import estimate_levels, expected_levels, make_whitener
 from calib.mismatch.rows.rows import Rows
@@ -175,7 +176,7 @@ def _posterior(
         residual = residual + own.columns @ (own.values / own.typical)
     y = whitener.project(residual)
     weight = stack.weight
-    evidence = stack.log_bayes_factors(whitener, y) + weight
+    evidence = factors_that_count(stack, rows, whitener, y)[0] + weight
     best, groups = grouped(stack, evidence)
     least = logsumexp(list(groups.values())) + np.log(SHOWN)
     for g in leading(best, groups):

@@ -73,3 +73,10 @@ def test_a_moment_counts_as_that_of_the_rest_or_turn_that_says_most(stacked):
     for k in np.unique(place):
         factors = np.where(place == k, 5.0, -40.0)
         assert evidence_near(rows, near, factors) == pytest.approx(5.0)
+
+
+def test_a_group_of_no_evidence_is_no_answer(stacked):
+    _, stack = stacked
+    evidence = np.where(stack.physical, 1.0, -np.inf)
+    best, groups = grouped(stack, evidence)
+    assert best.keys() == groups.keys() == {c.group for c in stack.physics.values()}
