@@ -58,9 +58,10 @@ class RecordingTruth:
     placed: bool = True
     _good: FloatArray = field(init=False)
     _spline: BSpline = field(init=False)
+    _rate: BSpline = field(init=False)
 
     def __post_init__(self) -> None:
-        from scipy.interpolate import make_interp_spline  # a third of a second to import
+        from scipy.interpolate import BSpline, make_interp_spline  # a tenth of a second to import
 
         r = self.recording
         good = np.ones(len(r), bool)
@@ -74,6 +75,7 @@ class RecordingTruth:
         # hole.
         spline = make_interp_spline(r.time, np.hstack(signals), k=DEGREE)
         object.__setattr__(self, "_spline", spline)
+        object.__setattr__(self, "_rate", BSpline(spline.t, spline.c[:, 3:6], DEGREE))
 
     @property
     def span(self) -> tuple[float, float]:
@@ -98,7 +100,7 @@ class RecordingTruth:
             mat_ns=None
             if self.quat is None
             else mat_from_quat(quat / np.linalg.norm(quat, axis=1, keepdims=True)),
-            angular_acceleration=self._spline(inside, nu=1)[:, 3:6],
+            angular_acceleration=self._rate(inside, nu=1),
             gravity=self.gravity,
             known_gradient=None if self.gradient is None else values[:, 6:15].reshape(-1, 3, 3),
         )
