@@ -175,11 +175,14 @@ class Weighing:
     @classmethod
     def of(cls, rows: Rows, levels: FloatArray) -> Weighing:
         """Return the weighing at some levels."""
-        if "contrasts" not in rows.kept:
+        if "drift in contrasts" not in rows.kept:
             drift = drift_in_contrasts(rows)
-            told = slice(len(drift.T) if drift.any() else 0)
-            rows.kept["contrasts"] = calm_variance(rows)[told], drift[:, told]
-        calm, drift = rows.kept["contrasts"]
+            rows.kept["drift in contrasts"] = drift[:, : len(drift.T) if drift.any() else 0]
+        drift = rows.kept["drift in contrasts"]
+        known, calm = rows.kept.get("calm", (None, None))
+        if known is not rows.residual:
+            calm = calm_variance(rows)[: len(drift.T)]
+            rows.kept["calm"] = rows.residual, calm
         return cls(rows.arrow.factorise(levels), np.sqrt(calm + levels @ drift), drift)
 
     def solve(self, values: FloatArray) -> FloatArray:
