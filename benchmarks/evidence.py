@@ -26,7 +26,7 @@ from scipy.special import logsumexp
 
 from calib.mismatch.hypotheses.candidates import Alike as Make
 from calib.mismatch.hypotheses.candidates import Sums
-from calib.mismatch.hypotheses.score import SCALES, SHARES, Stack, present_factors
+from calib.mismatch.hypotheses.score import SCALES, Stack, log_shares, present_factors
 from calib.mismatch.noise.noise import expected_levels, make_whitener
 from calib.mismatch.rows.grid import make_grid
 from calib.mismatch.rows.rows import Rows
@@ -116,6 +116,8 @@ class Alike:
     directions : (n, r, k) array, or a sparse (n, k) one of sums
     present : bool
         Whether the one coefficient is 1 by nature.
+    physical : (n,) array of bool
+        Whether they are effects.
     """
 
     channels: tuple[str, ...]
@@ -124,6 +126,7 @@ class Alike:
     columns: np.ndarray
     directions: Any
     present: bool
+    physical: np.ndarray
 
     def e_value(self, match: np.ndarray) -> np.ndarray:
         """Return the weighted sum of Bayes factors, from what columns have of d residuals, (d,)."""
@@ -138,7 +141,8 @@ class Alike:
         square = np.square(SCALES)[:, None]
         strength = square * self.power[:, None]
         gain = (0.5 * square / (1.0 + strength)) @ np.square(along)
-        scale = SHARES * np.exp(-0.5 * np.log1p(strength).sum(axis=2))
+        shares = np.exp(log_shares(self.power.mean(axis=1), self.physical)).T
+        scale = shares * np.exp(-0.5 * np.log1p(strength).sum(axis=2))
         np.exp(gain, out=gain)
         return (self.weight[:, None] * scale).ravel() @ gain.reshape(n * len(SCALES), -1)
 
@@ -153,13 +157,18 @@ def hypotheses(stack: Stack, gram: np.ndarray) -> Iterator[Alike]:
                     inner = make.pick @ gram[np.ix_(make.columns, make.columns)]
                     power = np.asarray(make.pick.multiply(inner).sum(axis=1))
                     power = np.maximum(power, 0.0)
-                    yield Alike(channels, weight, power, make.columns, make.pick, False)
+                    rivals = np.zeros(len(power), bool)
+                    yield Alike(channels, weight, power, make.columns, make.pick, False, rivals)
                 else:
-                    yield from _directions(make, channels, weight, gram)
+                    yield from _directions(make, channels, weight, gram, bank.physical[make.which])
 
 
 def _directions(
-    make: Make, channels: tuple[str, ...], weight: np.ndarray, gram: np.ndarray
+    make: Make,
+    channels: tuple[str, ...],
+    weight: np.ndarray,
+    gram: np.ndarray,
+    physical: np.ndarray,
 ) -> Iterator[Alike]:
     """Yield candidates of one make in their independent directions."""
     own = make.columns[make.index]
@@ -185,6 +194,7 @@ def _directions(
                         shared[mine] if shared.ndim == 2 else shared,
                         directions[mine],
                         kind,
+                        physical[part][mine],
                     )
 
 

@@ -160,7 +160,7 @@ def _of_windows(
     match = np.zeros((number + 1, k))
     match[1:] = (y @ white).reshape(number, k).cumsum(axis=0)
     inner = total[last, last] - total[first, last] - total[last, first] + total[first, first]
-    return log_bayes_factors(inner, match[last] - match[first])
+    return log_bayes_factors(inner, match[last] - match[first], np.zeros(len(inner), bool))
 
 
 def _place_turned(rows: Rows, candidate: Candidate, whitener: Whitener, y: FloatArray) -> Candidate:

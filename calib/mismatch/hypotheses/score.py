@@ -9,6 +9,10 @@ residual y alone its Bayes factor is
 Averaged over scales, places and shapes with weights that sum to one it has expectation at most one
 where nothing was left out, so that P(B > 100) < 1 %: the price of all looks is in the weights.
 
+Of an effect most of the weight is on sizes that would show, and not by far. Smaller ones explain
+nothing, and larger ones need no weight; both would cost those between them what they hold. Which
+these are, columns and noise say, so that the expectation is the same.
+
 References
 ----------
 .. [1] Vovk, Wang, "E-values: calibration, combination and applications", Ann. Statist. 49, 2021.
@@ -45,6 +49,12 @@ SHARES = np.append(np.full(8, 0.1175), [0.02, 0.02, 0.01, 0.01])
 """How probable each of them is."""
 
 _LOG_SHARES = np.log(SHARES)
+
+SHOWN = (2.0, 2000.0)
+"""Mean powers, in units of the noise, between which a scale is one that would show, not by far."""
+
+FAINT = 0.1
+"""How much of its share any other scale of an effect keeps."""
 
 NOTHING = 1e-290
 """Square of a length that rounding leaves of none, and that has no inverse."""
@@ -176,6 +186,7 @@ class Stack:
         # By the number of coefficients, many at once: a few cost as much in calls as in numbers.
         plain: dict[int, list[tuple[IntArray, IntArray, BoolArray]]] = {}
         joint: dict[int, list[tuple[IntArray, FloatArray, FloatArray]]] = {}
+        physical = self.physical
         for at, make in makes:
             own, columns = at + make.which, place[make.columns]
             if isinstance(make, Alike) and make.mixing is None:
@@ -192,19 +203,19 @@ class Stack:
         for k, alike in plain.items():
             own, index, present = map(np.concatenate, zip(*alike, strict=True))
             if k == 1:
-                out[own] = _alone(seen, index[:, 0], present)
+                out[own] = _alone(seen, index[:, 0], present, physical[own])
             else:
                 joint.setdefault(k, []).append((own, seen.grams(index), seen.match[index]))
         for mixed in joint.values():
             own, inner, along = map(np.concatenate, zip(*mixed, strict=True))
-            out[own] = log_bayes_factors(inner, along)
+            out[own] = log_bayes_factors(inner, along, physical[own])
         return out
 
 
-def _alone(seen: Seen, column: IntArray, present: BoolArray) -> FloatArray:
+def _alone(seen: Seen, column: IntArray, present: BoolArray, physical: BoolArray) -> FloatArray:
     """Return log B of candidates of one column each."""
     power, match = seen.power[column], seen.match[column]
-    return np.where(present, present_factors(power, match), _single(power, match))
+    return np.where(present, present_factors(power, match), _single(power, match, physical))
 
 
 def _sums(make: Sums, gram: FloatArray, seen: Seen, columns: IntArray) -> FloatArray:
@@ -213,7 +224,8 @@ def _sums(make: Sums, gram: FloatArray, seen: Seen, columns: IntArray) -> FloatA
     power = np.asarray(make.pick.multiply(inner).sum(axis=1)).ravel()
     lost = power < LOST * (make.pick @ seen.total[columns])
     along = make.pick @ seen.match[columns]
-    return _single(np.where(lost, 0.0, power), np.where(lost, 0.0, along))
+    none = np.zeros(len(power), bool)
+    return _single(np.where(lost, 0.0, power), np.where(lost, 0.0, along), none)
 
 
 def _mixed(make: Alike, gram: FloatArray, match: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -238,16 +250,33 @@ def _mixed(make: Alike, gram: FloatArray, match: FloatArray) -> tuple[FloatArray
     return inner, along[:, 0]
 
 
-def _single(power: FloatArray, along: FloatArray) -> FloatArray:
+def _single(power: FloatArray, along: FloatArray, physical: BoolArray) -> FloatArray:
     """Return log B of single columns, from their power and their match with the residual."""
     strength = np.square(SCALES)[:, None] * power
     gain = 0.5 * np.square(along) / np.maximum(power, 1e-300) * strength / (1 + strength)
-    return _average(gain - 0.5 * np.log1p(strength) + _LOG_SHARES[:, None])
+    return _average(gain - 0.5 * np.log1p(strength) + log_shares(power, physical))
+
+
+def log_shares(power: FloatArray, physical: BoolArray) -> FloatArray:
+    """Return the logarithms of the shares that n hypotheses give to the `SCALES`, (scales, n).
+
+    Parameters
+    ----------
+    power : (n,) array
+        Of their columns, whitened and projected, in the mean over the coefficients.
+    physical : (n,) array of bool
+        Those that are effects, which look for what would show.
+    """
+    strength = np.square(SCALES)[:, None] * power
+    sought = (strength > SHOWN[0]) & (strength < SHOWN[1])
+    shares = SHARES[:, None] * np.where(sought | ~physical, 1.0, FAINT)
+    return np.asarray(np.log(shares / shares.sum(axis=0)))
 
 
 def log_bayes_factor(columns: FloatArray, y: FloatArray) -> float:
-    """Return log B of one hypothesis, its whitened projected columns given."""
-    return float(log_bayes_factors((columns.T @ columns)[None], (y @ columns)[None])[0])
+    """Return log B of one rival, its whitened projected columns given."""
+    gram, match = columns.T @ columns, y @ columns
+    return float(log_bayes_factors(gram[None], match[None], np.zeros(1, bool))[0])
 
 
 def present_factors(power: FloatArray, along: FloatArray) -> FloatArray:
@@ -260,7 +289,7 @@ def present_factors(power: FloatArray, along: FloatArray) -> FloatArray:
     return np.where(power > 0, gain - 0.5 * np.log1p(strength) + positive, 0.0)
 
 
-def log_bayes_factors(gram: FloatArray, match: FloatArray) -> FloatArray:
+def log_bayes_factors(gram: FloatArray, match: FloatArray, physical: BoolArray) -> FloatArray:
     """Return log B of n hypotheses with Gram matrices (n, k, k) and matches (n, k).
 
     In a basis that begins with the match and has a tridiagonal Gram matrix T, only the corner of
@@ -276,7 +305,8 @@ def log_bayes_factors(gram: FloatArray, match: FloatArray) -> FloatArray:
         pivot = np.maximum(1.0 + square * (d - square * (np.square(b) / pivot)), 1.0)
         log_det += np.log(pivot)
     gain = square * (np.square(beside[0]) / pivot)
-    return _average(0.5 * (gain - log_det) + _LOG_SHARES[:, None])
+    power = np.einsum("nkk->n", gram) / gram.shape[1]
+    return _average(0.5 * (gain - log_det) + log_shares(power, physical))
 
 
 def _tridiagonal(gram: FloatArray, match: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -20,10 +20,10 @@ from calib.mismatch.search.scores import Hidden, Scores
 from calib.recording import CHANNELS
 from calib.types import FloatArray
 
-CLAIM = 2.5
+CLAIM = 3.0
 """E-value at which something is claimed to be left. Markov's inequality bounds the share of clean
-recordings that reach it by 40 %, but only evidence that is all or nothing attains that: of normal
-errors under as many looks as here, ``benchmarks/evidence.py`` counts 1 in 280."""
+recordings that reach it by a third, but only evidence that is all or nothing attains that: of
+normal errors under as many looks as here, ``benchmarks/evidence.py`` counts 1 in 220."""
 
 DRIFTING = 0.125
 """What evidence counts where a drift can mimic it and rests alone show that: it stands or falls
@@ -35,6 +35,11 @@ COUNTS = 0.05
 
 SLOW_MODES = 8
 """Half waves over the recording in the fastest drift that is meant by that."""
+
+FURTHER = 5.0
+"""How many times as far as is found a bias may walk for all that its rests show: the drift that is
+meant would hide more than half of what explains it. Beside few poses so many waves take anything
+that poses differ by for drift; no walk goes to and fro like that."""
 
 RARE = 0.02
 """Share of recordings of nothing but noise that reach an e-value of e, times e: at most, where
@@ -142,7 +147,7 @@ def rank(rows: Rows, stack: Stack, accepted: list[Accepted], start: FloatArray) 
     best, groups = grouped(stack, evidence)
     whitener = scores.whitener(base.values, scores.contrast)
     telling = [best[g] for g, v in groups.items() if v > np.log(COUNTS)]
-    drifting = _drifting(rows, stack, whitener, telling)
+    drifting = _drifting(scores, whitener, telling)
     ranking = Ranking(stack, evidence, best, groups, base.values, whitener, drifting, beside=beside)
     if accepted or ranking.claims:
         return ranking
@@ -168,24 +173,28 @@ def _running(groups: Mapping[str, float]) -> list[str]:
     return [g for g, v in groups.items() if top <= PLAIN or v >= top - AHEAD]
 
 
-def _drifting(
-    rows: Rows, stack: Stack, whitener: Whitener, candidates: list[Candidate]
-) -> frozenset[str]:
+def _drifting(scores: Scores, whitener: Whitener, candidates: list[Candidate]) -> frozenset[str]:
     """Return the groups of those candidates of which a drift can mimic more than half.
 
     None where windows that follow one another without a gap show how a bias goes on.
     """
+    rows, stack = scores.rows, scores.stack
     if not candidates or not rows.is_rest.any():
         return frozenset()
     time = rows.state.time - rows.state.time[0]
     phase = np.pi * time[:, None] / max(float(time[-1]), 1e-9) * np.arange(1, SLOW_MODES + 1)
     slow = np.hstack([rows.columns(c, np.cos(phase)) for c in range(len(CHANNELS))])
     basis = range_basis(whitener.project(slow))
+    walks = np.array([c.name.endswith(" walk") for c in rows.components])
+    further = np.where(walks, FURTHER**2, 1.0) * scores.base.values
     out = []
     for c in candidates:
         columns = whitener.project(stack.of(c))
-        if np.square(basis.T @ columns).sum() > 0.5 * np.square(columns).sum():
-            out.append(c.group)
+        power = np.square(columns).sum()
+        if np.square(basis.T @ columns).sum() > 0.5 * power:
+            far = scores.whitener(further, scores.contrast).project(stack.of(c))
+            if np.square(far).sum() < 0.5 * power:
+                out.append(c.group)
     return frozenset(out)
 
 

@@ -30,7 +30,7 @@ def test_bayes_factors_are_those_by_eigenvalues(columns: int) -> None:
     y[7] = 0.0
     y[8] = made[8, :, 0]
     gram, match = np.swapaxes(made, 1, 2) @ made, np.einsum("nmk,nm->nk", made, y)
-    found = log_bayes_factors(gram, match)
+    found = log_bayes_factors(gram, match, np.zeros(len(gram), bool))
     np.testing.assert_allclose(found, by_eigenvalues(gram, match), rtol=1e-7, atol=1e-7)
 
 
@@ -38,5 +38,5 @@ def test_what_rounding_leaves_of_nothing_is_nothing() -> None:
     """The square of its length has no inverse in floating point."""
     gram = np.array([[[2.0, 1e-161, 0.0], [1e-161, 3.0, 1e-161], [0.0, 1e-161, 1.0]]])
     match = np.array([[1e-160, 1e-161, -1e-161]])
-    found = log_bayes_factors(gram, match)
+    found = log_bayes_factors(gram, match, np.zeros(len(gram), bool))
     np.testing.assert_allclose(found, by_eigenvalues(gram, match), rtol=1e-9)
