@@ -25,10 +25,10 @@ CLAIM = 3.0
 recordings that reach it by a third, but only evidence that is all or nothing attains that: of
 normal errors under as many looks as here, ``benchmarks/evidence.py`` counts 1 in 220."""
 
-DRIFTING = 0.125
+DRIFTING = 1 / 12
 """What evidence counts where a drift can mimic it and rests alone show that: it stands or falls
 with the slow end of the noise, of which a recording's rests show a few modes only. So it has to
-reach twenty times what is as likely as not. Beside a truth every moment shows it."""
+reach 36 times what is as likely as not. Beside a truth every moment shows it."""
 
 COUNTS = 0.05
 """E-value from which a group counts in what is left altogether."""
