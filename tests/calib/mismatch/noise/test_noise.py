@@ -7,12 +7,15 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from calib.mismatch.hypotheses.candidates import Candidate
-from calib.mismatch.hypotheses.score import SCALES, SHARES, Stack
-from calib.mismatch.noise.contrast import contrast_likelihood, contrast_variance
+from calib.mismatch.hypotheses.score import SCALES, SHARES, Stack, log_shares
+from calib.mismatch.noise.contrast import calm_variance, contrast_likelihood, contrast_variance
+from calib.mismatch.noise.coupling import drift_in_contrasts
 from calib.mismatch.noise.noise import (
     NEAR,
     WITHIN,
+    Weighing,
     _restricted,
+    covariance,
     estimate_levels,
     expected_levels,
     find_levels,
@@ -82,6 +85,38 @@ def test_the_maximum_is_reached_to_what_evidence_needs():
     assert closer.log_likelihood - NEAR < found.log_likelihood <= closer.log_likelihood
 
 
+def test_the_likelihood_of_levels_is_that_of_all_rows_and_so_is_its_slope():
+    _, self_mode = problem()
+    rows = self_mode.rows()
+    usual = expected_levels(rows)
+    rows = drawn(rows, usual, np.random.default_rng(11))
+    mean = np.hstack((rows.baseline, rows.nuisance))
+    basis = level_basis(rows, mean)
+    assert len(basis) == len(rows.residual)
+
+    def brute(levels):
+        whole = np.zeros((len(rows.residual),) * 2)
+        whole[: rows.n_dense, : rows.n_dense] = covariance(rows, levels)
+        rest = calm_variance(rows) + levels @ drift_in_contrasts(rows)
+        whole[rows.n_dense :, rows.n_dense :] = np.diag(rest)
+        lower = np.linalg.cholesky(whole)
+        x, y = (np.linalg.solve(lower, v) for v in (basis, rows.residual))
+        left = y - x @ np.linalg.lstsq(x, y, rcond=None)[0]
+        log_det = 2 * np.log(np.diag(lower)).sum() + np.linalg.slogdet(x.T @ x)[1]
+        return -0.5 * (log_det + left @ left)
+
+    one = usual * np.exp(np.random.default_rng(12).normal(size=len(usual)))
+    weighing = Weighing.of(rows, one)
+    likelihood, white, left = _restricted(weighing, basis, rows.residual)
+    assert likelihood == pytest.approx(brute(one), abs=1e-6)
+    py, trace, vpy = weighing.slopes(rows, white, left)
+    slope = 0.5 * (vpy.T @ py - trace) * one
+    for i in (1, 2, 4, len(usual) - 3):
+        step = np.where(np.arange(len(usual)) == i, 1e-4, 0.0)
+        seen = (brute(one * np.exp(step)) - brute(one * np.exp(-step))) / 2e-4
+        assert slope[i] == pytest.approx(seen, abs=1e-3)
+
+
 def test_bayes_factors_agree_with_the_densities():
     _, self_mode = problem()
     rows = self_mode.rows()
@@ -106,7 +141,9 @@ def test_bayes_factors_agree_with_the_densities():
             multivariate_normal(np.zeros(30), np.eye(30) + s**2 * columns @ columns.T).logpdf(y)
             for s in SCALES
         ]
-        expected = np.log(np.sum(SHARES * np.exp(np.array(each) - null)))
+        power = np.array([np.square(columns).sum() / columns.shape[1]])
+        shares = np.exp(log_shares(power, np.ones(1, bool)))[:, 0]
+        expected = np.log(np.sum(shares * np.exp(np.array(each) - null)))
         np.testing.assert_allclose(value, expected, rtol=1e-8)
 
 
