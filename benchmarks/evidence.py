@@ -116,8 +116,8 @@ class Alike:
     directions : (n, r, k) array, or a sparse (n, k) one of sums
     present : bool
         Whether the one coefficient is 1 by nature.
-    physical : (n,) array of bool
-        Whether they are effects.
+    sought : (n,) array of bool
+        Whether they are looked for at sizes that would show.
     """
 
     channels: tuple[str, ...]
@@ -126,7 +126,7 @@ class Alike:
     columns: np.ndarray
     directions: Any
     present: bool
-    physical: np.ndarray
+    sought: np.ndarray
 
     def e_value(self, match: np.ndarray) -> np.ndarray:
         """Return the weighted sum of Bayes factors, from what columns have of d residuals, (d,)."""
@@ -141,7 +141,7 @@ class Alike:
         square = np.square(SCALES)[:, None]
         strength = square * self.power[:, None]
         gain = (0.5 * square / (1.0 + strength)) @ np.square(along)
-        shares = np.exp(log_shares(self.power.mean(axis=1), self.physical)).T
+        shares = np.exp(log_shares(self.power.mean(axis=1), self.sought)).T
         scale = shares * np.exp(-0.5 * np.log1p(strength).sum(axis=2))
         np.exp(gain, out=gain)
         return (self.weight[:, None] * scale).ravel() @ gain.reshape(n * len(SCALES), -1)
@@ -160,7 +160,7 @@ def hypotheses(stack: Stack, gram: np.ndarray) -> Iterator[Alike]:
                     rivals = np.zeros(len(power), bool)
                     yield Alike(channels, weight, power, make.columns, make.pick, False, rivals)
                 else:
-                    yield from _directions(make, channels, weight, gram, bank.physical[make.which])
+                    yield from _directions(make, channels, weight, gram, bank.sought[make.which])
 
 
 def _directions(
@@ -168,7 +168,7 @@ def _directions(
     channels: tuple[str, ...],
     weight: np.ndarray,
     gram: np.ndarray,
-    physical: np.ndarray,
+    sought: np.ndarray,
 ) -> Iterator[Alike]:
     """Yield candidates of one make in their independent directions."""
     own = make.columns[make.index]
@@ -194,7 +194,7 @@ def _directions(
                         shared[mine] if shared.ndim == 2 else shared,
                         directions[mine],
                         kind,
-                        physical[part][mine],
+                        sought[part][mine],
                     )
 
 

@@ -55,6 +55,8 @@ class Candidate:
         Of a window.
     present : bool
         Whether its one coefficient is 1 by nature, and only its shape is unknown.
+    counted : bool
+        Whether its coefficients are whole numbers.
     """
 
     name: str
@@ -68,6 +70,7 @@ class Candidate:
     interval: tuple[float, float] | None = None
     mixing: FloatArray | None = None
     present: bool = False
+    counted: bool = False
 
     @property
     def is_single(self) -> bool:
@@ -156,6 +159,7 @@ class Bank:
         self._by, self._moved = 0, dict[int, Candidate]()
         self.weight = np.log(np.array([c.weight for c in candidates]))
         self.physical = np.array([c.physical for c in candidates], bool)
+        self.sought = self.physical & ~np.array([c.counted for c in candidates], bool)
         self.groups, self.group = _numbered(c.group for c in candidates)
         self.channels, self.channel = _numbered(c.channels for c in candidates)
         self._makes = list(_makes(self._candidates, self.group, self.channel))

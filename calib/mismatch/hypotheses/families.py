@@ -106,6 +106,7 @@ def _add(
                     parameters=names,
                     shape=dict(shape),
                     present=all(units[n] == PRESENCE for n in names),
+                    counted=all(units[n] == "samples" for n in names),
                 )
             )
 

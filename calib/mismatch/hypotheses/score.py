@@ -11,7 +11,8 @@ where nothing was left out, so that P(B > 100) < 1 %: the price of all looks is 
 
 Of an effect most of the weight is on sizes that would show, and not by far. Smaller ones explain
 nothing, and larger ones need no weight; both would cost those between them what they hold. Which
-these are, columns and noise say, so that the expectation is the same.
+these are, columns and noise say, so that the expectation is the same. What is counted (samples that
+are lost) comes whole.
 
 References
 ----------
@@ -129,6 +130,11 @@ class Stack:
         return np.concatenate([bank.physical for bank in self.banks])
 
     @property
+    def sought(self) -> BoolArray:
+        """Which candidates are sought at sizes that would show: physics, but for what is counted."""
+        return np.concatenate([bank.sought for bank in self.banks])
+
+    @property
     def weight(self) -> FloatArray:
         """Logarithm of the prior probability of each candidate."""
         return np.concatenate([bank.weight for bank in self.banks])
@@ -186,7 +192,7 @@ class Stack:
         # By the number of coefficients, many at once: a few cost as much in calls as in numbers.
         plain: dict[int, list[tuple[IntArray, IntArray, BoolArray]]] = {}
         joint: dict[int, list[tuple[IntArray, FloatArray, FloatArray]]] = {}
-        physical = self.physical
+        sought = self.sought
         for at, make in makes:
             own, columns = at + make.which, place[make.columns]
             if isinstance(make, Alike) and make.mixing is None:
@@ -203,19 +209,19 @@ class Stack:
         for k, alike in plain.items():
             own, index, present = map(np.concatenate, zip(*alike, strict=True))
             if k == 1:
-                out[own] = _alone(seen, index[:, 0], present, physical[own])
+                out[own] = _alone(seen, index[:, 0], present, sought[own])
             else:
                 joint.setdefault(k, []).append((own, seen.grams(index), seen.match[index]))
         for mixed in joint.values():
             own, inner, along = map(np.concatenate, zip(*mixed, strict=True))
-            out[own] = log_bayes_factors(inner, along, physical[own])
+            out[own] = log_bayes_factors(inner, along, sought[own])
         return out
 
 
-def _alone(seen: Seen, column: IntArray, present: BoolArray, physical: BoolArray) -> FloatArray:
+def _alone(seen: Seen, column: IntArray, present: BoolArray, sought: BoolArray) -> FloatArray:
     """Return log B of candidates of one column each."""
     power, match = seen.power[column], seen.match[column]
-    return np.where(present, present_factors(power, match), _single(power, match, physical))
+    return np.where(present, present_factors(power, match), _single(power, match, sought))
 
 
 def _sums(make: Sums, gram: FloatArray, seen: Seen, columns: IntArray) -> FloatArray:
@@ -250,26 +256,26 @@ def _mixed(make: Alike, gram: FloatArray, match: FloatArray) -> tuple[FloatArray
     return inner, along[:, 0]
 
 
-def _single(power: FloatArray, along: FloatArray, physical: BoolArray) -> FloatArray:
+def _single(power: FloatArray, along: FloatArray, sought: BoolArray) -> FloatArray:
     """Return log B of single columns, from their power and their match with the residual."""
     strength = np.square(SCALES)[:, None] * power
     gain = 0.5 * np.square(along) / np.maximum(power, 1e-300) * strength / (1 + strength)
-    return _average(gain - 0.5 * np.log1p(strength) + log_shares(power, physical))
+    return _average(gain - 0.5 * np.log1p(strength) + log_shares(power, sought))
 
 
-def log_shares(power: FloatArray, physical: BoolArray) -> FloatArray:
+def log_shares(power: FloatArray, sought: BoolArray) -> FloatArray:
     """Return the logarithms of the shares that n hypotheses give to the `SCALES`, (scales, n).
 
     Parameters
     ----------
     power : (n,) array
         Of their columns, whitened and projected, in the mean over the coefficients.
-    physical : (n,) array of bool
-        Those that are effects, which look for what would show.
+    sought : (n,) array of bool
+        Those that are looked for at sizes that would show.
     """
     strength = np.square(SCALES)[:, None] * power
-    sought = (strength > SHOWN[0]) & (strength < SHOWN[1])
-    shares = SHARES[:, None] * np.where(sought | ~physical, 1.0, FAINT)
+    shows = (strength > SHOWN[0]) & (strength < SHOWN[1])
+    shares = SHARES[:, None] * np.where(shows | ~sought, 1.0, FAINT)
     return np.asarray(np.log(shares / shares.sum(axis=0)))
 
 
@@ -289,7 +295,7 @@ def present_factors(power: FloatArray, along: FloatArray) -> FloatArray:
     return np.where(power > 0, gain - 0.5 * np.log1p(strength) + positive, 0.0)
 
 
-def log_bayes_factors(gram: FloatArray, match: FloatArray, physical: BoolArray) -> FloatArray:
+def log_bayes_factors(gram: FloatArray, match: FloatArray, sought: BoolArray) -> FloatArray:
     """Return log B of n hypotheses with Gram matrices (n, k, k) and matches (n, k).
 
     In a basis that begins with the match and has a tridiagonal Gram matrix T, only the corner of
@@ -306,7 +312,7 @@ def log_bayes_factors(gram: FloatArray, match: FloatArray, physical: BoolArray) 
         log_det += np.log(pivot)
     gain = square * (np.square(beside[0]) / pivot)
     power = np.einsum("nkk->n", gram) / gram.shape[1]
-    return _average(0.5 * (gain - log_det) + log_shares(power, physical))
+    return _average(0.5 * (gain - log_det) + log_shares(power, sought))
 
 
 def _tridiagonal(gram: FloatArray, match: FloatArray) -> tuple[FloatArray, FloatArray]:

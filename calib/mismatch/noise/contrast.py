@@ -7,13 +7,16 @@ from itertools import product
 import numpy as np
 
 from calib.mismatch.rows.rows import Rows
-from calib.types import BoolArray, FloatArray
+from calib.types import BoolArray, FloatArray, IntArray
 
 FEW = 5
 """Contrasts of one kind and channel from which on what repeats in them is taken out."""
 
 STRAY = 3.0
 """Standard deviations beyond which a contrast is that of something else."""
+
+MOSTLY_WHITE = 2.0
+"""Variance of contrasts, relative to white noise, up to which that is most of it."""
 
 
 def contrast_variance(rows: Rows, *, apart: BoolArray | None = None) -> FloatArray:
@@ -67,21 +70,20 @@ def contrast_variance(rows: Rows, *, apart: BoolArray | None = None) -> FloatArr
     return variance
 
 
-def calm_variance(rows: Rows) -> FloatArray:
-    """Return the variance of the contrast rows by white noise; of those off course, by what it is.
+def telling(rows: Rows) -> IntArray:
+    """Return the numbers of those contrasts that tell how far biases drift, beside means at rest.
 
-    A knock or a slip in one rest does not say how a bias drifts in all others: what is more than
-    `STRAY` times as large as its channel's are says nothing.
+    Not those of a channel where drift is most of what they hold: there means tell as much, and once
+    more would be too much. Nor does a knock or a slip in one rest say what happens in all others.
     """
-    variance = rows.white_diagonal.copy()
-    square = np.square(rows.residual[rows.n_dense :]) / variance
+    square = np.square(rows.residual[rows.n_dense :]) / rows.white_diagonal
     channel = rows.channel[rows.n_dense :]
+    out = np.zeros(len(square), bool)
     for c in range(6):
         own = channel == c
-        if own.any():
-            most = STRAY**2 * max(typical(square[own]), 1.0)
-            variance[own] *= np.where(square[own] > most, square[own], 1.0)
-    return variance
+        if own.any() and typical(square[own]) < MOSTLY_WHITE:
+            out |= own & (square < STRAY**2 * max(typical(square[own]), 1.0))
+    return np.flatnonzero(out)
 
 
 def contrast_likelihood(rows: Rows, variance: FloatArray) -> float:

@@ -24,7 +24,7 @@ import numpy as np
 from scipy import linalg, sparse
 
 from calib.mismatch.noise.sensornoise import DRIFT_TIME, LEAN, flicker_covariance
-from calib.mismatch.rows.rows import Kind, Rows
+from calib.mismatch.rows.rows import UNKNOWN, Kind, Rows
 from calib.recording import CHANNELS
 from calib.types import FloatArray, IntArray
 
@@ -87,9 +87,15 @@ def foretold(rows: Rows, levels: FloatArray) -> tuple[Foretold, ...]:
 
 
 def drift_in_contrasts(rows: Rows) -> FloatArray:
-    """Return the variance (k, n) that each of k components gives n contrasts, for levels of one."""
+    """Return the variance (k, n) that each of k components gives n contrasts, for levels of one.
+
+    None where nobody knows how much to expect of drift, as without a clock: how far a bias walks
+    from rest to rest, changes within them do not say then.
+    """
     out = np.zeros((len(rows.components), len(rows.residual) - rows.n_dense))
     number = {c.name: i for i, c in enumerate(rows.components)}
+    if any(c.spread >= UNKNOWN for c in rows.components if c.name.endswith(" flicker")):
+        return out
     for name, drift in _all_drifts(rows).items():
         for kind, own in zip(_kinds(name), () if drift is None else drift.own, strict=False):
             if drift is not None and kind in number:

@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import linalg
 
-from calib.mismatch.noise.contrast import calm_variance, typical
+from calib.mismatch.noise.contrast import telling, typical
 from calib.mismatch.noise.coupling import Foretold, drift_in_contrasts, foretold
 from calib.mismatch.noise.sensornoise import LEAN
 from calib.mismatch.rows.arrow import Factor, times_inverse
@@ -110,20 +110,21 @@ def estimate_levels(
     ----------
     rows : Rows
     mean : (m, p) array
-        Columns of the mean; any rank. Only rows that tell of levels count (`level_basis`).
+        Columns of the mean; any rank. Only rows that tell of levels count.
     start : (c,) array
         Levels to start from.
     """
     centre = np.log(expected_levels(rows))
     precision = prior_precision(rows)
-    basis = level_basis(rows, mean)
+    told = rows_of_levels(rows)
+    basis, y = range_basis(mean[told]), rows.residual[told]
     logs = np.log(start)
     best: tuple[float, FloatArray] | None = None
     halved, caution, log_share, gain = 0, 0.1, 0.0, np.inf
     for _ in range(iterations):
         levels = np.exp(logs)
         weighing = Weighing.of(rows, levels)
-        likelihood, white, left = _restricted(weighing, basis, rows.residual)
+        likelihood, white, left = _restricted(weighing, basis, y)
         value = likelihood - 0.5 * float((logs - centre) @ precision @ (logs - centre))
         if best is not None and value < best[0] - 1e-6:
             # Too long a step: go back half way.
@@ -154,9 +155,9 @@ def estimate_levels(
 
 @dataclass(frozen=True, eq=False)
 class Weighing:
-    """What whitens rows by themselves, at some levels: dense ones, and contrasts as independent.
+    """What whitens the rows that tell of levels, at some: dense ones, and independent contrasts.
 
-    But for contrasts in which components do not show: beside a truth they say nothing of levels.
+    Beside a truth no component shows in contrasts, and they tell nothing.
 
     Parameters
     ----------
@@ -175,18 +176,12 @@ class Weighing:
     @classmethod
     def of(cls, rows: Rows, levels: FloatArray) -> Weighing:
         """Return the weighing at some levels."""
-        if "drift in contrasts" not in rows.kept:
-            drift = drift_in_contrasts(rows)
-            rows.kept["drift in contrasts"] = drift[:, : len(drift.T) if drift.any() else 0]
-        drift = rows.kept["drift in contrasts"]
-        known, calm = rows.kept.get("calm", (None, None))
-        if known is not rows.residual:
-            calm = calm_variance(rows)[: len(drift.T)]
-            rows.kept["calm"] = rows.residual, calm
-        return cls(rows.arrow.factorise(levels), np.sqrt(calm + levels @ drift), drift)
+        contrasts, drift = _contrasts(rows)
+        variance = rows.white_diagonal[contrasts] + levels @ drift
+        return cls(rows.arrow.factorise(levels), np.sqrt(variance), drift)
 
     def solve(self, values: FloatArray) -> FloatArray:
-        """Return whitened (m, ...) values."""
+        """Return whitened (n, ...) values of the rows that tell of levels."""
         dense = len(values) - len(self.scale)
         rest = values[dense:] / (self.scale if values.ndim == 1 else self.scale[:, None])
         return np.concatenate((self.factor.solve(values[:dense]), rest))
@@ -206,6 +201,25 @@ class Weighing:
         trace = trace + self.drift @ (free / np.square(self.scale))
         rest = left[dense:] / self.scale
         return np.append(py, rest), trace, np.concatenate((vpy, (self.drift * rest).T))
+
+
+def _contrasts(rows: Rows) -> tuple[IntArray, FloatArray]:
+    """Return the numbers of the contrasts that tell of levels, and `Weighing.drift` of them."""
+    if "drift in contrasts" not in rows.kept:
+        rows.kept["drift in contrasts"] = drift_in_contrasts(rows)
+    known, contrasts, drift = rows.kept.get("telling", (None, None, None))
+    if known is not rows.residual:
+        every = rows.kept["drift in contrasts"]
+        contrasts = telling(rows)
+        contrasts = contrasts[every[:, contrasts].any(axis=0)]
+        drift = every[:, contrasts]
+        rows.kept["telling"] = rows.residual, contrasts, drift
+    return contrasts, drift
+
+
+def rows_of_levels(rows: Rows) -> IntArray:
+    """Return the numbers of the rows that tell of levels: dense ones, and some contrasts."""
+    return np.append(np.arange(rows.n_dense), rows.n_dense + _contrasts(rows)[0])
 
 
 def _information(weighing: Weighing, white: FloatArray, vpy: FloatArray) -> FloatArray:
@@ -246,15 +260,15 @@ def spread_of_variance(
        theory and small-sample simulation results", Biometrics 41, 1985, p. 477.
     """
     weighing = Weighing.of(rows, levels)
-    _, white, left = _restricted(weighing, level_basis(rows, mean), rows.residual)
+    told = rows_of_levels(rows)
+    _, white, left = _restricted(weighing, range_basis(mean[told]), rows.residual[told])
     vpy = weighing.slopes(rows, white, left)[2] * levels
     precision = _information(weighing, white, vpy) + prior_precision(rows)
     slopes = np.empty((len(levels), influence.shape[1]))
     for i, c in enumerate(rows.components):
         felt = c.response.T @ influence[c.index]
         slopes[i] = levels[i] * np.einsum("sk,sk->k", felt, c.kernel @ felt)
-    told = influence[rows.n_dense : rows.n_dense + len(weighing.scale)]
-    slopes += levels[:, None] * (weighing.drift @ np.square(told))
+    slopes += levels[:, None] * (weighing.drift @ np.square(influence[told[rows.n_dense :]]))
     # Beside priors a variance is less than its parts would make: they are shares of it.
     share = slopes / np.maximum(np.maximum(variance, slopes.sum(axis=0)), 1e-300)
     spread = np.einsum("ik,ik->k", share, np.linalg.solve(precision, share))
@@ -291,12 +305,6 @@ def find_levels(rows: Rows, mean: FloatArray, start: FloatArray) -> Levels:
         other = estimate_levels(rows, mean, leaning)
         best = max(best, other, key=lambda levels: levels.log_likelihood)
     return best
-
-
-def level_basis(rows: Rows, mean: FloatArray) -> FloatArray:
-    """Return the `range_basis` of (m, p) columns on the rows that tell of levels."""
-    told = rows.n_dense + len(Weighing.of(rows, expected_levels(rows)).scale)
-    return range_basis(mean[:told])
 
 
 def range_basis(mean: FloatArray, *, tolerance: float = 1e-9) -> FloatArray:
@@ -349,7 +357,7 @@ def _restricted(
     weighing: Weighing, basis: FloatArray, y: FloatArray
 ) -> tuple[float, FloatArray, FloatArray]:
     """Return the restricted log-likelihood, the whitened mean (orthonormal), and what it leaves."""
-    mean, left = weighing.solve(basis), weighing.solve(y[: len(basis)])
+    mean, left = weighing.solve(basis), weighing.solve(y)
     log_det = weighing.log_det
     if basis.size:
         try:
@@ -440,9 +448,10 @@ def make_whitener(
 def level_likelihood(rows: Rows, basis: FloatArray, levels: FloatArray) -> float:
     """Return the penalised restricted log-likelihood of given levels.
 
-    ``basis`` is the `level_basis` of the mean.
+    ``basis`` is the `range_basis` of the mean's rows that tell of levels.
     """
-    likelihood, _, _ = _restricted(Weighing.of(rows, levels), basis, rows.residual)
+    y = rows.residual[rows_of_levels(rows)]
+    likelihood, _, _ = _restricted(Weighing.of(rows, levels), basis, y)
     return likelihood - _penalty(rows, levels)
 
 

@@ -20,9 +20,10 @@ from calib.mismatch.noise.noise import (
     Whitener,
     estimate_levels,
     find_levels,
-    level_basis,
     level_likelihood,
     make_whitener,
+    range_basis,
+    rows_of_levels,
 )
 from calib.mismatch.rows.rows import Rows
 from calib.mismatch.search.accepted import Accepted, contrast_noise, fitted
@@ -66,7 +67,7 @@ class Scores:
             mean=mean,
             contrast=contrast_noise(rows, accepted),
             base=find(rows, mean, start),
-            basis=level_basis(rows, mean),
+            basis=range_basis(mean[rows_of_levels(rows)]),
             weight=stack.weight,
         )
 
@@ -112,13 +113,11 @@ class Scores:
         Beside it the levels with all physics in the mean, and the evidence for physics there.
         """
         rows, stack, base = self.rows, self.stack, self.base
-        told = len(self.basis)
-        wide = np.hstack((self.basis, physics(stack)[:told]))
+        wide = np.hstack((self.mean, physics(stack)))
         every = find_levels(rows, wide, base.values)
         rivals = strongest_rivals(stack, evidence - self.weight)
         alone = [stack.of(c) for c in rivals.values() if len(c.channels) == 1]
-        strongest = np.hstack(alone)[:told]
-        free = estimate_levels(rows, np.hstack((self.basis, strongest)), every.values)
+        free = estimate_levels(rows, np.hstack((self.mean, *alone)), every.values)
         hidden: list[Hidden] = []
         # Of channels whose drift nothing takes up the levels are the same: they are scored at once.
         alike: dict[bytes, tuple[FloatArray, list[BoolArray]]] = {}
@@ -156,7 +155,7 @@ class Scores:
             factors = moved.log_bayes_factors(whitener, whitener.project(rows.residual))
             here = moved[int(np.argmax(factors))]
             own = moved.of(here)
-        with_own = np.hstack((self.basis, own[: len(self.basis)]))
+        with_own = np.hstack((self.mean, own))
         start = _swap(rows, base.values, every.values, leader.channels)
         found = estimate_levels(rows, with_own, start)
         outside, cost = self._suited(found.values, here, own)
