@@ -131,7 +131,7 @@ class Stack:
 
     @property
     def sought(self) -> BoolArray:
-        """Which candidates are sought at sizes that would show: physics, but for what is counted."""
+        """Which are sought at sizes that would show: physics, but for what is counted."""
         return np.concatenate([bank.sought for bank in self.banks])
 
     @property
