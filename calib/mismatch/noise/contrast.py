@@ -73,17 +73,20 @@ def contrast_variance(rows: Rows, *, apart: BoolArray | None = None) -> FloatArr
 def telling(rows: Rows) -> IntArray:
     """Return the numbers of those contrasts that tell how far biases drift, beside means at rest.
 
-    Not those of a channel where drift is most of what they hold: there means tell as much, and once
-    more would be too much. Nor does a knock or a slip in one rest say what happens in all others.
+    None where drift is most of what those of a channel hold: there means tell as much, and once
+    more would be too much. Nor of so few rests that nobody can tell what the sensor does in them
+    from what its holder does. And a knock or a slip in one does not say what happens in all others.
     """
     square = np.square(rows.residual[rows.n_dense :]) / rows.white_diagonal
     channel = rows.channel[rows.n_dense :]
-    out = np.zeros(len(square), bool)
-    for c in range(6):
+    limit = np.zeros(len(square))
+    for c in np.unique(channel):
         own = channel == c
-        if own.any() and typical(square[own]) < MOSTLY_WHITE:
-            out |= own & (square < STRAY**2 * max(typical(square[own]), 1.0))
-    return np.flatnonzero(out)
+        usual = typical(square[own])
+        if usual > MOSTLY_WHITE or own.sum() < 2 * FEW:
+            return np.zeros(0, np.int64)
+        limit[own] = STRAY**2 * max(usual, 1.0)
+    return np.flatnonzero(square < limit)
 
 
 def contrast_likelihood(rows: Rows, variance: FloatArray) -> float:

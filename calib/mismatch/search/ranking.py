@@ -14,6 +14,7 @@ from calib.mismatch.hypotheses.families import add_catalogue
 from calib.mismatch.hypotheses.rivals import add_rivals
 from calib.mismatch.hypotheses.score import Stack
 from calib.mismatch.noise.noise import Whitener, make_whitener, range_basis
+from calib.mismatch.noise.sensornoise import LEAN
 from calib.mismatch.rows.rows import Rows
 from calib.mismatch.search.accepted import Accepted
 from calib.mismatch.search.scores import Hidden, Scores
@@ -37,9 +38,9 @@ SLOW_MODES = 8
 """Half waves over the recording in the fastest drift that is meant by that."""
 
 FURTHER = 5.0
-"""How many times as far as is found a bias may walk for all that its rests show: the drift that is
-meant would hide more than half of what explains it. Beside few poses so many waves take anything
-that poses differ by for drift; no walk goes to and fro like that."""
+"""How many times as far as is found a bias may walk, and a sensor lean, for all that its rests
+show: that would hide more than half of what explains the drift that is meant. Beside few poses so
+many waves take anything that poses differ by for drift; no walk goes to and fro like that."""
 
 RARE = 0.02
 """Share of recordings of nothing but noise that reach an e-value of e, times e: at most, where
@@ -185,7 +186,7 @@ def _drifting(scores: Scores, whitener: Whitener, candidates: list[Candidate]) -
     phase = np.pi * time[:, None] / max(float(time[-1]), 1e-9) * np.arange(1, SLOW_MODES + 1)
     slow = np.hstack([rows.columns(c, np.cos(phase)) for c in range(len(CHANNELS))])
     basis = range_basis(whitener.project(slow))
-    walks = np.array([c.name.endswith(" walk") for c in rows.components])
+    walks = np.array([c.name.endswith((" walk", f" {LEAN}")) for c in rows.components])
     further = np.where(walks, FURTHER**2, 1.0) * scores.base.values
     out = []
     for c in candidates:

@@ -128,7 +128,7 @@ def test_what_changes_within_rests_says_how_much_a_bias_flickers() -> None:
         residual[rows.n_dense :] = size * white
         found.append(logs_of_flicker(replace(real, residual=residual)))
     # Of a gyroscope a lean looks much the same.
-    assert (found[1] - found[0] > 0.3)[:3].all()
+    assert np.mean((found[1] - found[0])[:3]) > 0.3
     # Without a clock nobody knows what changes within rests have to do with those between them.
     unknown = replace(real, components=tuple(replace(c, spread=4.0) for c in rows.components))
     assert not drift_in_contrasts(unknown).any()
@@ -148,9 +148,7 @@ def test_a_knock_in_one_rest_does_not_say_how_a_bias_drifts_in_all() -> None:
 
 def test_where_drift_is_most_of_what_changes_within_rests_means_tell_of_it() -> None:
     drifts = np.array([9.0 * c.expected for c in slow().components])
-    contrasts = telling(drawn(slow(), drifts, np.random.default_rng(7)))
-    channel = slow().channel[slow().n_dense :]
-    assert not (channel[contrasts] >= 3).any()
+    assert not len(telling(drawn(slow(), drifts, np.random.default_rng(7))))
     plain = problem()[1].rows()
     usual = telling(drawn(plain, expected_levels(plain), np.random.default_rng(7)))
     assert len(usual) > 0.95 * (len(plain.residual) - plain.n_dense)
