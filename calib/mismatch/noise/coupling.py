@@ -97,8 +97,10 @@ def drift_in_contrasts(rows: Rows) -> FloatArray:
     if any(c.spread >= UNKNOWN for c in rows.components if c.name.endswith(" flicker")):
         return out
     for name, drift in _all_drifts(rows).items():
-        for kind, own in zip(_kinds(name), () if drift is None else drift.own, strict=False):
-            if drift is not None and kind in number:
+        if drift is None:
+            continue
+        for kind, own in zip(_kinds(name), drift.own, strict=True):
+            if kind in number:
                 out[number[kind], drift.contrast] = np.diag(own)
     return out
 
