@@ -34,8 +34,8 @@ from calib.effects import effects, get_effect
 from calib.effects.base import Effect, Term, TransformEffect
 from calib.mismatch import diagnose_recording
 from calib.mismatch.findings.heldout import held_out
+from calib.mismatch.hypotheses.factors import LARGE
 from calib.mismatch.hypotheses.families import effect_columns, shape_grid
-from calib.mismatch.hypotheses.score import LARGE
 from calib.mismatch.noise.contrast import contrast_variance
 from calib.mismatch.noise.noise import Whitener, make_whitener
 from calib.mismatch.noise.sensornoise import DRIFT_TIME

@@ -26,7 +26,8 @@ from scipy.special import logsumexp
 
 from calib.mismatch.hypotheses.candidates import Alike as Make
 from calib.mismatch.hypotheses.candidates import Sums
-from calib.mismatch.hypotheses.score import SCALES, Stack, log_shares, present_factors
+from calib.mismatch.hypotheses.factors import SCALES, log_shares, present_factors
+from calib.mismatch.hypotheses.score import Stack
 from calib.mismatch.noise.noise import expected_levels, make_whitener
 from calib.mismatch.rows.grid import make_grid
 from calib.mismatch.rows.rows import Rows

@@ -29,7 +29,7 @@ from scipy.special import logsumexp, softmax
 
 from calib.mismatch.findings.diagnosis import Interval
 from calib.mismatch.hypotheses.candidates import GAIN, Candidate
-from calib.mismatch.hypotheses.score import log_bayes_factor, log_bayes_factors
+from calib.mismatch.hypotheses.factors import log_bayes_factor, log_bayes_factors
 from calib.mismatch.hypotheses.turned import turned_parts
 from calib.mismatch.hypotheses.wander import wandering
 from calib.mismatch.hypotheses.windows import (

@@ -11,7 +11,8 @@ import numpy as np
 from calib.effects import effects, get_effect
 from calib.effects.base import PRESENCE, Effect, ShapeParameter, TransformEffect
 from calib.mismatch.hypotheses.candidates import Candidate
-from calib.mismatch.hypotheses.score import LARGE, Stack
+from calib.mismatch.hypotheses.factors import LARGE
+from calib.mismatch.hypotheses.score import Stack
 from calib.mismatch.rows.onset import Onset
 from calib.mismatch.rows.resolved import are_resolved
 from calib.mismatch.rows.restored import whole_changes

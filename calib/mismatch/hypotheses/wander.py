@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.mismatch.hypotheses.score import SCALES, average_of_scales
+from calib.mismatch.hypotheses.factors import SCALES, average_of_scales
 from calib.types import FloatArray, IntArray
 
 

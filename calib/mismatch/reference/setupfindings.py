@@ -8,8 +8,8 @@ from calib.calibration import Quantity
 from calib.effects import get_effect
 from calib.mismatch.findings.diagnosis import Finding
 from calib.mismatch.findings.heldout import HeldOut, held_out
+from calib.mismatch.hypotheses.factors import SCALES, SHARES
 from calib.mismatch.hypotheses.families import PHYSICAL, tried_effects
-from calib.mismatch.hypotheses.score import SCALES, SHARES
 from calib.mismatch.reference.comparison import ComparisonProblem
 from calib.mismatch.search.estimate import Estimate
 from calib.mismatch.search.ranking import CLAIM, chance

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.mismatch.hypotheses.score import LARGE, SCALES
+from calib.mismatch.hypotheses.factors import LARGE, SCALES
 from calib.mismatch.noise.noise import make_whitener
 from calib.mismatch.rows.rows import Rows
 from calib.mismatch.search.accepted import Accepted, fitted

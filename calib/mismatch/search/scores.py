@@ -13,7 +13,8 @@ import numpy as np
 from calib.mismatch.hypotheses.answers import evidence_near, nearby, physics, strongest_rivals
 from calib.mismatch.hypotheses.bound import TOGETHER, factors_that_count
 from calib.mismatch.hypotheses.candidates import Candidate
-from calib.mismatch.hypotheses.score import Stack, log_bayes_factor
+from calib.mismatch.hypotheses.factors import log_bayes_factor
+from calib.mismatch.hypotheses.score import Stack
 from calib.mismatch.noise.contrast import contrast_likelihood
 from calib.mismatch.noise.noise import (
     Levels,

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from calib.mismatch.hypotheses.candidates import Bank, Candidate, narrowed
-from calib.mismatch.hypotheses.score import Stack, log_bayes_factor, log_bayes_factors
+from calib.mismatch.hypotheses.factors import log_bayes_factor, log_bayes_factors
+from calib.mismatch.hypotheses.score import Stack
 from calib.mismatch.noise.contrast import contrast_variance
 from calib.mismatch.noise.noise import expected_levels, make_whitener
 from calib.mismatch.search.accepted import fitted

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.mismatch.hypotheses.score import log_bayes_factor
+from calib.mismatch.hypotheses.factors import log_bayes_factor
 from calib.mismatch.hypotheses.wander import wandering
 
 

@@ -7,7 +7,8 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from calib.mismatch.hypotheses.candidates import Candidate
-from calib.mismatch.hypotheses.score import SCALES, SHARES, Stack, log_shares
+from calib.mismatch.hypotheses.factors import SCALES, SHARES, log_shares
+from calib.mismatch.hypotheses.score import Stack
 from calib.mismatch.noise.contrast import contrast_likelihood, contrast_variance
 from calib.mismatch.noise.coupling import drift_in_contrasts
 from calib.mismatch.noise.noise import (

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from calib.mismatch.hypotheses.score import SCALES, SHARES
+from calib.mismatch.hypotheses.factors import SCALES, SHARES
 from calib.mismatch.reference.setupfindings import bayes_factor
 
 

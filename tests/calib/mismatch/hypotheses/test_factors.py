@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calib.mismatch.hypotheses.score import (
+from calib.mismatch.hypotheses.factors import (
     ALL_AT_ONCE,
     SCALES,
     SHARES,
