@@ -24,6 +24,9 @@ GAIN_IN_TIME = "gain in time"
 
 GAINS = (GAIN, GAIN_IN_TIME)
 
+FLUCTUATING = "fluctuation in a window"
+"""What jumps about, or swings; on three axes each may do so by itself, or have its share of one."""
+
 MANY = 256
 """Candidates that are mixed at a time: what they make of columns stays near the processor."""
 
@@ -76,6 +79,11 @@ class Candidate:
     def is_single(self) -> bool:
         """Whether it has one coefficient."""
         return self.mixing is None and (self.summed or len(self.index) == 1)
+
+    @property
+    def may_be_shared(self) -> bool:
+        """Whether it has courses in time on three axes, which may be one that they share."""
+        return self.name == FLUCTUATING and len(self.channels) > 1
 
     @property
     def group(self) -> str:
@@ -160,6 +168,7 @@ class Bank:
         self.weight = np.log(np.array([c.weight for c in candidates]))
         self.physical = np.array([c.physical for c in candidates], bool)
         self.sought = self.physical & ~np.array([c.counted for c in candidates], bool)
+        self.shared = np.array([c.may_be_shared for c in candidates], bool)
         self.groups, self.group = _numbered(c.group for c in candidates)
         self.channels, self.channel = _numbered(c.channels for c in candidates)
         self._makes = list(_makes(self._candidates, self.group, self.channel))

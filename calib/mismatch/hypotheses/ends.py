@@ -28,8 +28,9 @@ import numpy as np
 from scipy.special import logsumexp, softmax
 
 from calib.mismatch.findings.diagnosis import Interval
-from calib.mismatch.hypotheses.candidates import GAIN, Candidate
+from calib.mismatch.hypotheses.candidates import FLUCTUATING, GAIN, Candidate
 from calib.mismatch.hypotheses.factors import log_bayes_factor, log_bayes_factors
+from calib.mismatch.hypotheses.shared import likely_share
 from calib.mismatch.hypotheses.turned import turned_parts
 from calib.mismatch.hypotheses.wander import wandering
 from calib.mismatch.hypotheses.windows import (
@@ -52,6 +53,10 @@ HEAVY = 2.0 / 7.0
 """The power of the evidence for where a disturbance is [1]_. Squares, for a mean of one, have a
 variance of 2 if what disturbs is normal; of 5 if it is as often small, and large, as Laplace's law
 says, as the heights of pulses are; and of 7 if one segment in four has none besides."""
+
+STAYS = 0.25
+"""How probable it is that a gain changes for good, to that it does in a window: of `rivals`, too,
+those have four times the weight."""
 
 LASTING = (0.5, 2.0, 8.0)
 """How long what wanders keeps its value, in typical segments; or it has another in each."""
@@ -77,15 +82,16 @@ def place_window(rows: Rows, candidate: Candidate, whitener: Whitener, y: FloatA
     number = len(rows.interval)
     longest = max(number // 2, 1)
     one = len(candidate.channels) == 1
-    kinds = [] if candidate.name == "fluctuation in a window" else _retuned(candidate)
+    kinds = [] if candidate.name == FLUCTUATING else _retuned(candidate)
     kinds += [replace(candidate, name=n, shape={}) for n in _SUMS if one and n != candidate.name]
     alike = Counter(c.name for c in kinds)
     summed = [_sums(rows, c, whitener, y, longest) - np.log(alike[c.name]) for c in kinds]
-    wander = _wanders(rows, candidate, whitener, y, longest)
+    share = _share(rows, candidate, whitener, y)
+    wander = _wanders(rows, candidate, whitener, y, longest, share)
     first, last = np.nonzero(np.isfinite([*summed, wander]).any(axis=0))
     value = np.stack([*summed, wander])[:, first, last]
-    may_stay = [*map(_may_stay, kinds), False]
-    prior = np.stack([_of_place(first, last, number, stays=stays) for stays in may_stay])
+    stays = [*(STAYS * _may_stay(c) for c in kinds), 0.0]
+    prior = np.stack([_of_place(first, last, number, odds) for odds in stays])
     of_kind = softmax(logsumexp(value + prior, axis=1))
     weight = of_kind @ softmax(HEAVY * value + prior, axis=1)
     probable = weight > UNLIKELY * weight.max()
@@ -95,7 +101,7 @@ def place_window(rows: Rows, candidate: Candidate, whitener: Whitener, y: FloatA
     b = int(np.searchsorted(rows.interval[:, 1], where[1])) + 1
     best = int(np.argmax([wander[a, b], *(v[a, b] for v in summed)]))
     if not best:
-        return fluctuating(candidate, *where, segments=b - a)
+        return fluctuating(candidate, *where, segments=b - a, share=share)
     return moved_window(kinds[best - 1], *where)
 
 
@@ -130,16 +136,16 @@ def _sums(
     return out
 
 
-def _of_place(first: IntArray, last: IntArray, number: int, *, stays: bool) -> FloatArray:
+def _of_place(first: IntArray, last: IntArray, number: int, stays: float) -> FloatArray:
     """Return the logarithm of how probable windows [first, last) of so many segments are.
 
-    Every length, by its logarithm, is as likely as any other, and so is every place. What
-    ``stays``, from any moment on, is as probable as all windows that end.
+    Every length, by its logarithm, is as likely as any other, and so is every place. That it
+    stays, from any moment on, has the odds ``stays`` to all windows that end.
     """
     prior = -np.log(last - first) - np.log(number + 1.0 - (last - first))
     open_ = last == number
     if stays and open_.any() and not open_.all():
-        prior[open_] = logsumexp(prior[~open_]) - np.log(open_.sum())
+        prior[open_] = logsumexp(prior[~open_]) + np.log(stays / open_.sum())
     return np.asarray(prior)
 
 
@@ -177,21 +183,48 @@ def _place_turned(rows: Rows, candidate: Candidate, whitener: Whitener, y: Float
     some = (first > 0) & (stays | ((last - first <= number // 2) & (not candidate.shape)))
     first, last = first[some], last[some]
     value = _of_windows(parts, whitener, y, first, last)
-    weight = softmax(value + _of_place(first, last, number, stays=True))
+    weight = softmax(value + _of_place(first, last, number, 1.0))
     probable = weight > UNLIKELY * weight.max()
     where = expected_overlap(edges[first[probable]], edges[last[probable]], weight[probable])
     return moved_window(candidate, *where)
 
 
+def _share(
+    rows: Rows, candidate: Candidate, whitener: Whitener, y: FloatArray
+) -> FloatArray | None:
+    """Return the share that each axis of a triad has of one disturbance in a candidate's window.
+
+    None where each seems to have one of its own, or is alone.
+    """
+    assert candidate.interval is not None
+    if len(candidate.channels) == 1:
+        return None
+    start, stop = candidate.interval
+    inside = int(((rows.interval[:, 0] < stop) & (rows.interval[:, 1] > start)).sum())
+    own = fluctuating(candidate, start, stop, segments=inside)
+    return likely_share(whitener.project(window_columns(rows, own)), y)
+
+
 def _wanders(
-    rows: Rows, candidate: Candidate, whitener: Whitener, y: FloatArray, longest: int
+    rows: Rows,
+    candidate: Candidate,
+    whitener: Whitener,
+    y: FloatArray,
+    longest: int,
+    share: FloatArray | None,
 ) -> FloatArray:
-    """Return log B in each window [a, b) of what wanders in it, of any correlation time."""
+    """Return log B in each window [a, b) of what wanders in it, of any correlation time.
+
+    On every axis in a way of its own, but for what they have a ``share`` of.
+    """
     typical = float(np.median(np.ptp(rows.interval, axis=1)))
+    many = len(candidate.channels) > 1 and share is None
     found = []
-    for coarse, lasting in ((len(candidate.channels) > 1, LASTING), (True, (AT_ONCE,))):
+    for coarse, lasting in ((many, LASTING), (True, (AT_ONCE,))):
         slots = make_slots(rows, coarse=coarse)
         parts = slot_columns(rows, slots, candidate.channels)
+        if share is not None:
+            parts = (parts @ share)[:, :, None]
         m, n, c = parts.shape
         white = whitener.project(parts.reshape(m, -1))
         gram, match = (white.T @ white).reshape(n, c, n, c), (y @ white).reshape(n, c)

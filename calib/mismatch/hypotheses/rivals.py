@@ -15,7 +15,14 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from calib.effects import effects
-from calib.mismatch.hypotheses.candidates import GAIN, GAIN_IN_TIME, GAINS, Bank, Candidate
+from calib.mismatch.hypotheses.candidates import (
+    FLUCTUATING,
+    GAIN,
+    GAIN_IN_TIME,
+    GAINS,
+    Bank,
+    Candidate,
+)
 from calib.mismatch.hypotheses.followed import (
     OWN_RIPPLES,
     RIPPLES,
@@ -61,7 +68,7 @@ _KINDS = {
     "bias in a window": 0.15,
     GAIN: 0.08,
     GAIN_IN_TIME: 0.02,
-    "fluctuation in a window": 0.16,
+    FLUCTUATING: 0.16,
     "wave in a window": 0.12,
     THROUGHOUT: 0.03,
     "time": 0.02,
@@ -82,7 +89,7 @@ catalogue, or is drift: only odd shapes are left."""
 _OF_TRIADS = {
     "bias in a window": 0.02,
     GAIN: 0.02,
-    "fluctuation in a window": 0.05,
+    FLUCTUATING: 0.05,
     TURNED: 0.02,
     FROM_START: 0.015,
 }

@@ -14,6 +14,7 @@ from calib.mismatch.hypotheses.factors import (
     present_factors,
     single_factors,
 )
+from calib.mismatch.hypotheses.shared import with_shared
 from calib.mismatch.noise.noise import Whitener
 from calib.types import BoolArray, FloatArray, IntArray
 
@@ -89,6 +90,11 @@ class Stack:
         return np.concatenate([bank.sought for bank in self.banks])
 
     @property
+    def shared(self) -> BoolArray:
+        """Which have a course in time on each axis of a triad, which may be one that they share."""
+        return np.concatenate([bank.shared for bank in self.banks])
+
+    @property
     def weight(self) -> FloatArray:
         """Logarithm of the prior probability of each candidate."""
         return np.concatenate([bank.weight for bank in self.banks])
@@ -146,7 +152,7 @@ class Stack:
         # By the number of coefficients, many at once: a few cost as much in calls as in numbers.
         plain: dict[int, list[tuple[IntArray, IntArray, BoolArray]]] = {}
         joint: dict[int, list[tuple[IntArray, FloatArray, FloatArray]]] = {}
-        sought = self.sought
+        sought, shared = self.sought, self.shared
         for at, make in makes:
             own, columns = at + make.which, place[make.columns]
             if isinstance(make, Alike) and make.mixing is None:
@@ -169,6 +175,8 @@ class Stack:
         for mixed in joint.values():
             own, inner, along = map(np.concatenate, zip(*mixed, strict=True))
             out[own] = log_bayes_factors(inner, along, sought[own])
+            if (mine := shared[own]).any():
+                out[own[mine]] = with_shared(out[own[mine]], inner[mine], along[mine])
         return out
 
 

@@ -13,7 +13,7 @@ from scipy import sparse
 
 from calib.effects import effects
 from calib.effects.base import State
-from calib.mismatch.hypotheses.candidates import GAIN, GAIN_IN_TIME, Candidate
+from calib.mismatch.hypotheses.candidates import FLUCTUATING, GAIN, GAIN_IN_TIME, Candidate
 from calib.mismatch.rows.rows import Rows
 from calib.recording import CHANNELS
 from calib.types import FloatArray, IntArray
@@ -27,7 +27,7 @@ TURNED = "turned axes in a window"
 WINDOWED = (
     "bias in a window",
     GAIN,
-    "fluctuation in a window",
+    FLUCTUATING,
     "wave in a window",
     TURNED,
 )
@@ -56,6 +56,9 @@ turn makes anew."""
 
 MIDDLE = {6.0: (1, 16)}
 """The same for what a triad has, where three times the columns make every hypothesis dear."""
+
+SHARE = ("x", "y", "z")
+"""What a shape has of each axis of a triad where these share one disturbance."""
 
 MOST_ORDERS = 64
 """Cosines that a moved window has at most, twice as many as on the grid: a window that comes to
@@ -157,12 +160,12 @@ def in_windows(
             yield Local(GAIN, (a, b), (start, stop), dict(RAMP), ramp)
         if FLUCTUATION <= b - a <= MOST_APART:
             own = np.repeat(np.eye(b - a), np.diff(first[a : b + 1]), axis=0)
-            yield Local("fluctuation in a window", (a, b), (start, stop), dict(APART), own)
+            yield Local(FLUCTUATING, (a, b), (start, stop), dict(APART), own)
         if b - a >= FLUCTUATION:
             for corner, (each, most) in corners.items():
                 shape = {"order": float(min(each * (b - a), most)), "corner": corner}
                 mixing = function_of_time(shape, time, start, stop)
-                yield Local("fluctuation in a window", (a, b), (start, stop), shape, mixing)
+                yield Local(FLUCTUATING, (a, b), (start, stop), shape, mixing)
         if waves and b - a >= WAVES:
             cycles = np.arange(0.5, (b - a) / SHORTEST_WAVE + 0.25, 0.5)
             for shape, mixing in _waves(cycles, time, start, stop):
@@ -249,10 +252,13 @@ def window_columns(rows: Rows, candidate: Candidate) -> FloatArray:
 def carried(state: State, candidate: Candidate) -> list[list[tuple[int, FloatArray]]]:
     """Return what functions of time multiply: of each size, the channels and signals (n,).
 
-    The channels of a triad have a size each; but its gain, that of its reference, is one, and what
-    turns it about one axis shows on the other two.
+    The channels of a triad have a size each, but for what they share; its gain, that of its
+    reference, is one, and what turns it about one axis shows on the other two.
     """
     channels = [CHANNELS.index(c) for c in candidate.channels]
+    if SHARE[0] in candidate.shape:
+        each = [candidate.shape[axis] for axis in SHARE]
+        return [[(c, np.full(len(state.time), k)) for c, k in zip(channels, each, strict=True)]]
     if candidate.name == GAIN:
         return [[(c, own_signal(state, c)) for c in channels]]
     if candidate.name == TURNED:
@@ -264,12 +270,24 @@ def carried(state: State, candidate: Candidate) -> list[list[tuple[int, FloatArr
     return [[(c, np.ones(len(state.time)))] for c in channels]
 
 
-def fluctuating(candidate: Candidate, start: float, stop: float, *, segments: int) -> Candidate:
-    """Return a fluctuation in a window of so many segments, on a candidate's channels."""
-    corners = CORNERS if len(candidate.channels) == 1 else MIDDLE
-    corner, (each, most) = list(corners.items())[-1]
+def fluctuating(
+    candidate: Candidate,
+    start: float,
+    stop: float,
+    *,
+    segments: int,
+    share: FloatArray | None = None,
+) -> Candidate:
+    """Return a fluctuation in a window of so many segments, on a candidate's channels.
+
+    They have one each, or a ``share`` of one.
+    """
+    one = len(candidate.channels) == 1 or share is not None
+    corner, (each, most) = list((CORNERS if one else MIDDLE).items())[-1]
     shape = {"order": float(max(min(each * segments, most), 2)), "corner": corner}
-    return replace(candidate, name="fluctuation in a window", interval=(start, stop), shape=shape)
+    if share is not None:
+        shape |= dict(zip(SHARE, share.tolist(), strict=True))
+    return replace(candidate, name=FLUCTUATING, interval=(start, stop), shape=shape)
 
 
 def slot_columns(rows: Rows, slots: Slots, channels: tuple[str, ...]) -> FloatArray:

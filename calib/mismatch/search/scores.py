@@ -15,6 +15,7 @@ from calib.mismatch.hypotheses.bound import TOGETHER, factors_that_count
 from calib.mismatch.hypotheses.candidates import Candidate
 from calib.mismatch.hypotheses.factors import log_bayes_factor
 from calib.mismatch.hypotheses.score import Stack
+from calib.mismatch.hypotheses.shared import likely_course
 from calib.mismatch.noise.contrast import contrast_likelihood
 from calib.mismatch.noise.noise import (
     Levels,
@@ -153,9 +154,11 @@ class Scores:
         own = stack.of(leader)
         if len(moved):
             whitener = self.whitener(base.values, self.contrast)
-            factors = moved.log_bayes_factors(whitener, whitener.project(rows.residual))
-            here = moved[int(np.argmax(factors))]
+            y = whitener.project(rows.residual)
+            here = moved[int(np.argmax(moved.log_bayes_factors(whitener, y)))]
             own = moved.of(here)
+            if here.may_be_shared:
+                own = likely_course(own, whitener.project(own), y)
         with_own = np.hstack((self.mean, own))
         start = _swap(rows, base.values, every.values, leader.channels)
         found = estimate_levels(rows, with_own, start)
