@@ -18,7 +18,7 @@ import sys
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -28,6 +28,7 @@ from calib.mismatch.hypotheses.candidates import Alike as Make
 from calib.mismatch.hypotheses.candidates import Sums
 from calib.mismatch.hypotheses.factors import SCALES, log_shares, present_factors
 from calib.mismatch.hypotheses.score import Stack
+from calib.mismatch.hypotheses.shared import DIRECTIONS, one_course
 from calib.mismatch.noise.noise import expected_levels, make_whitener
 from calib.mismatch.rows.grid import make_grid
 from calib.mismatch.rows.rows import Rows
@@ -93,10 +94,10 @@ def e_values(
         out[some] = parts.sum(axis=0)
         alike[some] = np.take_along_axis(shared @ parts, parts.argmax(axis=0)[None], axis=0)[0]
         if not first:
-            # All draws at once are a sum of their own: the first is scored by the engine as well.
-            engine = stack.log_bayes_factors(whitener, y[:, 0])
-            weight = stack.weight
-            assert np.isclose(np.log(out[0]), logsumexp(engine + weight), atol=1e-6)
+            # All draws at once are a sum of their own: the first is scored by the engine as well,
+            # which tries shares in the best windows only.
+            engine = np.exp(logsumexp(stack.log_bayes_factors(whitener, y[:, 0]) + stack.weight))
+            assert 0.98 * out[0] < engine < (1 + 1e-6) * out[0]
     return np.log(out), np.log(alike)
 
 
@@ -161,7 +162,16 @@ def hypotheses(stack: Stack, gram: np.ndarray) -> Iterator[Alike]:
                     rivals = np.zeros(len(power), bool)
                     yield Alike(channels, weight, power, make.columns, make.pick, False, rivals)
                 else:
-                    yield from _directions(make, channels, weight, gram, bank.sought[make.which])
+                    sought = bank.sought[make.which]
+                    if not bank.shared[make.which].any():
+                        yield from _directions(make, channels, weight, gram, sought)
+                        continue
+                    # A course on each axis, or one that they share: both as likely.
+                    yield from _directions(make, channels, weight / 2, gram, sought)
+                    weight = weight / 2 / len(DIRECTIONS)
+                    for share in DIRECTIONS:
+                        one = replace(make, mixing=one_course(make.mixing, share))
+                        yield from _directions(one, channels, weight, gram, sought)
 
 
 def _directions(

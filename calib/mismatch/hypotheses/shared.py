@@ -67,7 +67,10 @@ def likely_share(white: FloatArray, y: FloatArray) -> FloatArray | None:
 def likely_course(columns: FloatArray, white: FloatArray, y: FloatArray) -> FloatArray:
     """Return the (m, k) columns of one course where that is more probable, else all (m, 3 k)."""
     share = likely_share(white, y)
-    if share is None:
-        return columns
-    m = len(columns)
-    return np.asarray(np.einsum("a,mak->mk", share, columns.reshape(m, len(share), -1)))
+    return columns if share is None else one_course(columns, share)
+
+
+def one_course(columns: FloatArray, share: FloatArray) -> FloatArray:
+    """Return the (..., k) columns of one course, from (..., 3 k) of one on each axis."""
+    axes = columns.reshape(*columns.shape[:-1], len(share), -1)
+    return np.asarray(np.einsum("a,...ak->...k", share, axes))
