@@ -19,9 +19,6 @@ _SIGNS = [d for d in product((-1, 0, 1), repeat=3) if d > (0, 0, 0) and d.count(
 DIRECTIONS = np.array(_SIGNS) / np.linalg.norm(_SIGNS, axis=1, keepdims=True)
 """Shares that three axes may have, unit vectors up to their sign. One axis alone is a channel."""
 
-TRIED = 16
-"""Hypotheses, the best of those with a course on each axis, that are tried with one."""
-
 
 def with_shared(factors: FloatArray, gram: FloatArray, match: FloatArray) -> FloatArray:
     """Return log B where each axis may have a course of its own, or a share of one: both as likely.
@@ -33,12 +30,9 @@ def with_shared(factors: FloatArray, gram: FloatArray, match: FloatArray) -> Flo
     gram, match : (n, 3 k, 3 k) and (n, 3 k) arrays
         As `log_bayes_factors` takes them, the k columns of one axis after those of the other.
     """
-    out = factors - np.log(2.0)
-    best = np.argsort(-factors, kind="stable")[:TRIED]
-    shared = factors_of_shares(gram[best], match[best])
-    both = np.asarray(logsumexp(shared, axis=1)) - np.log(shared.shape[1])
-    out[best] = np.logaddexp(factors[best], both) - np.log(2.0)
-    return np.asarray(out)
+    each = factors_of_shares(gram, match)
+    shared = np.logaddexp.reduce(each, axis=1) - np.log(each.shape[1])
+    return np.asarray(np.logaddexp(factors, shared) - np.log(2.0))
 
 
 def factors_of_shares(gram: FloatArray, match: FloatArray) -> FloatArray:

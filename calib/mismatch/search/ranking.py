@@ -21,15 +21,15 @@ from calib.mismatch.search.scores import Hidden, Scores
 from calib.recording import CHANNELS
 from calib.types import FloatArray
 
-CLAIM = 3.0
+CLAIM = 2.5
 """E-value at which something is claimed to be left. Markov's inequality bounds the share of clean
-recordings that reach it by a third, but only evidence that is all or nothing attains that: of
-normal errors under as many looks as here, ``benchmarks/evidence.py`` counts 1 in 220."""
+recordings that reach it by 40 %, but only evidence that is all or nothing attains that: of
+normal errors under as many looks as here, ``benchmarks/evidence.py`` counts 1 in 260."""
 
-DRIFTING = 1 / 12
+DRIFTING = 1 / 14
 """What evidence counts where a drift can mimic it and rests alone show that: it stands or falls
 with the slow end of the noise, of which a recording's rests show a few modes only. So it has to
-reach 36 times what is as likely as not. Beside a truth every moment shows it."""
+reach 35 times what is as likely as not. Beside a truth every moment shows it."""
 
 COUNTS = 0.05
 """E-value from which a group counts in what is left altogether."""

@@ -6,6 +6,7 @@ import pytest
 from calib.mismatch.hypotheses.candidates import Bank, Candidate, narrowed
 from calib.mismatch.hypotheses.factors import log_bayes_factor, log_bayes_factors
 from calib.mismatch.hypotheses.score import Stack
+from calib.mismatch.hypotheses.shared import with_shared
 from calib.mismatch.noise.contrast import contrast_variance
 from calib.mismatch.noise.noise import expected_levels, make_whitener
 from calib.mismatch.search.accepted import fitted
@@ -32,6 +33,8 @@ def test_every_make_of_candidate_has_the_evidence_of_its_columns():
             alone = log_bayes_factors(
                 gram[None], match[None], np.array([c.physical and not c.counted])
             )[0]
+            if c.may_be_shared:
+                alone = with_shared(np.array([alone]), gram[None], match[None])[0]
             assert found[i] == pytest.approx(alone, rel=1e-6, abs=1e-6), make
     assert len(seen) > 60
     assert not {"accel_quadratic", "time"} & {name for name, *_ in seen}
