@@ -34,6 +34,7 @@ from calib.mismatch.hypotheses.shared import likely_share
 from calib.mismatch.hypotheses.turned import turned_parts
 from calib.mismatch.hypotheses.wander import wandering
 from calib.mismatch.hypotheses.windows import (
+    FLUCTUATION,
     TURNED,
     fluctuating,
     make_slots,
@@ -215,7 +216,8 @@ def _wanders(
 ) -> FloatArray:
     """Return log B in each window [a, b) of what wanders in it, of any correlation time.
 
-    On every axis in a way of its own, but for what they have a ``share`` of.
+    On every axis in a way of its own, but for what they have a ``share`` of. Of fewer segments than
+    any fluctuation is tried in, nobody could say that it does.
     """
     typical = float(np.median(np.ptp(rows.interval, axis=1)))
     many = len(candidate.channels) > 1 and share is None
@@ -234,7 +236,9 @@ def _wanders(
             )
             for k in lasting
         ]
-    return np.asarray(np.logaddexp.reduce(found) - np.log(len(found)))
+    value = np.logaddexp.reduce(found) - np.log(len(found))
+    first, last = np.indices(value.shape)
+    return np.where(last - first < min(FLUCTUATION, longest), -np.inf, value)
 
 
 def tune_wave(

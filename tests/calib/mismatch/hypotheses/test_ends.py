@@ -112,6 +112,34 @@ def test_pulses_are_placed_with_those_that_hardly_show():
     assert min(overlaps) > 0.42
 
 
+def test_pulses_that_two_axes_share_are_one_disturbance():
+    """They are placed with one course, of which each axis has its share."""
+    _, made = problem()
+    rows = made.rows()
+    stack = make_stack(rows, skip=(), reference=False)
+    start, stop = float(rows.interval[8, 0]), float(rows.interval[20, 1])
+    whitener = make_whitener(rows, expected_levels(rows), rows.white_diagonal, fitted(rows, []))
+    own = [c for c in stack if c.may_be_shared and c.channels[0] == "gyro.x"]
+    found = max(own, key=lambda c: overlap(c.interval or (0.0, 0.0), (start, stop)))
+    step = next(c for c in stack if c.name == "bias in a window" and c.channels == found.channels)
+    parts = segment_columns(rows, step)[:, 8:21] @ np.array([1.0, 0.0, -0.6])
+    overlaps, shares = [], []
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        true = whitener.project(parts @ (rng.laplace(size=13) * (rng.random(13) < 0.75)))
+        noise = rng.normal(size=len(true))
+        noise -= whitener.basis @ (whitener.basis.T @ noise)
+        placed = place_window(rows, found, whitener, 12.0 * true / np.linalg.norm(true) + noise)
+        assert placed.interval is not None
+        overlaps.append(overlap(placed.interval, (start, stop)))
+        shares.append([placed.shape.get(axis, 0.0) for axis in "xyz"])
+        columns = window_columns(rows, placed)
+        assert columns.shape[1] == placed.shape["order"] * (1 if "x" in placed.shape else 3)
+    assert np.mean(overlaps) > 0.7
+    right = np.abs(shares) @ np.array([1.0, 0.0, 1.0]) > 1.4
+    assert np.mean(right) >= 0.7
+
+
 def test_a_short_bias_keeps_its_window():
     _, made = problem()
     rows = made.rows()
