@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import linalg
 
-from calib.mismatch.noise.contrast import telling, typical
+from calib.mismatch.noise.contrast import MOSTLY_WHITE, telling, typical
 from calib.mismatch.noise.coupling import Foretold, drift_in_contrasts, foretold
 from calib.mismatch.noise.sensornoise import LEAN
 from calib.mismatch.rows.arrow import Factor, times_inverse
@@ -45,6 +45,9 @@ CLEAR = 0.1
 
 NEAR = 0.02
 """What the log-likelihood may be short of its maximum: evidence counts in nats."""
+
+ITERATIONS = 15
+"""Levels that are tried on the way to a maximum, at most."""
 
 STRAINED = 4.0
 """How far levels must be from what is expected of them, in nats of the prior, for another maximum
@@ -101,9 +104,7 @@ def prior_precision(rows: Rows) -> FloatArray:
     return np.asarray(np.linalg.inv(shared + np.diag(own)))
 
 
-def estimate_levels(
-    rows: Rows, mean: FloatArray, start: FloatArray, *, iterations: int = 15
-) -> Levels:
+def estimate_levels(rows: Rows, mean: FloatArray, start: FloatArray) -> Levels:
     """Estimate the levels by penalised average-information REML.
 
     Parameters
@@ -114,14 +115,18 @@ def estimate_levels(
     start : (c,) array
         Levels to start from.
     """
+    return _climbed(rows, range_basis(mean[rows_of_levels(rows)]), start)
+
+
+def _climbed(rows: Rows, basis: FloatArray, start: FloatArray) -> Levels:
+    """Return the levels at the maximum above some, ``basis`` being that of the mean."""
     centre = np.log(expected_levels(rows))
     precision = prior_precision(rows)
-    told = rows_of_levels(rows)
-    basis, y = range_basis(mean[told]), rows.residual[told]
+    y = rows.residual[rows_of_levels(rows)]
     logs = np.log(start)
     best: tuple[float, FloatArray] | None = None
     halved, caution, log_share, gain = 0, 0.1, 0.0, np.inf
-    for _ in range(iterations):
+    for _ in range(ITERATIONS):
         levels = np.exp(logs)
         weighing = Weighing.of(rows, levels)
         likelihood, white, left = _restricted(weighing, basis, y)
@@ -144,6 +149,11 @@ def estimate_levels(
         gradient = 0.5 * (vpy.T @ py - trace) - precision @ (logs - centre)
         information = _information(weighing, white, vpy) + precision
         log_share = -0.5 * float(np.linalg.slogdet(np.linalg.solve(precision, information))[1])
+        step = np.linalg.solve(information, gradient)
+        if (more := 0.5 * float(gradient @ step)) < NEAR:
+            # The last step leads where the information says, and gains what it says.
+            best = (value + more, logs + step)
+            break
         # Average information is poor far from the optimum; near it, caution only costs steps.
         information += np.diag(caution * np.abs(trace))
         caution *= 0.3
@@ -281,12 +291,32 @@ def find_levels(rows: Rows, mean: FloatArray, start: FloatArray) -> Levels:
     The likelihood has two maxima where turns close badly (shocks, a coarse clock): closures with
     errors of their own, or drift that is far too large for the rests. From levels that expect good
     closures only the second is reached. Where white noise is most of what closures err, there is
-    one. And a sensor that leans in its rests looks like one with far too much drift.
+    one; what the mean explains is no error. And a sensor that leans in its rests looks like one
+    with far too much drift.
     """
-    above = expected_levels(rows)
-    square = np.square(rows.residual[: rows.n_dense])
-    white = np.diag(rows.white)
-    worst = 0.0
+    basis = range_basis(mean[rows_of_levels(rows)])
+    found = [_climbed(rows, basis, start)]
+    above, worst = _of_closures(rows, rows.residual[: rows.n_dense])
+    if worst > MOSTLY_WHITE:
+        # What is fitted takes its share of white noise, too.
+        share = max(1.0 - basis.shape[1] / rows.n_dense, 0.0)
+        if _of_closures(rows, _left(rows, basis, found[0].values))[1] > MOSTLY_WHITE * share:
+            found.append(_climbed(rows, basis, above))
+    best = max(found, key=lambda levels: levels.log_likelihood)
+    if _penalty(rows, best.values) > STRAINED:
+        leaning = expected_levels(rows)
+        leaning[[c.group == LEAN for c in rows.components]] *= LEANS
+        best = max(best, _climbed(rows, basis, leaning), key=lambda levels: levels.log_likelihood)
+    return best
+
+
+def _of_closures(rows: Rows, left: FloatArray) -> tuple[FloatArray, float]:
+    """Return levels at which closures err by themselves alone, and how badly the worst do.
+
+    They err by ``left``, (n_dense,), and that is relative to white noise.
+    """
+    above, worst = expected_levels(rows), 0.0
+    square, white = np.square(left), np.diag(rows.white)
     for i, component in enumerate(rows.components):
         if component.group or component.spread < UNKNOWN:
             continue  # of these more is known beforehand
@@ -296,15 +326,16 @@ def find_levels(rows: Rows, mean: FloatArray, start: FloatArray) -> Levels:
             index = component.index[own]
             above[i] = max(above[i], typical(square[index] / size[own]))
             worst = max(worst, typical(square[index] / white[index]))
-    alone = worst < 2.0 or np.array_equal(start, above)
-    found = [estimate_levels(rows, mean, at) for at in ([start] if alone else [start, above])]
-    best = max(found, key=lambda levels: levels.log_likelihood)
-    if _penalty(rows, best.values) > STRAINED:
-        leaning = expected_levels(rows)
-        leaning[[c.group == LEAN for c in rows.components]] *= LEANS
-        other = estimate_levels(rows, mean, leaning)
-        best = max(best, other, key=lambda levels: levels.log_likelihood)
-    return best
+    return above, worst
+
+
+def _left(rows: Rows, basis: FloatArray, levels: FloatArray) -> FloatArray:
+    """Return what the mean leaves of the dense rows, noise being of these levels: ``V P y``."""
+    weighing = Weighing.of(rows, levels)
+    _, white, left = _restricted(weighing, basis, rows.residual[rows_of_levels(rows)])
+    py, _, vpy = weighing.slopes(rows, white, left)
+    dense = rows.n_dense
+    return np.asarray(rows.white @ py[:dense] + vpy[:dense] @ levels)
 
 
 def range_basis(mean: FloatArray, *, tolerance: float = 1e-9) -> FloatArray:

@@ -8,6 +8,7 @@ from scipy.stats import multivariate_normal
 
 from calib.mismatch.hypotheses.candidates import Candidate
 from calib.mismatch.hypotheses.score import SCALES, SHARES, Stack, log_shares
+from calib.mismatch.noise import noise
 from calib.mismatch.noise.contrast import contrast_likelihood, contrast_variance
 from calib.mismatch.noise.coupling import drift_in_contrasts
 from calib.mismatch.noise.noise import (
@@ -27,7 +28,7 @@ from calib.mismatch.noise.noise import (
     spread_of_variance,
 )
 from calib.mismatch.noise.sensornoise import LEAN, shrunk
-from calib.mismatch.rows.rows import Component
+from calib.mismatch.rows.rows import Component, Kind
 
 from ..bench import drawn, problem
 
@@ -86,6 +87,34 @@ def test_the_maximum_is_reached_to_what_evidence_needs():
         > level_likelihood(rows, range_basis(mean[rows_of_levels(rows)]), start) + 1.0
     )
     assert closer.log_likelihood - NEAR < found.log_likelihood <= closer.log_likelihood
+    # A last step is taken without a look at where it leads: what it promises is there.
+    there = level_likelihood(rows, range_basis(mean[rows_of_levels(rows)]), closer.values)
+    assert closer.log_likelihood == pytest.approx(there, abs=0.1 * NEAR)
+
+
+def test_closures_that_the_mean_explains_need_no_start_of_their_own(monkeypatch):
+    """What an effect leaves of turns is no noise of theirs, once the effect is in the mean."""
+    _, self_mode = problem()
+    rows = self_mode.rows()
+    rows = drawn(rows, expected_levels(rows), np.random.default_rng(3))
+    effect = np.where(rows.kind >= Kind.ATTITUDE, 1.0, 0.0)
+    effect[: rows.n_dense] *= np.sqrt(np.diag(rows.white))
+    bad = rows.with_residual(rows.residual + 30.0 * effect)
+    plain = np.hstack((rows.baseline, rows.nuisance))
+    climbs, climbed = [], noise._climbed
+
+    def counted(rows, basis, start):
+        climbs.append(start)
+        return climbed(rows, basis, start)
+
+    monkeypatch.setattr(noise, "_climbed", counted)
+    find_levels(bad, plain, expected_levels(rows))
+    assert len(climbs) > 1
+    climbs.clear()
+    beside = find_levels(bad, np.column_stack((plain, effect)), expected_levels(rows))
+    assert len(climbs) == 1
+    known = find_levels(rows, np.column_stack((plain, effect)), expected_levels(rows))
+    assert beside.log_likelihood == pytest.approx(known.log_likelihood, abs=NEAR)
 
 
 def test_the_likelihood_of_levels_is_that_of_all_rows_and_so_is_its_slope():
