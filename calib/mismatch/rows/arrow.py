@@ -216,8 +216,8 @@ class Arrow:
             blocks.append(Known(block.rows, lower, inverse, told, block.responses, block.response))
             if block.response.nnz:
                 far -= np.swapaxes(told, 1, 2) @ told
-                for response, left in zip(block.responses, far, strict=True):
-                    last += response @ (response @ left).T
+                felt = [r @ left for r, left in zip(block.responses, far, strict=True)]
+                last += block.response @ np.concatenate(felt, axis=1).T
         self.alone.add_to(last, levels)
         lower = _factor(last)
         return Factor(tuple(blocks), self.border, lower, _inverse(lower))

@@ -322,6 +322,37 @@ def test_columns_that_noise_makes_alike_have_a_likelihood():
     assert likelihood == pytest.approx(-0.5 * (2 * np.log(1e-10) + 4.0))
 
 
+@pytest.mark.parametrize("size", [0.0, 1.0, 1e9])
+def test_what_the_mean_leaves_is_found_however_much_it_takes(size):
+    _, self_mode = problem()
+    rows = self_mode.rows()
+    levels = expected_levels(rows)
+    basis = range_basis(np.hstack((rows.baseline, rows.nuisance))[rows_of_levels(rows)])
+    rng = np.random.default_rng(6)
+    weighing = Weighing.of(rows, levels)
+    white = weighing.solve(basis)
+    y = rng.normal(size=len(basis)) * 1e-4
+    most = size * np.abs(weighing.solve(y)).max() / np.abs(white).max()
+    likelihood, mean, left = _restricted(weighing, basis, y + most * basis.sum(axis=1))
+    expected = weighing.solve(y)
+    expected -= white @ np.linalg.lstsq(white, expected, rcond=None)[0]
+    np.testing.assert_allclose(left, expected, atol=1e-6 * np.linalg.norm(expected))
+    assert np.abs(mean.T @ left).max() < 1e-6 * np.linalg.norm(expected)
+    plain = _restricted(weighing, basis, y)[0]
+    assert likelihood == pytest.approx(plain, rel=1e-6)
+
+
+def test_no_residual_has_a_likelihood():
+    _, self_mode = problem()
+    rows = self_mode.rows()
+    basis = range_basis(np.hstack((rows.baseline, rows.nuisance))[rows_of_levels(rows)])
+    weighing = Weighing.of(rows, expected_levels(rows))
+    likelihood, _, left = _restricted(weighing, basis, np.zeros(len(basis)))
+    _, log_det = np.linalg.slogdet(weighing.solve(basis).T @ weighing.solve(basis))
+    assert likelihood == pytest.approx(-0.5 * (weighing.log_det + log_det))
+    assert not left.any()
+
+
 def test_a_walk_is_told_less_by_flicker_than_flicker_of_another_axis():
     """Where an Allan plot begins to rise differs between parts by a factor of ten in time."""
     rows = problem()[1].rows()
