@@ -75,7 +75,6 @@ class Bandwidth(TransformEffect):
         order = int(shape.get("order", 1))
         both = shape.get("both_cutoff")
         out: dict[str, Column] = {}
-        of_both: Column = {}
         for triad, x, slopes in (
             ("accel", state.force, state.force_dot),
             ("gyro", state.rate, state.rate_slope),
@@ -84,10 +83,16 @@ class Bandwidth(TransformEffect):
             if cutoff is not None:
                 late = low_pass(state.time, x, cutoff, order=order, slopes=slopes)
                 out[triad] = triad_column(triad, late - x)
-            if both is not None:
-                prompt = prompt_low_pass(state.time, x, both, order=order, slopes=slopes)
-                of_both = {**of_both, **triad_column(triad, prompt - x)}
-        return {**out, "both": of_both} if of_both else out
+        if both is not None:
+            # All axes at once: they have their splines at the same times.
+            x = np.hstack((state.force, state.rate))
+            slopes = np.hstack((state.force_dot, state.rate_slope))
+            change = prompt_low_pass(state.time, x, both, order=order, slopes=slopes) - x
+            out["both"] = {
+                **triad_column("accel", change[:, :3]),
+                **triad_column("gyro", change[:, 3:]),
+            }
+        return out
 
     def transform(
         self, time: FloatArray, signals: Signals, parameters: Mapping[str, float]

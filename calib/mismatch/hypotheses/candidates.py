@@ -139,7 +139,7 @@ class Alike:
 
 @dataclass(frozen=True, eq=False)
 class Sums:
-    """Candidates ``which`` of one column: the sum of those that ``pick``, sparse (n, u), marks."""
+    """Candidates ``which`` of one column: sums of columns, weighed by ``pick``, sparse (n, u)."""
 
     which: IntArray
     columns: IntArray
@@ -227,8 +227,9 @@ def _makes(
     for i, c in enumerate(candidates):
         if c.summed or c.mixing is not None:
             same = joint.setdefault((int(channel[i]), c.name in GAINS), {})
-            size = () if c.mixing is None else c.mixing.shape
-            same.setdefault((int(group[i]), *size), []).append(i)
+            single = (mixing := c.mixing) is None or mixing.shape[1] == 1
+            size = () if mixing is None or single else (int(group[i]), *mixing.shape)
+            same.setdefault(size, []).append(i)
         else:
             alike.setdefault((len(c.index),), []).append(i)
     for which in alike.values():
@@ -240,14 +241,13 @@ def _makes(
         # Those of the same channels share their columns, and the Gram matrix of these.
         every = [candidates[i].index for which in shapes.values() for i in which]
         columns = np.unique(np.concatenate(every))
-        for which in shapes.values():
+        for size, which in shapes.items():
             marked = [candidates[i].index for i in which]
-            if candidates[which[0]].summed:
+            if not size:
                 place = np.searchsorted(columns, np.concatenate(marked))
                 begins = np.append(0, np.cumsum([len(index) for index in marked]))
-                pick = sparse.csr_matrix(
-                    (np.ones(len(place)), place, begins), shape=(len(which), len(columns))
-                )
+                weights = np.concatenate([_weights(candidates[i]) for i in which])
+                pick = sparse.csr_matrix((weights, place, begins), shape=(len(which), len(columns)))
                 yield Sums(np.array(which), columns, pick)
                 continue
             index = np.searchsorted(columns, np.stack(marked))
@@ -255,6 +255,12 @@ def _makes(
                 np.stack([m for i in which if (m := candidates[i].mixing) is not None])
             )
             yield Alike(np.array(which), columns, index, mixing, np.zeros(len(which), bool))
+
+
+def _weights(candidate: Candidate) -> FloatArray:
+    """Return what counts how much in the one column of a candidate, (k,)."""
+    mixing = candidate.mixing
+    return np.ones(len(candidate.index)) if mixing is None else mixing[:, 0]
 
 
 def narrowed(mixing: FloatArray) -> FloatArray:

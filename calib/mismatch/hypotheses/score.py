@@ -190,7 +190,7 @@ def _sums(make: Sums, gram: FloatArray, seen: Seen, columns: IntArray) -> FloatA
     """Return log B of candidates that are sums of columns."""
     inner = make.pick @ gram
     power = np.asarray(make.pick.multiply(inner).sum(axis=1)).ravel()
-    lost = power < LOST * (make.pick @ seen.total[columns])
+    lost = power < LOST * (make.pick.power(2) @ seen.total[columns])
     along = make.pick @ seen.match[columns]
     none = np.zeros(len(power), bool)
     return single_factors(np.where(lost, 0.0, power), np.where(lost, 0.0, along), none)

@@ -16,7 +16,7 @@ STRAY = 3.0
 """Standard deviations beyond which a contrast is that of something else."""
 
 MOSTLY_WHITE = 2.0
-"""Variance of contrasts, relative to white noise, up to which that is most of it."""
+"""Variance, relative to white noise, up to which that is most of it."""
 
 
 def contrast_variance(rows: Rows, *, apart: BoolArray | None = None) -> FloatArray:

@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import linalg
 
-from calib.mismatch.noise.contrast import telling, typical
+from calib.mismatch.noise.contrast import MOSTLY_WHITE, telling, typical
 from calib.mismatch.noise.coupling import Foretold, drift_in_contrasts, foretold
 from calib.mismatch.noise.sensornoise import LEAN
 from calib.mismatch.rows.arrow import Factor, times_inverse
@@ -46,6 +46,9 @@ CLEAR = 0.1
 NEAR = 0.02
 """What the log-likelihood may be short of its maximum: evidence counts in nats."""
 
+ITERATIONS = 15
+"""Levels that are tried on the way to a maximum, at most."""
+
 STRAINED = 4.0
 """How far levels must be from what is expected of them, in nats of the prior, for another maximum
 to be looked for: that of a sensor that leans."""
@@ -55,6 +58,9 @@ LEANS = 1e3
 
 ROUNDING = 1e-12
 """Products of unit vectors up to which these are orthogonal."""
+
+COARSE = 1e-4
+"""Share of a column's length that others leave, below which its square is not told by squares."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,9 +107,7 @@ def prior_precision(rows: Rows) -> FloatArray:
     return np.asarray(np.linalg.inv(shared + np.diag(own)))
 
 
-def estimate_levels(
-    rows: Rows, mean: FloatArray, start: FloatArray, *, iterations: int = 15
-) -> Levels:
+def estimate_levels(rows: Rows, mean: FloatArray, start: FloatArray) -> Levels:
     """Estimate the levels by penalised average-information REML.
 
     Parameters
@@ -114,17 +118,21 @@ def estimate_levels(
     start : (c,) array
         Levels to start from.
     """
+    return _climbed(rows, range_basis(mean[rows_of_levels(rows)]), start)
+
+
+def _climbed(rows: Rows, basis: FloatArray, start: FloatArray) -> Levels:
+    """Return the levels at the maximum above some, ``basis`` being that of the mean."""
     centre = np.log(expected_levels(rows))
     precision = prior_precision(rows)
-    told = rows_of_levels(rows)
-    basis, y = range_basis(mean[told]), rows.residual[told]
+    both = np.column_stack((basis, rows.residual[rows_of_levels(rows)]))
     logs = np.log(start)
     best: tuple[float, FloatArray] | None = None
     halved, caution, log_share, gain = 0, 0.1, 0.0, np.inf
-    for _ in range(iterations):
+    for _ in range(ITERATIONS):
         levels = np.exp(logs)
         weighing = Weighing.of(rows, levels)
-        likelihood, white, left = _restricted(weighing, basis, y)
+        likelihood, white, root = _factored(weighing, both)
         value = likelihood - 0.5 * float((logs - centre) @ precision @ (logs - centre))
         if best is not None and value < best[0] - 1e-6:
             # Too long a step: go back half way.
@@ -139,11 +147,17 @@ def estimate_levels(
         ratio = gain / before if np.isfinite(before) else 1.0
         if gain < NEAR or (ratio < 0.5 and gain * ratio / (1 - ratio) < NEAR):
             break
-        py, trace, vpy = weighing.slopes(rows, white, left)
+        mean, left = _parted(white, root)
+        py, trace, vpy = weighing.slopes(rows, mean, left)
         trace, vpy = trace * levels, vpy * levels
         gradient = 0.5 * (vpy.T @ py - trace) - precision @ (logs - centre)
-        information = _information(weighing, white, vpy) + precision
+        information = _information(weighing, mean, vpy) + precision
         log_share = -0.5 * float(np.linalg.slogdet(np.linalg.solve(precision, information))[1])
+        step = np.linalg.solve(information, gradient)
+        if (more := 0.5 * float(gradient @ step)) < NEAR:
+            # The last step leads where the information says, and gains what it says.
+            best = (value + more, logs + step)
+            break
         # Average information is poor far from the optimum; near it, caution only costs steps.
         information += np.diag(caution * np.abs(trace))
         caution *= 0.3
@@ -283,6 +297,8 @@ def find_levels(rows: Rows, mean: FloatArray, start: FloatArray) -> Levels:
     closures only the second is reached. Where white noise is most of what closures err, there is
     one. And a sensor that leans in its rests looks like one with far too much drift.
     """
+    basis = range_basis(mean[rows_of_levels(rows)])
+    found = [_climbed(rows, basis, start)]
     above = expected_levels(rows)
     square = np.square(rows.residual[: rows.n_dense])
     white = np.diag(rows.white)
@@ -296,14 +312,13 @@ def find_levels(rows: Rows, mean: FloatArray, start: FloatArray) -> Levels:
             index = component.index[own]
             above[i] = max(above[i], typical(square[index] / size[own]))
             worst = max(worst, typical(square[index] / white[index]))
-    alone = worst < 2.0 or np.array_equal(start, above)
-    found = [estimate_levels(rows, mean, at) for at in ([start] if alone else [start, above])]
+    if worst >= MOSTLY_WHITE and not np.array_equal(start, above):
+        found.append(_climbed(rows, basis, above))
     best = max(found, key=lambda levels: levels.log_likelihood)
     if _penalty(rows, best.values) > STRAINED:
         leaning = expected_levels(rows)
         leaning[[c.group == LEAN for c in rows.components]] *= LEANS
-        other = estimate_levels(rows, mean, leaning)
-        best = max(best, other, key=lambda levels: levels.log_likelihood)
+        best = max(best, _climbed(rows, basis, leaning), key=lambda levels: levels.log_likelihood)
     return best
 
 
@@ -357,18 +372,46 @@ def _restricted(
     weighing: Weighing, basis: FloatArray, y: FloatArray
 ) -> tuple[float, FloatArray, FloatArray]:
     """Return the restricted log-likelihood, the whitened mean (orthonormal), and what it leaves."""
-    mean, left = weighing.solve(basis), weighing.solve(y)
-    log_det = weighing.log_det
-    if basis.size:
-        try:
-            inner = linalg.cholesky(mean.T @ mean, lower=True, check_finite=False)
-            mean = times_inverse(mean, inner)
-        except linalg.LinAlgError:
-            # Squared, a mean that noise weighs as 1e8 to one is singular.
-            mean, inner = np.linalg.qr(mean)
-        left = left - mean @ (mean.T @ left)
-        log_det += 2 * np.log(np.abs(np.diag(inner))).sum()
-    return float(-0.5 * (log_det + left @ left)), mean, left
+    likelihood, white, root = _factored(weighing, np.column_stack((basis, y)))
+    return likelihood, *_parted(white, root)
+
+
+def _factored(weighing: Weighing, both: FloatArray) -> tuple[float, FloatArray, FloatArray]:
+    """Return the restricted log-likelihood, and what `_parted` makes the rest of.
+
+    That is mean and y whitened, and a root of their products: a lower triangle, of which the last
+    element is the length of what the mean leaves of y. The columns of ``both``, (n, p + 1), are
+    those of the mean, and y.
+    """
+    white = weighing.solve(both)
+    root = _root(white.T @ white)
+    if root is None:
+        white, upper = np.linalg.qr(white)
+        root, size = np.eye(len(upper)), np.diag(upper)
+        white[:, -1] *= size[-1]
+    else:
+        size = np.diag(root)
+    log_det = weighing.log_det + 2 * np.log(np.abs(size[:-1])).sum()
+    return float(-0.5 * (log_det + size[-1] ** 2)), white, root
+
+
+def _root(products: FloatArray) -> FloatArray | None:
+    """Return a root of products of columns, a lower triangle; None where squares are too coarse.
+
+    Squared, a mean that noise weighs as 1e8 to one is singular; and of a last column of which the
+    others leave a ten-thousandth, no more is left than half of the digits.
+    """
+    try:
+        root = linalg.cholesky(products, lower=True, check_finite=False)
+    except linalg.LinAlgError:
+        return None
+    return None if root[-1, -1] < COARSE * np.sqrt(products[-1, -1]) else np.asarray(root)
+
+
+def _parted(white: FloatArray, root: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the whitened mean, orthonormal, and what it leaves of y, as `_factored` has them."""
+    found = times_inverse(white, root)
+    return found[:, :-1], found[:, -1] * root[-1, -1]
 
 
 @dataclass(frozen=True, eq=False)
@@ -450,8 +493,8 @@ def level_likelihood(rows: Rows, basis: FloatArray, levels: FloatArray) -> float
 
     ``basis`` is the `range_basis` of the mean's rows that tell of levels.
     """
-    y = rows.residual[rows_of_levels(rows)]
-    likelihood, _, _ = _restricted(Weighing.of(rows, levels), basis, y)
+    both = np.column_stack((basis, rows.residual[rows_of_levels(rows)]))
+    likelihood, _, _ = _factored(Weighing.of(rows, levels), both)
     return likelihood - _penalty(rows, levels)
 
 

@@ -88,16 +88,20 @@ class Known(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Factor:
-    """The lower Cholesky factor L of the covariance: ``blocks``, and the border's own."""
+    """The lower Cholesky factor L of the covariance: ``blocks``, and the border's own.
+
+    ``inverse`` is that of the border's triangle ``lower``, so that solving is a product.
+    """
 
     blocks: tuple[Known, ...]
     border: IntArray
     lower: FloatArray
+    inverse: FloatArray
 
     @classmethod
     def unit(cls, n: int) -> Factor:
         """Return the factor of n rows of independent noise of one."""
-        return cls((), np.arange(n), np.eye(n))
+        return cls((), np.arange(n), np.eye(n), np.eye(n))
 
     def solve(self, values: FloatArray) -> FloatArray:
         """Return ``L^-1 values`` for (n, ...) values."""
@@ -109,14 +113,14 @@ class Factor:
             if known.response.nnz:
                 told = np.swapaxes(known.told, 1, 2) @ white
                 rest -= known.response @ told.reshape(known.response.shape[1], rest.shape[1])
-        out[self.border] = _solve(self.lower, rest)
+        out[self.border] = _times(self.inverse, rest)
         return out.reshape(values.shape)
 
     def solve_transposed(self, values: FloatArray) -> FloatArray:
         """Return ``L'^-1 values`` for (n, ...) values."""
         columns = values if values.ndim > 1 else values[:, None]
         out = np.empty(columns.shape)
-        last = _solve(self.lower, columns[self.border], transposed=True)
+        last = _times(self.inverse, columns[self.border], transposed=True)
         out[self.border] = last
         for known in self.blocks:
             own = columns[known.rows]
@@ -139,7 +143,7 @@ class Factor:
         found = np.concatenate((border, *(known.rows.ravel() for known in blocks)))
         if (found < 0).any() or len(found) != len(rows):
             raise ValueError("`rows` must be the border and whole blocks")
-        return Factor(blocks, border, self.lower)
+        return Factor(blocks, border, self.lower, self.inverse)
 
     @property
     def log_det(self) -> float:
@@ -212,10 +216,11 @@ class Arrow:
             blocks.append(Known(block.rows, lower, inverse, told, block.responses, block.response))
             if block.response.nnz:
                 far -= np.swapaxes(told, 1, 2) @ told
-                for response, left in zip(block.responses, far, strict=True):
-                    last += response @ (response @ left).T
+                felt = [r @ left for r, left in zip(block.responses, far, strict=True)]
+                last += block.response @ np.concatenate(felt, axis=1).T
         self.alone.add_to(last, levels)
-        return Factor(tuple(blocks), self.border, _factor(last))
+        lower = _factor(last)
+        return Factor(tuple(blocks), self.border, lower, _inverse(lower))
 
     def slopes(
         self, factor: Factor, mean: FloatArray, left: FloatArray
@@ -232,7 +237,7 @@ class Arrow:
         """
         half, py = factor.solve_transposed(mean), factor.solve_transposed(left)
         trace, pull = np.zeros(self.number), np.zeros((len(py), self.number))
-        inverse = _inverse(factor.lower)
+        inverse = factor.inverse
         for block, known in zip(self.blocks, factor.blocks, strict=True):
             q, t = len(block.rows), block.far.shape[-1]
             felt = block.response.T
@@ -365,13 +370,13 @@ def times_inverse(values: FloatArray, lower: FloatArray) -> FloatArray:
     return np.asarray(linalg.blas.dtrmm(1.0, _inverse(lower), values.T, lower=1).T)
 
 
-def _solve(lower: FloatArray, values: FloatArray, *, transposed: bool = False) -> FloatArray:
-    """Return ``L^-1 values`` or ``L'^-1 values`` in the place of the values, which are nobody's."""
-    if not lower.size:
-        return values
-    # Rows that lie one after the other are columns of the transpose: LAPACK copies nothing.
-    rows = np.ascontiguousarray(values if values.ndim > 1 else values[:, None]).T
-    found = linalg.blas.dtrsm(
-        1.0, lower, rows, side=1, lower=1, trans_a=int(not transposed), overwrite_b=1
-    ).T
-    return np.asarray(found if values.ndim > 1 else found[:, 0])
+def _times(inverse: FloatArray, values: FloatArray, *, transposed: bool = False) -> FloatArray:
+    """Return a lower triangle, or its transpose, times (n, k) values, in the place of these."""
+    if not inverse.size or values.shape[1] == 1:
+        return np.asarray((inverse.T if transposed else inverse) @ values)
+    # Rows that lie one after the other are columns of the transpose: BLAS copies nothing.
+    return np.asarray(
+        linalg.blas.dtrmm(
+            1.0, inverse.T, values.T, side=1, lower=0, trans_a=int(transposed), overwrite_b=1
+        ).T
+    )

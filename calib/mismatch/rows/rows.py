@@ -73,7 +73,7 @@ class Component:
         """The covariance of the rows for a level of one, (k, k)."""
         return np.asarray(self.response @ (self.response @ self.kernel).T)
 
-    @property
+    @cached_property
     def variance(self) -> FloatArray:
         """Its diagonal."""
         felt = self.response.multiply(self.response @ self.kernel)

@@ -87,6 +87,9 @@ def test_the_maximum_is_reached_to_what_evidence_needs():
         > level_likelihood(rows, range_basis(mean[rows_of_levels(rows)]), start) + 1.0
     )
     assert closer.log_likelihood - NEAR < found.log_likelihood <= closer.log_likelihood
+    # A last step is taken without a look at where it leads: what it promises is there.
+    there = level_likelihood(rows, range_basis(mean[rows_of_levels(rows)]), closer.values)
+    assert closer.log_likelihood == pytest.approx(there, abs=0.1 * NEAR)
 
 
 def test_the_likelihood_of_levels_is_that_of_all_rows_and_so_is_its_slope():
@@ -292,6 +295,17 @@ def test_columns_that_noise_makes_alike_have_a_likelihood():
     assert np.allclose(left, [0.0, 0.0, 2.0])
     # The determinant of the whitened columns is 1e-10.
     assert likelihood == pytest.approx(-0.5 * (2 * np.log(1e-10) + 4.0))
+
+
+def test_no_residual_has_a_likelihood():
+    _, self_mode = problem()
+    rows = self_mode.rows()
+    basis = range_basis(np.hstack((rows.baseline, rows.nuisance))[rows_of_levels(rows)])
+    weighing = Weighing.of(rows, expected_levels(rows))
+    likelihood, _, left = _restricted(weighing, basis, np.zeros(len(basis)))
+    _, log_det = np.linalg.slogdet(weighing.solve(basis).T @ weighing.solve(basis))
+    assert likelihood == pytest.approx(-0.5 * (weighing.log_det + log_det))
+    assert not left.any()
 
 
 def test_a_walk_is_told_less_by_flicker_than_flicker_of_another_axis():
