@@ -290,6 +290,14 @@ def fluctuating(
     return replace(candidate, name=FLUCTUATING, interval=(start, stop), shape=shape)
 
 
+def touched(candidate: Candidate) -> tuple[str, ...]:
+    """Return the channels that a candidate acts on: of what axes share, those with a share."""
+    if SHARE[0] not in candidate.shape:
+        return candidate.channels
+    shares = (candidate.shape[axis] for axis in SHARE)
+    return tuple(c for c, share in zip(candidate.channels, shares, strict=True) if share)
+
+
 def slot_columns(rows: Rows, slots: Slots, channels: tuple[str, ...]) -> FloatArray:
     """Return the (m, n, c) columns of a disturbance in each slot, on each of some channels."""
     out = []

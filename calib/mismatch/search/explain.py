@@ -23,6 +23,7 @@ from calib.mismatch.findings.evidence import gather
 from calib.mismatch.findings.heldout import HeldOut, held_out, pose_levels
 from calib.mismatch.hypotheses.families import is_moment
 from calib.mismatch.hypotheses.places import joined
+from calib.mismatch.hypotheses.windows import touched
 from calib.mismatch.noise.noise import make_whitener
 from calib.mismatch.rows.rows import Kind, Rows
 from calib.mismatch.search.accepted import Accepted, fitted
@@ -234,7 +235,7 @@ def _unexplained(rows: Rows, a: Accepted, rivals: tuple[Rival, ...]) -> Unexplai
     c = a.candidate
     whole = (float(rows.interval[0, 0]), float(rows.interval[-1, 1]))
     return Unexplained(
-        channels=c.channels,
+        channels=touched(c),
         intervals=(c.interval or whole,),
         follows=c.name,
         p_value=chance(a.e_value),
