@@ -50,7 +50,7 @@ TOGETHER = 250
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--draws", type=int, default=1000)
+    parser.add_argument("--draws", type=int, default=10_000)
     parser.add_argument("--seed", type=int, default=4)
     args = parser.parse_args()
     rng = np.random.default_rng(args.seed)

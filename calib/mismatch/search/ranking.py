@@ -24,7 +24,7 @@ from calib.types import FloatArray
 CLAIM = 2.5
 """E-value at which something is claimed to be left. Markov's inequality bounds the share of clean
 recordings that reach it by 40 %, but only evidence that is all or nothing attains that: of
-normal errors under as many looks as here, ``benchmarks/evidence.py`` counts 1 in 260."""
+normal errors under as many looks as here, ``benchmarks/evidence.py`` counts 1 in 200."""
 
 DRIFTING = 1 / 14
 """What evidence counts where a drift can mimic it and rests alone show that: it stands or falls
