@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calib.mismatch.hypotheses.candidates import Candidate
 from calib.mismatch.hypotheses.ends import place_window, tune_wave
 from calib.mismatch.hypotheses.windows import moved_window, segment_columns, window_columns
 from calib.mismatch.noise.noise import expected_levels, make_whitener
@@ -88,52 +89,63 @@ def test_what_jumps_about_is_placed_whole_though_it_was_found_as_the_bias_of_a_p
     assert "bias in a window" not in names
 
 
-def test_pulses_are_placed_with_those_that_hardly_show():
-    _, made = problem()
-    rows = made.rows()
-    stack = make_stack(rows, skip=(), reference=False)
-    start, stop = float(rows.interval[8, 0]), float(rows.interval[20, 1])
-    whitener = make_whitener(rows, expected_levels(rows), rows.white_diagonal, fitted(rows, []))
-    own = [c for c in stack if c.channels == ("gyro.x",)]
-    step = next(c for c in own if c.name == "bias in a window")
-    parts = segment_columns(rows, step)[:, 8:21, 0]
-    found = next(c for c in own if c.name == "fluctuation in a window")
-    overlaps = []
-    for seed in range(10):
+class Pulses:
+    """A bench recording of which some segments have pulses of random heights, or none."""
+
+    def __init__(self):
+        _, made = problem()
+        self.rows = made.rows()
+        fixed = fitted(self.rows, [])
+        levels = expected_levels(self.rows)
+        self.whitener = make_whitener(self.rows, levels, self.rows.white_diagonal, fixed)
+        self.stack = list(make_stack(self.rows, skip=(), reference=False))
+        self.window = float(self.rows.interval[8, 0]), float(self.rows.interval[20, 1])
+
+    def parts(self, channels: tuple[str, ...]) -> np.ndarray:
+        """Return what a bias in each segment of the window makes on each channel."""
+        biases = (c for c in self.stack if c.name == "bias in a window")
+        own = next(c for c in biases if c.channels == channels)
+        return segment_columns(self.rows, own)[:, 8:21]
+
+    def placed(self, found: Candidate, parts: np.ndarray, seed: int) -> tuple[Candidate, float]:
+        """Return where they are placed, and how much of that is the true window."""
         rng = np.random.default_rng(seed)
-        true = whitener.project(parts @ (rng.laplace(size=13) * (rng.random(13) < 0.75)))
+        heights = rng.laplace(size=13) * (rng.random(13) < 0.75)
+        true = self.whitener.project(parts @ heights)
         noise = rng.normal(size=len(true))
-        noise -= whitener.basis @ (whitener.basis.T @ noise)
-        placed = place_window(rows, found, whitener, 12.0 * true / np.linalg.norm(true) + noise)
+        noise -= self.whitener.basis @ (self.whitener.basis.T @ noise)
+        y = 12.0 * true / np.linalg.norm(true) + noise
+        placed = place_window(self.rows, found, self.whitener, y)
         assert placed.interval is not None
-        overlaps.append(overlap(placed.interval, (start, stop)))
+        return placed, overlap(placed.interval, self.window)
+
+
+@pytest.fixture(scope="module")
+def pulses() -> Pulses:
+    return Pulses()
+
+
+def test_pulses_are_placed_with_those_that_hardly_show(pulses):
+    own = [c for c in pulses.stack if c.channels == ("gyro.x",)]
+    found = next(c for c in own if c.name == "fluctuation in a window")
+    parts = pulses.parts(found.channels)[:, :, 0]
+    overlaps = [pulses.placed(found, parts, seed)[1] for seed in range(10)]
     # With full confidence in normal disturbances: 0.72, and 0.33 at worst.
     assert np.mean(overlaps) > 0.77
     assert min(overlaps) > 0.42
 
 
-def test_pulses_that_two_axes_share_are_one_disturbance():
+def test_pulses_that_two_axes_share_are_one_disturbance(pulses):
     """They are placed with one course, of which each axis has its share."""
-    _, made = problem()
-    rows = made.rows()
-    stack = make_stack(rows, skip=(), reference=False)
-    start, stop = float(rows.interval[8, 0]), float(rows.interval[20, 1])
-    whitener = make_whitener(rows, expected_levels(rows), rows.white_diagonal, fitted(rows, []))
-    own = [c for c in stack if c.may_be_shared and c.channels[0] == "gyro.x"]
-    found = max(own, key=lambda c: overlap(c.interval or (0.0, 0.0), (start, stop)))
-    step = next(c for c in stack if c.name == "bias in a window" and c.channels == found.channels)
-    parts = segment_columns(rows, step)[:, 8:21] @ np.array([1.0, 0.0, -0.6])
+    own = [c for c in pulses.stack if c.may_be_shared and c.channels[0] == "gyro.x"]
+    found = max(own, key=lambda c: overlap(c.interval or (0.0, 0.0), pulses.window))
+    parts = pulses.parts(found.channels) @ np.array([1.0, 0.0, -0.6])
     overlaps, shares = [], []
     for seed in range(10):
-        rng = np.random.default_rng(seed)
-        true = whitener.project(parts @ (rng.laplace(size=13) * (rng.random(13) < 0.75)))
-        noise = rng.normal(size=len(true))
-        noise -= whitener.basis @ (whitener.basis.T @ noise)
-        placed = place_window(rows, found, whitener, 12.0 * true / np.linalg.norm(true) + noise)
-        assert placed.interval is not None
-        overlaps.append(overlap(placed.interval, (start, stop)))
+        placed, common = pulses.placed(found, parts, seed)
+        overlaps.append(common)
         shares.append([placed.shape.get(axis, 0.0) for axis in "xyz"])
-        columns = window_columns(rows, placed)
+        columns = window_columns(pulses.rows, placed)
         assert columns.shape[1] == placed.shape["order"] * (1 if "x" in placed.shape else 3)
     assert np.mean(overlaps) > 0.7
     right = np.abs(shares) @ np.array([1.0, 0.0, 1.0]) > 1.4
