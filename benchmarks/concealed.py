@@ -87,11 +87,6 @@ class Bench:
         rng = np.random.default_rng(seed)
         return simulate(self.motion, sensor, self.noise, rng=rng, rate=self.rate)
 
-    def quiet(self, sensor: SensorModel) -> Recording:
-        """Return one without noise."""
-        rng = np.random.default_rng(0)
-        return simulate(self.motion, sensor, NoiseModel(), rng=rng, rate=self.rate)
-
     def sample_noise(self, channel: str) -> float:
         """Return the white noise of one sample."""
         accel = channel.startswith("accel")
@@ -374,8 +369,8 @@ def whole_change(
     term: Term, model: SensorModel, bench: Bench, clean: Recording, problem: SelfProblem
 ) -> np.ndarray:
     """Return what a term does to the rows of a recording without noise: of any size, as it is."""
-    poses = find_poses(clean)
-    grids = (make_grid(bench.quiet(replace(model, terms=t)), poses) for t in ((), (term,)))
+    poses, quiet = find_poses(clean), replace(bench, noise=NoiseModel())
+    grids = (make_grid(quiet.record(replace(model, terms=t), 0), poses) for t in ((), (term,)))
     without, made = (build_rows(g, problem.twin, problem.noise).residual for g in grids)
     return made - without
 

@@ -114,11 +114,11 @@ def estimate_levels(rows: Rows, mean: FloatArray, start: FloatArray) -> Levels:
     ----------
     rows : Rows
     mean : (m, p) array
-        Columns of the mean; any rank. Only rows that tell of levels count.
+        Columns of the mean; any rank. Only rows that tell of levels count (`level_basis`).
     start : (c,) array
         Levels to start from.
     """
-    return _climbed(rows, range_basis(mean[rows_of_levels(rows)]), start)
+    return _climbed(rows, level_basis(rows, mean), start)
 
 
 def _climbed(rows: Rows, basis: FloatArray, start: FloatArray) -> Levels:
@@ -275,7 +275,7 @@ def spread_of_variance(
     """
     weighing = Weighing.of(rows, levels)
     told = rows_of_levels(rows)
-    _, white, left = _restricted(weighing, range_basis(mean[told]), rows.residual[told])
+    _, white, left = _restricted(weighing, level_basis(rows, mean), rows.residual[told])
     vpy = weighing.slopes(rows, white, left)[2] * levels
     precision = _information(weighing, white, vpy) + prior_precision(rows)
     slopes = np.empty((len(levels), influence.shape[1]))
@@ -297,7 +297,7 @@ def find_levels(rows: Rows, mean: FloatArray, start: FloatArray) -> Levels:
     closures only the second is reached. Where white noise is most of what closures err, there is
     one. And a sensor that leans in its rests looks like one with far too much drift.
     """
-    basis = range_basis(mean[rows_of_levels(rows)])
+    basis = level_basis(rows, mean)
     found = [_climbed(rows, basis, start)]
     above = expected_levels(rows)
     square = np.square(rows.residual[: rows.n_dense])
@@ -320,6 +320,11 @@ def find_levels(rows: Rows, mean: FloatArray, start: FloatArray) -> Levels:
         leaning[[c.group == LEAN for c in rows.components]] *= LEANS
         best = max(best, _climbed(rows, basis, leaning), key=lambda levels: levels.log_likelihood)
     return best
+
+
+def level_basis(rows: Rows, mean: FloatArray) -> FloatArray:
+    """Return the `range_basis` of (m, p) columns on the rows that tell of levels."""
+    return range_basis(mean[rows_of_levels(rows)])
 
 
 def range_basis(mean: FloatArray, *, tolerance: float = 1e-9) -> FloatArray:
@@ -491,7 +496,7 @@ def make_whitener(
 def level_likelihood(rows: Rows, basis: FloatArray, levels: FloatArray) -> float:
     """Return the penalised restricted log-likelihood of given levels.
 
-    ``basis`` is the `range_basis` of the mean's rows that tell of levels.
+    ``basis`` is the `level_basis` of the mean.
     """
     both = np.column_stack((basis, rows.residual[rows_of_levels(rows)]))
     likelihood, _, _ = _factored(Weighing.of(rows, levels), both)

@@ -22,10 +22,9 @@ from calib.mismatch.noise.noise import (
     Whitener,
     estimate_levels,
     find_levels,
+    level_basis,
     level_likelihood,
     make_whitener,
-    range_basis,
-    rows_of_levels,
 )
 from calib.mismatch.rows.rows import Rows
 from calib.mismatch.search.accepted import Accepted, contrast_noise, fitted
@@ -69,7 +68,7 @@ class Scores:
             mean=mean,
             contrast=contrast_noise(rows, accepted),
             base=find(rows, mean, start),
-            basis=range_basis(mean[rows_of_levels(rows)]),
+            basis=level_basis(rows, mean),
             weight=stack.weight,
         )
 

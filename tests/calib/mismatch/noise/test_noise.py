@@ -20,6 +20,7 @@ from calib.mismatch.noise.noise import (
     estimate_levels,
     expected_levels,
     find_levels,
+    level_basis,
     level_likelihood,
     make_whitener,
     prior_precision,
@@ -82,13 +83,10 @@ def test_the_maximum_is_reached_to_what_evidence_needs():
     closer = found
     for _ in range(5):
         closer = estimate_levels(rows, mean, closer.values)
-    assert (
-        found.log_likelihood
-        > level_likelihood(rows, range_basis(mean[rows_of_levels(rows)]), start) + 1.0
-    )
+    assert found.log_likelihood > level_likelihood(rows, level_basis(rows, mean), start) + 1.0
     assert closer.log_likelihood - NEAR < found.log_likelihood <= closer.log_likelihood
     # A last step is taken without a look at where it leads: what it promises is there.
-    there = level_likelihood(rows, range_basis(mean[rows_of_levels(rows)]), closer.values)
+    there = level_likelihood(rows, level_basis(rows, mean), closer.values)
     assert closer.log_likelihood == pytest.approx(there, abs=0.1 * NEAR)
 
 
@@ -100,7 +98,7 @@ def test_the_likelihood_of_levels_is_that_of_all_rows_and_so_is_its_slope():
     mean = np.hstack((rows.baseline, rows.nuisance))
     told = rows_of_levels(rows)
     assert 0.9 * len(rows.residual) < len(told) <= len(rows.residual)
-    basis, measured = range_basis(mean[told]), rows.residual[told]
+    basis, measured = level_basis(rows, mean), rows.residual[told]
 
     def brute(levels):
         n = len(rows.residual)
@@ -220,7 +218,7 @@ def test_likelihood_is_averaged_over_the_prior_of_a_level(size, error):
     component = next(c for c in rows.components if c.name == "attitude by angle")
     rows = replace(rows, components=(component,))
     mean = np.hstack((rows.baseline, rows.nuisance))
-    basis = range_basis(mean[rows_of_levels(rows)])
+    basis = level_basis(rows, mean)
     levels = np.array([max(size, 1e-3) * component.expected])
     rows = drawn(rows, levels, np.random.default_rng(7))
     fit = estimate_levels(rows, mean, expected_levels(rows))
@@ -300,7 +298,7 @@ def test_columns_that_noise_makes_alike_have_a_likelihood():
 def test_no_residual_has_a_likelihood():
     _, self_mode = problem()
     rows = self_mode.rows()
-    basis = range_basis(np.hstack((rows.baseline, rows.nuisance))[rows_of_levels(rows)])
+    basis = level_basis(rows, np.hstack((rows.baseline, rows.nuisance)))
     weighing = Weighing.of(rows, expected_levels(rows))
     likelihood, _, left = _restricted(weighing, basis, np.zeros(len(basis)))
     _, log_det = np.linalg.slogdet(weighing.solve(basis).T @ weighing.solve(basis))

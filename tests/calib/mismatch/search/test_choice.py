@@ -90,9 +90,9 @@ def test_causes_on_other_channels_lend_no_weight(stacked):
         assert ranking.claims
         return choose(rows, ranking, [])
 
-    assert chosen({gyro: 0.7, accel: 0.6}) is None
-    assert chosen({gyro: 0.7, wave: 0.6}) is gyro
-    assert chosen({gyro: 1.2, accel: 0.6}) is gyro
+    assert chosen({gyro: 0.6, accel: 0.5}) is None
+    assert chosen({gyro: 0.6, wave: 0.5}) is gyro
+    assert chosen({gyro: 1.0, accel: 0.5}) is gyro
 
 
 def test_nothing_is_chosen_below_the_claim(stacked):

@@ -10,9 +10,8 @@ from calib.mismatch.noise.noise import (
     NEAR,
     estimate_levels,
     expected_levels,
+    level_basis,
     level_likelihood,
-    range_basis,
-    rows_of_levels,
 )
 from calib.mismatch.rows.grid import make_grid
 from calib.mismatch.search.accepted import fitted
@@ -74,7 +73,7 @@ def test_a_fit_starts_from_levels_that_were_found_beside_what_is_fitted():
     assert top == "gyro_g_sensitivity"
     chosen = ranking.best[top]
     mean = np.hstack((fitted(rows, []), stack.of(chosen)))
-    basis = range_basis(mean[rows_of_levels(rows)])
+    basis = level_basis(rows, mean)
     beside = level_likelihood(rows, basis, ranking.levels_with(chosen))
     assert beside > estimate_levels(rows, mean, ranking.levels).log_likelihood - 2 * NEAR
     assert beside > level_likelihood(rows, basis, ranking.levels) + 10.0
