@@ -27,6 +27,9 @@ GAINS = (GAIN, GAIN_IN_TIME)
 FLUCTUATING = "fluctuation in a window"
 """What jumps about, or swings; on three axes each may do so by itself, or have its share of one."""
 
+SHARE = ("x", "y", "z")
+"""What a shape has of each axis of a triad where these share one disturbance."""
+
 MANY = 256
 """Candidates that are mixed at a time: what they make of columns stays near the processor."""
 
@@ -82,8 +85,12 @@ class Candidate:
 
     @property
     def may_be_shared(self) -> bool:
-        """Whether it has courses in time on three axes, which may be one that they share."""
-        return self.name == FLUCTUATING and len(self.channels) > 1
+        """Whether it has courses in time on three axes, which may be one that they share.
+
+        Of what has its shares already there is one.
+        """
+        several = len(self.channels) > 1 and SHARE[0] not in self.shape
+        return self.name == FLUCTUATING and several
 
     @property
     def group(self) -> str:

@@ -13,7 +13,13 @@ from scipy import sparse
 
 from calib.effects import effects
 from calib.effects.base import State
-from calib.mismatch.hypotheses.candidates import FLUCTUATING, GAIN, GAIN_IN_TIME, Candidate
+from calib.mismatch.hypotheses.candidates import (
+    FLUCTUATING,
+    GAIN,
+    GAIN_IN_TIME,
+    SHARE,
+    Candidate,
+)
 from calib.mismatch.rows.rows import Rows
 from calib.recording import CHANNELS
 from calib.types import FloatArray, IntArray
@@ -56,9 +62,6 @@ turn makes anew."""
 
 MIDDLE = {6.0: (1, 16)}
 """The same for what a triad has, where three times the columns make every hypothesis dear."""
-
-SHARE = ("x", "y", "z")
-"""What a shape has of each axis of a triad where these share one disturbance."""
 
 MOST_ORDERS = 64
 """Cosines that a moved window has at most, twice as many as on the grid: a window that comes to

@@ -1,12 +1,15 @@
 """Candidates that are scored at once have the evidence of each alone."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from calib.mismatch.hypotheses.candidates import Bank, Candidate, narrowed
+from calib.mismatch.hypotheses.candidates import FLUCTUATING, SHARE, Bank, Candidate, narrowed
 from calib.mismatch.hypotheses.factors import log_bayes_factor, log_bayes_factors
 from calib.mismatch.hypotheses.score import Stack
 from calib.mismatch.hypotheses.shared import with_shared
+from calib.mismatch.hypotheses.windows import window_columns
 from calib.mismatch.noise.contrast import contrast_variance
 from calib.mismatch.noise.noise import expected_levels, make_whitener
 from calib.mismatch.search.accepted import fitted
@@ -114,3 +117,20 @@ def test_more_combinations_than_columns_are_as_probable_as_few():
     for many, one in zip(wide, few, strict=True):
         expected = log_bayes_factor(columns @ many, y)
         assert log_bayes_factor(columns @ one, y) == pytest.approx(expected, rel=1e-10)
+
+
+@pytest.mark.parametrize("order", [28.0, 27.0])
+def test_what_axes_share_has_the_evidence_of_one_course(order):
+    """Its columns are no three courses side by side, be there three times as many or not."""
+    _, self_mode = problem()
+    rows = self_mode.rows()
+    whitener = make_whitener(rows, expected_levels(rows), contrast_variance(rows), fitted(rows, []))
+    y, triad = whitener.project(rows.residual), ("gyro.x", "gyro.y", "gyro.z")
+    shape = {"order": order, "corner": 6.0, **dict(zip(SHARE, (0.6, 0.0, -0.8), strict=True))}
+    span = float(rows.interval[2, 0]), float(rows.interval[15, 1])
+    one = Candidate(FLUCTUATING, np.arange(0), 1.0, False, triad, shape=shape, interval=span)
+    columns, stack = window_columns(rows, one), Stack(len(y))
+    stack.add(replace(one, index=stack.columns.add(columns)))
+    found = stack.log_bayes_factors(whitener, y)[0]
+    assert columns.shape[1] == order
+    assert found == pytest.approx(log_bayes_factor(whitener.project(columns), y), abs=1e-6)
