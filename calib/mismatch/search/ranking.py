@@ -16,7 +16,7 @@ from calib.mismatch.hypotheses.score import Stack
 from calib.mismatch.noise.noise import Whitener, make_whitener, range_basis
 from calib.mismatch.noise.sensornoise import LEAN
 from calib.mismatch.rows.rows import Rows
-from calib.mismatch.search.accepted import Accepted
+from calib.mismatch.search.accepted import Accepted, again
 from calib.mismatch.search.scores import Hidden, Scores
 from calib.recording import CHANNELS
 from calib.types import FloatArray
@@ -139,8 +139,11 @@ def rank(rows: Rows, stack: Stack, accepted: list[Accepted], start: FloatArray) 
     for name in leading(best, {g: groups[g] for g in running}):
         if groups[name] <= np.log(CLAIM) - 7:
             continue
+        leaders = _with_fullest(stack, evidence, best[name])
+        if not leaders[-1].shape and again(leaders[-1], accepted):
+            continue  # all of it is fitted: no drift makes it show
         most = -np.inf
-        for leader in _with_fullest(stack, evidence, best[name]):
+        for leader in leaders:
             scored, levels = scores.with_own_drift(leader, every)
             evidence = np.maximum(evidence, scored)
             if scored.max() > most:
