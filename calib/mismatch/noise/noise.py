@@ -431,14 +431,12 @@ class Whitener:
 
     def whiten(self, values: FloatArray) -> FloatArray:
         """Return whitened (m, ...) rows."""
-        rest = values[self.n_dense :]
-        if self.foretold:
-            rest = rest.copy()
+        scale = self.scale if values.ndim == 1 else self.scale[:, None]
+        rest = values[self.n_dense :] / scale
         for known in self.foretold:
-            rest[known.contrast] -= known.weight @ values[known.mean]
-        rest = rest / (self.scale if rest.ndim == 1 else self.scale[:, None])
-        for known in self.foretold:
-            rest[known.contrast] = known.root @ rest[known.contrast]
+            own = known.contrast
+            told = known.weight @ values[known.mean] / scale[own]
+            rest[own] = known.root @ (rest[own] - told)
         return np.concatenate((self.factor.solve(values[: self.n_dense]), rest))
 
     def unwhiten_transposed(self, values: FloatArray) -> FloatArray:
