@@ -13,7 +13,7 @@ from calib.mismatch.hypotheses.candidates import Candidate
 from calib.mismatch.hypotheses.families import add_catalogue
 from calib.mismatch.hypotheses.rivals import add_rivals
 from calib.mismatch.hypotheses.score import Stack
-from calib.mismatch.noise.noise import Whitener, make_whitener, range_basis
+from calib.mismatch.noise.noise import Levels, Whitener, make_whitener, range_basis
 from calib.mismatch.noise.sensornoise import LEAN
 from calib.mismatch.rows.rows import Rows
 from calib.mismatch.search.accepted import Accepted, again
@@ -110,7 +110,14 @@ def make_stack(rows: Rows, *, skip: tuple[str, ...], reference: bool) -> Stack:
     return stack
 
 
-def rank(rows: Rows, stack: Stack, accepted: list[Accepted], start: FloatArray) -> Ranking:
+def rank(
+    rows: Rows,
+    stack: Stack,
+    accepted: list[Accepted],
+    start: FloatArray,
+    *,
+    base: Levels | None = None,
+) -> Ranking:
     """Score every candidate under the noise that it implies.
 
     What was left out raises the drift of its channels. So each candidate is also scored with the
@@ -118,8 +125,10 @@ def rank(rows: Rows, stack: Stack, accepted: list[Accepted], start: FloatArray) 
     rivals), and the leaders with drift estimated anew for each of them. Lower drift costs the
     likelihood of the null, and that cost is in the evidence: drift and effect compete on equal
     terms. So does what the null needs to take an effect for noise: levels that are just so.
+
+    ``base`` are the levels with what was accepted in the mean, from `start`, if they are known.
     """
-    scores = Scores.of(rows, stack, accepted, start)
+    scores = Scores.of(rows, stack, accepted, start, base)
     base = scores.base
     evidence, counted = scores.first()
     best, groups = grouped(stack, evidence)

@@ -98,3 +98,15 @@ def test_what_is_fitted_in_full_is_worth_what_it_is_beforehand(stacked):
     assert full.groups[whole.name] == pytest.approx(np.log(sum(own)), abs=1e-5)
     assert whole.name not in full.beside
     assert whole.name in more.beside
+
+
+def test_levels_that_are_known_are_not_looked_for_again(stacked):
+    rows, stack = stacked
+    taken, start = (
+        accept(stack, candidate(stack, "accel_cubic", ("kx",)), 1.0),
+        expected_levels(rows),
+    )
+    base = estimate_levels(rows, fitted(rows, [taken]), start)
+    known, found = rank(rows, stack, [taken], start, base=base), rank(rows, stack, [taken], start)
+    assert known.levels is base.values
+    assert known.groups == pytest.approx(found.groups, rel=1e-9)
