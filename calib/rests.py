@@ -128,7 +128,9 @@ def _rate_at_rest(
             rates.append(np.median(blocks.gyro[first:last], axis=0))
     rate, at = np.array(rates), np.array(middle)
     few = rate[:: max(1, len(rate) // 500)]
-    density = (np.linalg.norm(few[:, None] - few[None], axis=2) < NORM * noise).sum(axis=1)
+    apart = few[:, None] - few
+    square = np.einsum("ijk,ijk->ij", apart, apart)
+    density = (square < (NORM * noise) ** 2).sum(axis=1)
     densest = int(np.argmin(np.linalg.norm(rate - few[np.argmax(density)], axis=1)))
     reach = NORM * noise
     if units.rate is not None:

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calib.mismatch.noise.noise import make_whitener
+from calib.mismatch.noise.noise import Whitener, make_whitener
 from calib.mismatch.rows.rows import Kind, Rows
 from calib.recording import CHANNELS
 from calib.types import BoolArray, FloatArray, IntArray
@@ -44,6 +44,37 @@ class HeldOut(NamedTuple):
     channels: Mapping[str, tuple[float, float]] = {}
 
 
+class LeftOut(NamedTuple):
+    """What a fit says of each block from all others.
+
+    ``square`` (m,) are its errors squared where parameters alone foretell, ``floor`` what noise
+    leaves of them, and ``whitener`` is that of this. For each block there are ``(values, vectors,
+    pull)``: the precision of what is foretold with all noise, and by that how far it is missed, in
+    units of each row's.
+    """
+
+    whitener: Whitener
+    square: FloatArray
+    floor: FloatArray
+    blocks: list[tuple[FloatArray, FloatArray, FloatArray]]
+
+
+def leave_out(
+    rows: Rows, mean: FloatArray, residual: FloatArray, *, levels: FloatArray, contrast: FloatArray
+) -> LeftOut:
+    """Return what the fit of (m, p) columns to the residual says of each block from all others."""
+    # Parameters alone predict what is held out: drift is not interpolated, but weighs as jitter.
+    still = np.array(levels)
+    names = [c.name for c in rows.components]
+    for i, name in enumerate(names):
+        if name.endswith((" walk", " flicker")):
+            still[names.index(f"{name.split(' ')[0]} jitter")] += 0.5 * still[i]
+            still[i] = 0.0
+    whitener = make_whitener(rows, still, contrast, mean, coupled=False)
+    square, floor = _squares(rows, whitener, residual)
+    return LeftOut(whitener, square, floor, _blocks(rows, mean, residual, levels, contrast))
+
+
 def held_out(
     rows: Rows,
     fitted_before: FloatArray,
@@ -53,6 +84,7 @@ def held_out(
     levels: FloatArray,
     contrast: FloatArray,
     channels: tuple[str, ...],
+    after: LeftOut | None = None,
 ) -> HeldOut:
     """Leave out every block in turn, without and with the columns of one finding.
 
@@ -69,6 +101,8 @@ def held_out(
         Noise, as the search ends with it.
     channels : tuple of str
         What the finding touches: the rows that are reported are of these channels.
+    after : LeftOut, optional
+        By the fit of all these columns, if it is known: beside several findings it is the same.
 
     Returns
     -------
@@ -77,27 +111,23 @@ def held_out(
         after on each channel of these; ``gain`` is the log-likelihood gained on all held-out rows,
         drift being noise.
     """
-    # Parameters alone predict what is held out: drift is not interpolated, but weighs as jitter.
-    still = np.array(levels)
-    names = [c.name for c in rows.components]
-    for i, name in enumerate(names):
-        if name.endswith((" walk", " flicker")):
-            still[names.index(f"{name.split(' ')[0]} jitter")] += 0.5 * still[i]
-            still[i] = 0.0
-    after = np.hstack((fitted_before, columns))
-    which, label, unit = _telling_rows(rows, fitted_before, columns, still, contrast, channels)
-    squares = [_leave_out(rows, mean, residual, still, contrast) for mean in (fitted_before, after)]
-    size = [[float(np.sqrt(v[which].mean())) for v in pair] for pair in squares]
-    gain, errors = _gain(rows, fitted_before, after, residual, levels, contrast)
-    if gain > 0 and size[1][0] >= size[0][0]:
+    before = leave_out(rows, fitted_before, residual, levels=levels, contrast=contrast)
+    if after is None:
+        every = np.hstack((fitted_before, columns))
+        after = leave_out(rows, every, residual, levels=levels, contrast=contrast)
+    which, label, unit = _telling_rows(rows, before.whitener, columns, channels)
+    size = [float(np.sqrt(side.square[which].mean())) for side in (before, after)]
+    gain, errors = _gain(before, after)
+    if gain > 0 and size[1] >= size[0]:
         # Small beside the jitter of single rows, but not beside the noise of all of them.
         return HeldOut(errors[0], errors[1], 1.0, "1", "all rows, in standard errors", gain)
     each = {}
     for c in np.unique(rows.channel[which & (rows.channel >= 0)]):
         own = which & (rows.channel == c)
-        before, with_it = (float(np.sqrt(pair[0][own].mean())) for pair in squares)
-        each[CHANNELS[c]] = (before, with_it)
-    return HeldOut(size[0][0], size[1][0], size[1][1], unit, label, gain, each)
+        without, with_it = (float(np.sqrt(side.square[own].mean())) for side in (before, after))
+        each[CHANNELS[c]] = (without, with_it)
+    noise = float(np.sqrt(after.floor[which].mean()))
+    return HeldOut(size[0], size[1], noise, unit, label, gain, each)
 
 
 def fold_of(rows: Rows) -> IntArray:
@@ -128,14 +158,8 @@ def pose_levels(rows: Rows, channels: tuple[str, ...]) -> FloatArray:
 
 
 def _telling_rows(
-    rows: Rows,
-    mean: FloatArray,
-    columns: FloatArray,
-    levels: FloatArray,
-    contrast: FloatArray,
-    channels: tuple[str, ...],
+    rows: Rows, whitener: Whitener, columns: FloatArray, channels: tuple[str, ...]
 ) -> tuple[BoolArray, str, str]:
-    whitener = make_whitener(rows, levels, contrast, mean, coupled=False)
     power = np.square(whitener.project(columns)).sum(axis=1)
     touched = np.isin(rows.channel, [CHANNELS.index(c) for c in channels])
     best = (-1.0, np.zeros(len(power), bool), "", "")
@@ -155,15 +179,8 @@ def _telling_rows(
     return best[1], best[2], best[3]
 
 
-def _leave_out(
-    rows: Rows,
-    mean: FloatArray,
-    residual: FloatArray,
-    levels: FloatArray,
-    contrast: FloatArray,
-) -> tuple[FloatArray, FloatArray]:
+def _squares(rows: Rows, whitener: Whitener, residual: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the held-out error of each row squared, and the square that noise alone leaves."""
-    whitener = make_whitener(rows, levels, contrast, mean, coupled=False)
     left, basis = whitener.project(residual), whitener.basis
     factor = whitener.factor.dense()
     fold = fold_of(rows)
@@ -206,19 +223,46 @@ def _colour(
     return out
 
 
-def _gain(
+def _blocks(
     rows: Rows,
-    before: FloatArray,
-    after: FloatArray,
+    mean: FloatArray,
     residual: FloatArray,
     levels: FloatArray,
     contrast: FloatArray,
-) -> tuple[float, tuple[float, float]]:
-    """Return the held-out log-likelihood gained, with the full noise model.
+) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
+    """Return what is foretold of each block with the full noise model, as `LeftOut` has it.
 
     What other blocks foretell of the rows B is normal, with the precision ``P_BB`` of all rows
-    beneath the fit, and misses them by ``P_BB^-1 (P y)_B``: who is vague pays for the width of it
-    [1]_. Both are judged by what the larger fit foretells, the rest nobody can compare.
+    beneath the fit, and misses them by ``P_BB^-1 (P y)_B``.
+    """
+    fold, dense = fold_of(rows), rows.n_dense
+    half = rows.arrow.factorise(levels).solve_transposed(np.eye(dense))
+    each = np.append(np.einsum("ij,ij->i", half, half), 1.0 / contrast)
+    whitener = make_whitener(rows, levels, contrast, mean, coupled=False)
+    hidden = whitener.unwhiten_transposed(whitener.basis)
+    pull = whitener.unwhiten_transposed(whitener.project(residual)[:, None])[:, 0]
+    out = []
+    for k in range(FOLDS):
+        own = np.flatnonzero(fold == k)
+        if not len(own):
+            continue
+        scale = np.sqrt(each[own])
+        precision = np.diag(each[own])
+        first = half[own[own < dense]]
+        precision[: len(first), : len(first)] = first @ first.T
+        precision -= hidden[own] @ hidden[own].T
+        values, vectors = np.linalg.eigh(precision / np.outer(scale, scale))
+        # Directions that only this block determines have no power left.
+        good = values > TOLD
+        out.append((values[good], vectors[:, good], pull[own] / scale))
+    return out
+
+
+def _gain(before: LeftOut, after: LeftOut) -> tuple[float, tuple[float, float]]:
+    """Return the held-out log-likelihood gained, with the full noise model.
+
+    Who is vague pays for the width of what is foretold [1]_. Both are judged by what the larger fit
+    foretells, the rest nobody can compare.
 
     Beside it the RMS of the normalised prediction errors before and after.
 
@@ -227,35 +271,10 @@ def _gain(
     .. [1] Gneiting, Raftery, "Strictly proper scoring rules, prediction, and estimation",
        JASA 102, 2007, sec. 4.1 (the logarithmic score).
     """
-    fold = fold_of(rows)
-    factor, dense = rows.arrow.factorise(levels), rows.n_dense
-    half = factor.solve_transposed(np.eye(dense))
-    precision = half @ half.T
-    each = np.append(precision.diagonal(), 1.0 / contrast)
-    sides = []
-    for mean in (before, after):
-        whitener = make_whitener(rows, levels, contrast, mean, coupled=False)
-        hidden = whitener.unwhiten_transposed(whitener.basis)
-        sides.append((hidden, whitener.unwhiten_transposed(whitener.project(residual)[:, None])))
     gain, square, number = 0.0, np.zeros(2), 0
-    for k in range(FOLDS):
-        own = np.flatnonzero(fold == k)
-        if not len(own):
-            continue
-        scale = np.sqrt(each[own])
-        plain = np.diag(each[own])
-        first = own[own < dense]
-        plain[: len(first), : len(first)] = precision[np.ix_(first, first)]
-        found = []
-        for hidden, pull in sides:
-            values, vectors = np.linalg.eigh(
-                (plain - hidden[own] @ hidden[own].T) / np.outer(scale, scale)
-            )
-            # Directions that only this block determines have no power left.
-            good = values > TOLD
-            found.append((values[good], vectors[:, good], pull[own, 0] / scale))
-        told = found[1][1]
-        for i, (values, vectors, pull) in enumerate(found):
+    for pair in zip(before.blocks, after.blocks, strict=True):
+        told = pair[1][1]
+        for i, (values, vectors, pull) in enumerate(pair):
             spread = (told.T @ vectors) / np.sqrt(values)
             error = spread @ ((vectors.T @ pull) / np.sqrt(values))
             root = np.linalg.cholesky(spread @ spread.T)

@@ -54,8 +54,9 @@ FAINT = 0.1
 NOTHING = 1e-290
 """Square of a length that rounding leaves of none, and that has no inverse."""
 
-ALL_AT_ONCE = 8
-"""Columns of candidates up to which these are reduced side by side; of more, one by one."""
+ALL_AT_ONCE = 12
+"""Columns of candidates up to which these are reduced side by side, unless they are few; of more,
+one by one."""
 
 
 def single_factors(power: FloatArray, along: FloatArray, sought: BoolArray) -> FloatArray:
@@ -75,6 +76,8 @@ def log_shares(power: FloatArray, sought: BoolArray) -> FloatArray:
     sought : (n,) array of bool
         Those that are looked for at sizes that would show.
     """
+    if not sought.any():
+        return np.broadcast_to(_LOG_SHARES[:, None], (len(SCALES), len(power)))
     strength = np.square(SCALES)[:, None] * power
     shows = (strength > SHOWN[0]) & (strength < SHOWN[1])
     shares = SHARES[:, None] * np.where(shows | ~sought, 1.0, FAINT)
@@ -124,27 +127,30 @@ def _tridiagonal(gram: FloatArray, match: FloatArray) -> tuple[FloatArray, Float
     Householder's reduction of a matrix that has the match as its first row leaves that row alone.
     """
     n, k = match.shape
-    left = np.zeros((n, k + 1, k + 1))
-    left[:, 0, 1:] = left[:, 1:, 0] = match
-    left[:, 1:, 1:] = gram
+    one_by_one = k > min(ALL_AT_ONCE, n)
+    # Else the hypotheses lie side by side in memory, so that each step is one of long rows.
+    left = np.zeros((k + 1, k + 1, n), order="F" if one_by_one else "C")
+    left[0, 1:] = left[1:, 0] = match.T
+    left[1:, 1:] = gram.transpose(1, 2, 0)
     diagonal, beside = np.empty((k + 1, n)), np.empty((k, n))
-    if k > ALL_AT_ONCE:
-        for i, one in enumerate(left):
-            _, diagonal[:, i], beside[:, i], _, _ = lapack.dsytrd(one.T, lower=1, overwrite_a=1)
+    if one_by_one:
+        for i in range(n):
+            one = lapack.dsytrd(left[:, :, i], lower=1, overwrite_a=1)
+            diagonal[:, i], beside[:, i] = one[1:3]
         return diagonal[1:], beside
     for j in range(k):
-        diagonal[j], first, left = left[:, 0, 0], left[:, 1:, 0], left[:, 1:, 1:]
-        beside[j] = size = np.sqrt(np.einsum("ni,ni->n", first, first))
+        diagonal[j], first, left = left[0, 0], left[1:, 0], left[1:, 1:]
+        beside[j] = size = np.sqrt(np.einsum("in,in->n", first, first))
         if j < k - 1:
             mirror = first.copy()
-            mirror[:, 0] += np.copysign(size, first[:, 0])
-            square = np.einsum("ni,ni->n", mirror, mirror)
-            mirror *= np.sqrt(2.0 / np.where(square > NOTHING, square, 1.0))[:, None]
-            along = np.einsum("nij,nj->ni", left, mirror)
-            along -= 0.5 * np.einsum("ni,ni->n", along, mirror)[:, None] * mirror
-            change = mirror[:, :, None] * along[:, None, :]
-            left -= change + np.swapaxes(change, 1, 2)
-    diagonal[k] = left[:, 0, 0]
+            mirror[0] += np.copysign(size, first[0])
+            square = np.einsum("in,in->n", mirror, mirror)
+            mirror *= np.sqrt(2.0 / np.where(square > NOTHING, square, 1.0))
+            along = np.einsum("ijn,jn->in", left, mirror)
+            along -= 0.5 * np.einsum("in,in->n", along, mirror) * mirror
+            left -= mirror[:, None] * along
+            left -= along[:, None] * mirror
+    diagonal[k] = left[0, 0]
     return diagonal[1:], beside
 
 

@@ -189,7 +189,7 @@ def _alone(seen: Seen, column: IntArray, present: BoolArray, sought: BoolArray) 
 def _sums(make: Sums, gram: FloatArray, seen: Seen, columns: IntArray) -> FloatArray:
     """Return log B of candidates that are sums of columns."""
     inner = make.pick @ gram
-    power = np.asarray(make.pick.multiply(inner).sum(axis=1)).ravel()
+    power = np.einsum("nu,nu->n", make.pick.toarray(), inner)
     lost = power < LOST * (make.pick.power(2) @ seen.total[columns])
     along = make.pick @ seen.match[columns]
     none = np.zeros(len(power), bool)

@@ -49,7 +49,7 @@ class Foretold(NamedTuple):
 
     def restricted(self, dense: IntArray, contrast: IntArray) -> Foretold | None:
         """Return the same with rows numbered as in these, which hold whole channels."""
-        if not np.isin(self.mean[:1], dense).all():
+        if self.mean[0] not in dense:
             return None
         places = np.searchsorted(contrast, self.contrast), np.searchsorted(dense, self.mean)
         return Foretold(*places, self.weight, self.root)

@@ -128,7 +128,7 @@ def _climbed(rows: Rows, basis: FloatArray, start: FloatArray) -> Levels:
     both = np.column_stack((basis, rows.residual[rows_of_levels(rows)]))
     logs = np.log(start)
     best: tuple[float, FloatArray] | None = None
-    halved, caution, log_share, gain = 0, 0.1, 0.0, np.inf
+    halved, caution, gain, information = 0, 0.1, np.inf, precision
     for _ in range(ITERATIONS):
         levels = np.exp(logs)
         weighing = Weighing.of(rows, levels)
@@ -152,18 +152,17 @@ def _climbed(rows: Rows, basis: FloatArray, start: FloatArray) -> Levels:
         trace, vpy = trace * levels, vpy * levels
         gradient = 0.5 * (vpy.T @ py - trace) - precision @ (logs - centre)
         information = _information(weighing, mean, vpy) + precision
-        log_share = -0.5 * float(np.linalg.slogdet(np.linalg.solve(precision, information))[1])
         step = np.linalg.solve(information, gradient)
         if (more := 0.5 * float(gradient @ step)) < NEAR:
             # The last step leads where the information says, and gains what it says.
             best = (value + more, logs + step)
             break
         # Average information is poor far from the optimum; near it, caution only costs steps.
-        information += np.diag(caution * np.abs(trace))
+        step = np.linalg.solve(information + np.diag(caution * np.abs(trace)), gradient)
         caution *= 0.3
-        step = np.linalg.solve(information, gradient)
         logs = logs + np.clip(step, -2.0, 2.0)
     assert best is not None
+    log_share = -0.5 * float(np.linalg.slogdet(np.linalg.solve(precision, information))[1])
     return Levels(np.exp(best[1]), best[0], log_share)
 
 
@@ -431,14 +430,12 @@ class Whitener:
 
     def whiten(self, values: FloatArray) -> FloatArray:
         """Return whitened (m, ...) rows."""
-        rest = values[self.n_dense :]
-        if self.foretold:
-            rest = rest.copy()
+        scale = self.scale if values.ndim == 1 else self.scale[:, None]
+        rest = values[self.n_dense :] / scale
         for known in self.foretold:
-            rest[known.contrast] -= known.weight @ values[known.mean]
-        rest = rest / (self.scale if rest.ndim == 1 else self.scale[:, None])
-        for known in self.foretold:
-            rest[known.contrast] = known.root @ rest[known.contrast]
+            own = known.contrast
+            told = known.weight @ values[known.mean] / scale[own]
+            rest[own] = known.root @ (rest[own] - told)
         return np.concatenate((self.factor.solve(values[: self.n_dense]), rest))
 
     def unwhiten_transposed(self, values: FloatArray) -> FloatArray:

@@ -35,6 +35,14 @@ class Onset:
         self._segment, self._functional = rows.segment, rows.functional
         self._signals = effect.columns(rows.state, {"moment": -np.inf})
         self._whole = {name: rows.column(signals) for name, signals in self._signals.items()}
+        # The middle of each segment, which is tried first: as each row feels its own segment alone,
+        # the sums of all of them are one product.
+        self._middle = rows.interval.mean(axis=1)
+        later = self._time >= self._middle[self._point_segment]
+        self._half = {
+            name: rows.column({c: values * later for c, values in signals.items()})
+            for name, signals in self._signals.items()
+        }
         self._tables: dict[int, tuple[IntArray, int, dict[str, FloatArray]]] = {}
 
     def columns(self, moment: float) -> dict[str, FloatArray]:
@@ -43,11 +51,16 @@ class Onset:
         if point == len(self._time):
             return {name: np.zeros(len(whole)) for name, whole in self._whole.items()}
         segment = int(self._point_segment[point])
+        later = self._segment > segment
+        out = {name: np.where(later, whole, 0.0) for name, whole in self._whole.items()}
+        if moment == self._middle[segment]:
+            own = self._segment == segment
+            for name, half in self._half.items():
+                out[name][own] = half[own]
+            return out
         own, first, tables = self._of(segment)
-        out = {}
-        for name, whole in self._whole.items():
-            out[name] = np.where(self._segment > segment, whole, 0.0)
-            out[name][own] = tables[name][:, point - first]
+        for name, table in tables.items():
+            out[name][own] = table[:, point - first]
         return out
 
     def _of(self, segment: int) -> tuple[IntArray, int, dict[str, FloatArray]]:

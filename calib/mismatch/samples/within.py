@@ -167,11 +167,14 @@ def _pulses(looks: list[_Look], recording: Recording) -> list[Unexplained]:
     # The largest of each moment, at all widths: in the usual noise, and in that of its own rest.
     seen, hit = np.zeros((moments, 6)), np.zeros((moments, 6))
     for look in looks:
-        at = ((look.time - start) / APART).astype(np.int64) + 1
-        np.maximum.at(seen, at, np.abs(look.size))
+        # One after another in time: each moment's are side by side.
+        at, first = np.unique(((look.time - start) / APART).astype(np.int64) + 1, return_index=True)
+        size = np.abs(look.size)
+        seen[at] = np.maximum(seen[at], np.maximum.reduceat(size, first))
         if look.width > 1:
             # Single samples off course are mishaps of the readout, which the audit reports.
-            np.maximum.at(hit, at, np.abs(look.size) / _own_scale(look)[look.rest])
+            own = size / _own_scale(look)[look.rest]
+            hit[at] = np.maximum(hit[at], np.maximum.reduceat(own, first))
     near = np.maximum(seen[1:-1], np.maximum(seen[:-2], seen[2:]))
     companion = -float(ndtri(MISSED / (number / max((seen > 0).sum(), 1)) / 30))
     out = []
@@ -249,9 +252,9 @@ def _densest(moments: FloatArray, whole: Interval) -> Interval:
 
 def _own_scale(look: _Look) -> FloatArray:
     """Return how much noisier each rest is than is usual, at least 1, (rests, 6)."""
-    out = np.ones((int(look.rest.max()) + 1, 6))
-    for k in np.unique(look.rest):
-        own = np.abs(look.size[look.rest == k])
+    rests, first = np.unique(look.rest, return_index=True)
+    out = np.ones((int(rests[-1]) + 1, 6))
+    for k, own in zip(rests, np.split(np.abs(look.size), first[1:]), strict=True):
         out[k] = np.maximum(1.0, ROBUST * np.median(own, axis=0))
     return out
 

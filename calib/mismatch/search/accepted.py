@@ -85,6 +85,15 @@ def lasting(candidate: Candidate) -> bool:
     return candidate.physical and get_effect(candidate.name).kind != "event"
 
 
+def again(candidate: Candidate, accepted: Sequence[Accepted]) -> bool:
+    """Whether an effect was found already on all that a candidate touches."""
+    return lasting(candidate) and any(
+        set(candidate.parameters) <= set(a.candidate.parameters)
+        for a in accepted
+        if a.candidate.name == candidate.name
+    )
+
+
 def fitted(rows: Rows, accepted: list[Accepted] | tuple[Accepted, ...]) -> FloatArray:
     """Return all columns that are always fitted: baseline, nuisances, and what was accepted."""
     return np.hstack((rows.baseline, rows.nuisance, *(a.columns for a in accepted)))

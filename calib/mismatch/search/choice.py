@@ -13,7 +13,7 @@ from calib.mismatch.hypotheses.candidates import Candidate
 from calib.mismatch.hypotheses.score import Stack
 from calib.mismatch.noise.noise import Whitener
 from calib.mismatch.rows.rows import Rows
-from calib.mismatch.search.accepted import Accepted, accept, lasting
+from calib.mismatch.search.accepted import Accepted, accept, again
 from calib.mismatch.search.estimate import pseudo_inverse
 from calib.mismatch.search.ranking import CLAIM, DRIFTING, Ranking, rank
 from calib.mismatch.search.witness import witnessed
@@ -45,7 +45,7 @@ def choose(rows: Rows, ranking: Ranking, accepted: list[Accepted]) -> Candidate 
     groups = {
         g: v + possible(ranking.stack, best[g], whitener, y)
         for g, v in witnessed(rows, ranking, whitener, y).items()
-        if not _within(rows, best[g], accepted) and not _again(best[g], accepted)
+        if not _within(rows, best[g], accepted) and not again(best[g], accepted)
     }
     groups = {g: v for g, v in groups.items() if v > -np.inf}
     ranking = replace(ranking, groups=groups)
@@ -141,15 +141,6 @@ def _around(rows: Rows, moment: float) -> tuple[float, float]:
     """Return the rest or turn that a moment lies in, with those beside it."""
     k = rows.segment_at(moment)
     return float(rows.interval[max(k - 1, 0), 0]), float(rows.interval[: k + 2, 1].max())
-
-
-def _again(candidate: Candidate, accepted: list[Accepted]) -> bool:
-    """Whether an effect was found already on all that a candidate touches."""
-    return lasting(candidate) and any(
-        set(candidate.parameters) <= set(a.candidate.parameters)
-        for a in accepted
-        if a.candidate.name == candidate.name
-    )
 
 
 def possible(stack: Stack, candidate: Candidate, whitener: Whitener, y: FloatArray) -> float:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 
@@ -20,7 +21,7 @@ from calib.mismatch.findings.diagnosis import (
     Verdict,
 )
 from calib.mismatch.findings.evidence import gather
-from calib.mismatch.findings.heldout import HeldOut, held_out, pose_levels
+from calib.mismatch.findings.heldout import HeldOut, LeftOut, held_out, leave_out, pose_levels
 from calib.mismatch.hypotheses.families import is_moment
 from calib.mismatch.hypotheses.places import joined
 from calib.mismatch.hypotheses.windows import touched
@@ -66,6 +67,12 @@ def explain(
     shapes: list[tuple[int, str]] = []
     of_poses: list[Unexplained] = []
     again = returned(fit, accepted)
+
+    @cache
+    def after() -> LeftOut:
+        mean, levels, contrast = fitted(rows, accepted), outcome.levels, outcome.contrast
+        return leave_out(rows, mean, rows.residual, levels=levels, contrast=contrast)
+
     for i, a in enumerate(accepted):
         rivals = _rivals(a)
         if i in again:
@@ -106,7 +113,7 @@ def explain(
         sentence = effect.sentence
         if fit.forms.get(i, 0.0) > 1.0 - TIE:
             sentence = f"{sentence} {effect.in_words(a.candidate.shape)}".rstrip()
-        absorbed, proof, before = _proof(outcome, fit, i, names)
+        absorbed, proof, before = _proof(outcome, fit, i, names, after)
         predicted = a.columns @ fit.step[part]
         if _only_levels(outcome, i, proof):
             of_poses.append(_unexplained(rows, a, ()))
@@ -266,9 +273,16 @@ def _intervals(rows: Rows, a: Accepted) -> tuple[Interval, ...]:
 
 
 def _proof(
-    outcome: Outcome, fit: Estimate, which: int, names: tuple[str, ...]
+    outcome: Outcome,
+    fit: Estimate,
+    which: int,
+    names: tuple[str, ...],
+    after: Callable[[], LeftOut],
 ) -> tuple[tuple[Absorbed, ...], HeldOut, FloatArray]:
-    """Return what had absorbed a finding, its held-out worth, and the residuals without it."""
+    """Return what had absorbed a finding, its held-out worth, and the residuals without it.
+
+    ``after`` is what the fit of all findings says of blocks that are left out of it.
+    """
     own = outcome.accepted[which]
     rows = outcome.rows.judging(own.candidate.name) if own.candidate.physical else outcome.rows
     others = [a for i, a in enumerate(outcome.accepted) if i != which]
@@ -293,6 +307,7 @@ def _proof(
         levels=outcome.levels,
         contrast=outcome.contrast,
         channels=own.candidate.channels,
+        after=after() if rows is outcome.rows else None,
     )
     left = residual - (mean / scale) @ without
     return tuple(absorbed[:8]), proof, left

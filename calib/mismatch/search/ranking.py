@@ -13,10 +13,10 @@ from calib.mismatch.hypotheses.candidates import Candidate
 from calib.mismatch.hypotheses.families import add_catalogue
 from calib.mismatch.hypotheses.rivals import add_rivals
 from calib.mismatch.hypotheses.score import Stack
-from calib.mismatch.noise.noise import Whitener, make_whitener, range_basis
+from calib.mismatch.noise.noise import Levels, Whitener, make_whitener, range_basis
 from calib.mismatch.noise.sensornoise import LEAN
 from calib.mismatch.rows.rows import Rows
-from calib.mismatch.search.accepted import Accepted
+from calib.mismatch.search.accepted import Accepted, again
 from calib.mismatch.search.scores import Hidden, Scores
 from calib.recording import CHANNELS
 from calib.types import FloatArray
@@ -110,7 +110,14 @@ def make_stack(rows: Rows, *, skip: tuple[str, ...], reference: bool) -> Stack:
     return stack
 
 
-def rank(rows: Rows, stack: Stack, accepted: list[Accepted], start: FloatArray) -> Ranking:
+def rank(
+    rows: Rows,
+    stack: Stack,
+    accepted: list[Accepted],
+    start: FloatArray,
+    *,
+    base: Levels | None = None,
+) -> Ranking:
     """Score every candidate under the noise that it implies.
 
     What was left out raises the drift of its channels. So each candidate is also scored with the
@@ -118,8 +125,10 @@ def rank(rows: Rows, stack: Stack, accepted: list[Accepted], start: FloatArray) 
     rivals), and the leaders with drift estimated anew for each of them. Lower drift costs the
     likelihood of the null, and that cost is in the evidence: drift and effect compete on equal
     terms. So does what the null needs to take an effect for noise: levels that are just so.
+
+    ``base`` are the levels with what was accepted in the mean, from `start`, if they are known.
     """
-    scores = Scores.of(rows, stack, accepted, start)
+    scores = Scores.of(rows, stack, accepted, start, base)
     base = scores.base
     evidence, counted = scores.first()
     best, groups = grouped(stack, evidence)
@@ -139,8 +148,11 @@ def rank(rows: Rows, stack: Stack, accepted: list[Accepted], start: FloatArray) 
     for name in leading(best, {g: groups[g] for g in running}):
         if groups[name] <= np.log(CLAIM) - 7:
             continue
+        leaders = _with_fullest(stack, evidence, best[name])
+        if not leaders[-1].shape and again(leaders[-1], accepted):
+            continue  # all of it is fitted: no drift makes it show
         most = -np.inf
-        for leader in _with_fullest(stack, evidence, best[name]):
+        for leader in leaders:
             scored, levels = scores.with_own_drift(leader, every)
             evidence = np.maximum(evidence, scored)
             if scored.max() > most:

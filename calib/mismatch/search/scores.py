@@ -57,7 +57,14 @@ class Scores:
     _whiteners: dict[tuple[bytes, bytes], Whitener] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, rows: Rows, stack: Stack, accepted: list[Accepted], start: FloatArray) -> Scores:
+    def of(
+        cls,
+        rows: Rows,
+        stack: Stack,
+        accepted: list[Accepted],
+        start: FloatArray,
+        base: Levels | None = None,
+    ) -> Scores:
         mean = fitted(rows, accepted)
         # Beside what was accepted they start from what was found with it.
         find = estimate_levels if accepted else find_levels
@@ -67,7 +74,7 @@ class Scores:
             accepted=accepted,
             mean=mean,
             contrast=contrast_noise(rows, accepted),
-            base=find(rows, mean, start),
+            base=find(rows, mean, start) if base is None else base,
             basis=level_basis(rows, mean),
             weight=stack.weight,
         )

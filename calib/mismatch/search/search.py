@@ -14,7 +14,7 @@ from scipy.special import logsumexp
 from calib.mismatch.hypotheses.answers import evidence_near, grouped, leading, nearby
 from calib.mismatch.hypotheses.bound import factors_that_count
 from calib.mismatch.hypotheses.score import Stack
-from calib.mismatch.noise.noise import estimate_levels, expected_levels, make_whitener
+from calib.mismatch.noise.noise import Levels, estimate_levels, expected_levels, make_whitener
 from calib.mismatch.rows.rows import Rows
 from calib.mismatch.search.accepted import Accepted, accept, contrast_noise, fitted, joined, lasting
 from calib.mismatch.search.choice import LEAST, choose, possible
@@ -94,7 +94,7 @@ def search(problem: Problem, *, skip: tuple[str, ...] = ()) -> Outcome:
             accepted = joined(rows, accepted, new, reference=problem.reference)
             fit = refit(problem, rows, accepted, beside)
         rows, accepted, levels, straight = fit
-        extra = _superfluous(rows, accepted, levels)
+        extra, base = _superfluous(rows, accepted, levels)
         if extra is not None and extra.candidate.group not in dropped:
             if lasting(extra.candidate):
                 # What is found again after that is there, and not dropped in turn.
@@ -103,11 +103,11 @@ def search(problem: Problem, *, skip: tuple[str, ...] = ()) -> Outcome:
             if extra.in_model:
                 rows = put_back(problem, rows, accepted)
             rows, accepted, levels, again = refit(problem, rows, accepted, levels)
-            straight &= again
+            straight, base = straight and again, None
         if not (straight and unmoved(seen, rows)):
             del stack, ranking  # their columns are most of the memory that is used
             stack, seen = make_stack(rows, skip=skip, reference=problem.reference), fitted(rows, [])
-        ranking = rank(rows, stack, accepted, levels)
+        ranking = rank(rows, stack, accepted, levels, base=base)
     contrast = contrast_noise(rows, accepted)
     # The ranking took the better of two maxima: its own is left to be approached more closely.
     levels = estimate_levels(rows, fitted(rows, accepted), ranking.levels).values
@@ -127,19 +127,24 @@ def search(problem: Problem, *, skip: tuple[str, ...] = ()) -> Outcome:
     return Outcome(rows, tuple(accepted), levels, contrast, ranking.total, tried)
 
 
-def _superfluous(rows: Rows, accepted: list[Accepted], levels: FloatArray) -> Accepted | None:
-    """Return the finding that later ones have made worthless, if there is one."""
+def _superfluous(
+    rows: Rows, accepted: list[Accepted], start: FloatArray
+) -> tuple[Accepted | None, Levels | None]:
+    """Return the finding that later ones have made worthless, if there is one.
+
+    Beside it the levels with all findings in the mean, from some to start from, where they are
+    wanted: drift must not take up again what these explained.
+    """
     earlier = accepted[:-1]
     if not earlier:
-        return None
+        return None, None
     contrast = contrast_noise(rows, accepted)
-    # With all findings in the mean: drift must not take up again what they explained.
-    levels = estimate_levels(rows, fitted(rows, accepted), levels).values
+    base = estimate_levels(rows, fitted(rows, accepted), start)
     worst: tuple[float, Accepted | None] = (KEEP, None)
     for a in earlier:
         others = [b for b in accepted if b is not a]
         judged = rows.judging(a.candidate.name) if a.candidate.physical else rows
-        whitener = make_whitener(judged, levels, contrast, fitted(judged, others))
+        whitener = make_whitener(judged, base.values, contrast, fitted(judged, others))
         own = Stack(len(rows.residual))
         index = own.columns.add(a.columns)
         own.add(replace(a.candidate, index=index, summed=False, mixing=None))
@@ -148,7 +153,7 @@ def _superfluous(rows: Rows, accepted: list[Accepted], levels: FloatArray) -> Ac
         value += np.log(a.candidate.weight)
         if value < worst[0]:
             worst = (float(value), a)
-    return worst[1]
+    return worst[1], base
 
 
 def _posterior(

@@ -65,19 +65,23 @@ def twins(
     most = max(MIMICKED, BLURRED * float(np.square(explained).sum()))
     allowed: list[FloatArray] = []
     out = []
-    for candidate in _rivals(stack, own, evidence):
+    rivals = _rivals(stack, own, evidence)
+    plain = [stack.of(candidate) for candidate in rivals]
+    # All at once: whitening costs as much for one column as for many.
+    ends = np.cumsum([columns.shape[1] for columns in plain])[:-1]
+    seen = np.split(whitener.project(np.hstack(plain)), ends, axis=1) if plain else []
+    for candidate, columns, white in zip(rivals, plain, seen, strict=True):
         if candidate.group in out:
             continue
-        columns = stack.of(candidate)
-        left = _left(whitener.project(columns), explained)
+        left = _left(white, explained)
         if most <= left <= NEARLY * most:
             allowed = allowed or [
                 explained,
                 *_shaped(rows, own, whitener, y, reference=reference),
             ]
             _, columns = refined(rows, candidate, columns, whitener, y, reference=reference)
-            white = whitener.project(columns)
-            left = min(_left(white, found) for found in allowed)
+            moved = whitener.project(columns)
+            left = min(_left(moved, found) for found in allowed)
         if left < most:
             out.append(candidate.group)
     whole = max(ALIKE, SHARE * float(np.square(explained).sum()))
@@ -107,15 +111,16 @@ def _rivals(stack: Stack, own: Accepted, evidence: FloatArray) -> list[Candidate
     What one axis mimics of three is a third.
     """
     number, groups = own.columns.shape[1], dict[str, list[int]]()
-    for i, c in stack.physics.items():
+    every = stack.physics
+    for i, c in every.items():
         if len(c.index) <= number and c.group != own.candidate.group:
             groups.setdefault(c.group, []).append(i)
     best: list[int] = []
     for few in groups.values():
-        most = max(len(stack[i].index) for i in few)
-        full = [i for i in few if len(stack[i].index) == most]
+        most = max(len(every[i].index) for i in few)
+        full = [i for i in few if len(every[i].index) == most]
         best += dict.fromkeys(max(some, key=evidence.item) for some in (few, full))
-    return [stack[i] for i in best]
+    return [every[i] for i in best]
 
 
 def _shaped(

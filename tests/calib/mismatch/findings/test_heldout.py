@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.mismatch.findings.heldout import FOLDS, fold_of, held_out
+from calib.mismatch.findings.heldout import FOLDS, fold_of, held_out, leave_out
 from calib.mismatch.noise.noise import expected_levels
 from calib.mismatch.rows.rows import Rows
 from calib.mismatch.search.accepted import fitted
@@ -70,3 +70,20 @@ def test_a_gain_is_what_blocks_are_more_probable_by_and_counts_how_vague_a_fit_i
     truth = foretold(rows, after, y, levels) - foretold(rows, mean, y, levels)
     assert found.gain == pytest.approx(truth, abs=0.05)
     assert (found.gain > 0) is (size > 0)
+
+
+def test_what_the_fit_of_all_findings_says_may_be_known() -> None:
+    """In whatever order its columns are: beside several findings it is the same."""
+    _, made = problem()
+    rows = made.rows()
+    rng = np.random.default_rng(5)
+    mean, column = fitted(rows, []), rng.normal(size=(len(rows.residual), 2))
+    noise = {"levels": expected_levels(rows), "contrast": rows.white_diagonal}
+    after = leave_out(rows, np.hstack((column, mean)), rows.residual, **noise)
+    known, found = (
+        held_out(rows, mean, column, rows.residual, **noise, channels=("gyro.x",), after=given)
+        for given in (after, None)
+    )
+    assert known.gain == pytest.approx(found.gain, rel=1e-6)
+    assert known[:3] == pytest.approx(found[:3], rel=1e-6)
+    assert known[3:5] == found[3:5]

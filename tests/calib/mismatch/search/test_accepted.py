@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from calib.mismatch.search.accepted import accept, joined
-from calib.mismatch.search.choice import _again
+from calib.mismatch.search.accepted import accept, again, joined
 
 from .stacked import candidate
 
@@ -19,8 +18,8 @@ def test_parameters_of_one_effect_are_one_finding(stacked):
     assert both.candidate.shape == first.candidate.shape
     np.testing.assert_array_equal(both.values, [0.0, 2e-3])
     np.testing.assert_allclose(both.columns[:, 1:], first.columns)
-    assert _again(candidate(stack, "gyro_warm_up", ("kx",)), [both])
-    assert not _again(candidate(stack, "gyro_warm_up", ("ky",)), [both])
+    assert again(candidate(stack, "gyro_warm_up", ("kx",)), [both])
+    assert not again(candidate(stack, "gyro_warm_up", ("ky",)), [both])
 
 
 def test_events_of_one_kind_stay_apart(stacked):
@@ -28,7 +27,7 @@ def test_events_of_one_kind_stay_apart(stacked):
     steps = [c for c in stack if c.name == "gyro_bias_step" and len(c.index) == 1]
     first, new = (accept(stack, c, 100.0) for c in (steps[0], steps[9]))
     assert len(joined(rows, [first], new, reference=False)) == 2
-    assert not _again(steps[0], [first])
+    assert not again(steps[0], [first])
 
 
 def test_low_passes_of_unlike_channels_stay_apart(stacked):

@@ -14,7 +14,7 @@ from calib.mismatch.noise.noise import (
     level_likelihood,
 )
 from calib.mismatch.rows.grid import make_grid
-from calib.mismatch.search.accepted import fitted
+from calib.mismatch.search.accepted import accept, fitted
 from calib.mismatch.search.ranking import (
     CLAIM,
     DRIFTING,
@@ -29,6 +29,7 @@ from calib.mismatch.twin.selfmode import SelfProblem
 from calib.statics import find_poses
 
 from ..bench import GRAVITY, recording
+from .stacked import candidate
 
 
 def test_a_p_value_is_no_less_rare_than_evidence_of_noise():
@@ -83,3 +84,29 @@ def test_a_fit_starts_from_levels_that_were_found_beside_what_is_fitted():
     assert behind
     for other in behind:
         assert ranking.levels_with(other) is ranking.levels
+
+
+def test_what_is_fitted_in_full_is_worth_what_it_is_beforehand(stacked):
+    """No drift makes it show, so that none is found for it; beside a part of it one is."""
+    rows, stack = stacked
+    axes = ("kx", "ky", "kz")
+    whole, part = (candidate(stack, "accel_cubic", names) for names in (axes, axes[:1]))
+    full, more = (
+        rank(rows, stack, [accept(stack, c, 1.0)], expected_levels(rows)) for c in (whole, part)
+    )
+    own = [c.weight for c in stack.physics.values() if c.name == whole.name]
+    assert full.groups[whole.name] == pytest.approx(np.log(sum(own)), abs=1e-5)
+    assert whole.name not in full.beside
+    assert whole.name in more.beside
+
+
+def test_levels_that_are_known_are_not_looked_for_again(stacked):
+    rows, stack = stacked
+    taken, start = (
+        accept(stack, candidate(stack, "accel_cubic", ("kx",)), 1.0),
+        expected_levels(rows),
+    )
+    base = estimate_levels(rows, fitted(rows, [taken]), start)
+    known, found = rank(rows, stack, [taken], start, base=base), rank(rows, stack, [taken], start)
+    assert known.levels is base.values
+    assert known.groups == pytest.approx(found.groups, rel=1e-9)
