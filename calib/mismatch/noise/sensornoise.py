@@ -155,18 +155,28 @@ def flicker_covariance(time: FloatArray, length: FloatArray) -> FloatArray:
 
     A sum of Gauss-Markov processes, correlation times a factor of 3 apart from shorter than any
     segment to longer than the recording, each of variance ``ln(3) / pi``: one-sided density
-    ``1 / (pi f)``. Those shorter than a segment are averaged down in it.
+    ``1 / (pi f)``. Means over segments of lengths a and b, a gap apart, of one of correlation time
+    T and unit variance have the covariance
+
+        f(a / T) f(b / T) exp(-gap / T),    f(r) = (1 - exp(-r)) / r,
+
+    and each the variance ``2 (r - 1 + exp(-r)) / r²``, r being its own length over T.
+
+    Parameters
+    ----------
+    time, length : (n,) arrays, s
+        Middles and lengths of segments that do not overlap.
     """
-    gap = np.abs(np.subtract.outer(time, time))
-    span = max(float(gap.max()), 1e-9)
+    apart = np.abs(np.subtract.outer(time, time))
     size = np.maximum(length, 1e-9)
+    gap = np.maximum(apart - 0.5 * np.add.outer(size, size), 0.0)
+    span = max(float(apart.max()), 1e-9)
     out = np.zeros_like(gap)
     for correlation in 3 * span * 3.0 ** -np.arange(12.0):
         ratio = size / correlation
-        # Variance of the mean of a Gauss-Markov process over a segment.
-        own = 2 * (ratio - 1 + np.exp(-ratio)) / np.square(ratio)
-        part = np.exp(-np.maximum(gap, 0) / correlation) * np.sqrt(np.outer(own, own))
-        np.fill_diagonal(part, own)
+        end = -np.expm1(-ratio) / ratio
+        part = np.outer(end, end) * np.exp(-gap / correlation)
+        np.fill_diagonal(part, 2 * (1 - end) / ratio)
         out += part
     return np.asarray(out * np.log(3.0) / np.pi)
 

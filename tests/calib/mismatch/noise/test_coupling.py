@@ -127,8 +127,8 @@ def test_what_changes_within_rests_says_how_much_a_bias_flickers() -> None:
         residual = real.residual.copy()
         residual[rows.n_dense :] = size * white
         found.append(logs_of_flicker(replace(real, residual=residual)))
-    # Of a gyroscope a lean looks much the same.
-    assert np.mean((found[1] - found[0])[:3]) > 0.3
+    # Of means alone it is the same. Of a gyroscope a lean looks much the same.
+    assert np.mean((found[1] - found[0])[:3]) > 0.2
     # Without a clock nobody knows what changes within rests have to do with those between them.
     unknown = replace(real, components=tuple(replace(c, spread=4.0) for c in rows.components))
     assert not drift_in_contrasts(unknown).any()

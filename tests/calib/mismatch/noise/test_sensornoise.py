@@ -4,10 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import linalg
 
 from calib.effects.vibration import quiet_level
 from calib.mismatch import diagnose_recording
-from calib.mismatch.noise.sensornoise import sample_noise
+from calib.mismatch.noise.sensornoise import flicker_covariance, sample_noise
 from calib.mismatch.rows.grid import make_grid
 from calib.recording import Recording
 from calib.statics import find_poses
@@ -95,3 +96,20 @@ def test_what_tones_rectify_is_named_where_most_rests_are_shaken(seed: int) -> N
     real = shaken(3, white=False, rectified=0.1, seed=seed)
     named = [f.effect for f in diagnose_recording(real, gravity=GRAVITY).findings]
     assert named == ["accel_vibration_rectification"]
+
+
+def test_flicker_of_means_is_that_of_their_moments() -> None:
+    """Summed over moments, close to each other, of processes as they are."""
+    start, stop = np.array([0.0, 0.5, 2.5, 30.0]), np.array([0.5, 2.5, 7.0, 38.0])
+    middle, length = 0.5 * (start + stop), stop - start
+    found = flicker_covariance(middle, length)
+    fine = np.arange(0.0025, 38.0, 0.005)
+    inside = ((fine >= start[:, None]) & (fine < stop[:, None])).astype(float)
+    inside /= inside.sum(axis=1, keepdims=True)
+    span = np.ptp(middle)
+    density = np.zeros(len(fine))
+    for time in 3 * span * 3.0 ** -np.arange(12.0):
+        density += np.exp(-fine / time) * np.log(3.0) / np.pi
+    every = linalg.toeplitz(density)
+    np.testing.assert_allclose(found, inside @ every @ inside.T, rtol=2e-2, atol=1e-4)
+    assert np.linalg.eigvalsh(found).min() > 0
