@@ -38,6 +38,7 @@ from calib.mismatch.findings.heldout import held_out
 from calib.mismatch.hypotheses.factors import LARGE
 from calib.mismatch.hypotheses.families import effect_columns, shape_grid
 from calib.mismatch.noise.contrast import contrast_variance
+from calib.mismatch.noise.coupling import drift_in_contrasts, foretold
 from calib.mismatch.noise.noise import Whitener, make_whitener
 from calib.mismatch.noise.sensornoise import DRIFT_TIME
 from calib.mismatch.rows.grid import make_grid
@@ -362,7 +363,8 @@ def oracle(clean: Recording, bench: Bench) -> tuple[Rows, Whitener, SelfProblem]
     true = bench.motion.state(rows.state.time)
     rows = replace(rows, state=replace(rows.state, force=true.force, rate=true.rate))
     levels = true_levels(rows, bench.noise)
-    return rows, make_whitener(rows, levels, rows.white_diagonal, mean), problem
+    contrast = contrast_of(rows, levels, reference=False)
+    return rows, make_whitener(rows, levels, contrast, mean), problem
 
 
 def whole_change(
@@ -396,9 +398,9 @@ def named_with_noise_known(
     claimed.
     """
     stack = make_stack(rows, skip=skip, reference=reference)
-    whitener = make_whitener(
-        rows, true_levels(rows, noise), contrast_of(rows, reference=reference), fitted(rows, [])
-    )
+    levels = true_levels(rows, noise)
+    contrast = contrast_of(rows, levels, reference=reference)
+    whitener = make_whitener(rows, levels, contrast, fitted(rows, []))
     evidence = stack.log_bayes_factors(whitener, whitener.project(rows.residual))
     evidence += stack.weight
     total = logsumexp(evidence)
@@ -407,9 +409,20 @@ def named_with_noise_known(
     return bool(total > np.log(CLAIM) and own - total > np.log(TIE))
 
 
-def contrast_of(rows: Rows, *, reference: bool) -> np.ndarray:
-    """Return the variance of contrasts; beside a reference what shakes in single windows is too."""
-    return contrast_variance(rows) if reference else rows.white_diagonal
+def contrast_of(
+    rows: Rows, levels: np.ndarray, *, reference: bool, apart: bool = False
+) -> np.ndarray:
+    """Return the variance that contrasts have for one who knows how far biases drift.
+
+    White noise, and drift within the rest: what means do not foretell of it, unless contrasts are
+    taken ``apart`` from these. Beside a reference what shakes in single windows is noise, too.
+    """
+    if reference:
+        return contrast_variance(rows)
+    variance = rows.white_diagonal + levels @ drift_in_contrasts(rows)
+    for known in () if apart else foretold(rows, levels):
+        variance[known.contrast] = known.variance
+    return variance
 
 
 def oracle_gain(
@@ -423,13 +436,14 @@ def oracle_gain(
     typical = {p.name: p.typical for p in effect.parameters}
     size = {name: term.parameters.get(name, 0.0) / typical[name] for name in columns}
     column = sum(v * columns[n] for n, v in size.items())
+    levels = true_levels(rows, noise)
     return held_out(
         rows,
         np.hstack((rows.baseline, rows.nuisance)),
         column[:, None],
         rows.residual,
-        levels=true_levels(rows, noise),
-        contrast=contrast_of(rows, reference=reference),
+        levels=levels,
+        contrast=contrast_of(rows, levels, reference=reference, apart=True),
         channels=tuple(c for n, v in size.items() if v for c in channels[n]),
     ).gain
 

@@ -331,7 +331,7 @@ def sized(
     kept += [True] * (rows.nuisance.shape[1] - len(kept))
     mean = np.hstack((rows.baseline, rows.nuisance[:, kept]))
     levels = true_levels(rows, noise_of_both(case.kind))
-    whitener = make_whitener(rows, levels, contrast_of(rows, reference=True), mean)
+    whitener = make_whitener(rows, levels, contrast_of(rows, levels, reference=True), mean)
     effect = get_effect(case.names[0])
     term = sized_term(
         effect,

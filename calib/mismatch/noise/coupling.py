@@ -40,19 +40,21 @@ class Foretold(NamedTuple):
     """Contrasts of one channel, numbered as such, as far as dense rows foretell them.
 
     ``weight`` is what each counts in that; ``root`` whitens what is left, in standard deviations.
+    Beside white noise alone these are the roots of ``variance``.
     """
 
     contrast: IntArray
     mean: IntArray
     weight: FloatArray
     root: FloatArray
+    variance: FloatArray
 
     def restricted(self, dense: IntArray, contrast: IntArray) -> Foretold | None:
         """Return the same with rows numbered as in these, which hold whole channels."""
         if self.mean[0] not in dense:
             return None
         places = np.searchsorted(contrast, self.contrast), np.searchsorted(dense, self.mean)
-        return Foretold(*places, self.weight, self.root)
+        return Foretold(*places, self.weight, self.root, self.variance)
 
 
 class _Drifts(NamedTuple):
@@ -131,10 +133,11 @@ def _alone(drift: _Drifts, size: FloatArray, jitter: float) -> Foretold | None:
     weight = linalg.cho_solve(linalg.cho_factor(means), crossed.T).T
     left = np.tensordot(size, drift.own, 1) - weight @ crossed.T
     left[np.diag_indices_from(left)] += drift.noise
-    scale = np.sqrt(np.diag(left))
+    variance = np.diag(left).copy()
+    scale = np.sqrt(variance)
     root = linalg.cholesky(left / np.outer(scale, scale), lower=True, check_finite=False)
     root = linalg.lapack.dtrtri(root, lower=1)[0]
-    return Foretold(drift.contrast, drift.mean, np.ascontiguousarray(weight), root)
+    return Foretold(drift.contrast, drift.mean, np.ascontiguousarray(weight), root, variance)
 
 
 def _drifts(rows: Rows, c: int) -> _Drifts | None:

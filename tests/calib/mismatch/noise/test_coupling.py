@@ -36,14 +36,14 @@ def slow() -> Rows:
     return SelfProblem(grid, None, gravity=GRAVITY, full_gyro=False).rows()
 
 
-def drifting(rows: Rows, rng: np.random.Generator, size: float) -> FloatArray:
+def drifting(rows: Rows, rng: np.random.Generator, size: float, *, first: int = 0) -> FloatArray:
     """Return white noise, and flicker of all channels as Gauss-Markov processes at the points."""
     dense, time = rows.n_dense, rows.state.time
     white = np.linalg.cholesky(rows.white + 1e-30 * np.eye(dense)) @ rng.normal(size=dense)
     rest = np.sqrt(rows.white_diagonal) * rng.normal(size=len(rows.white_diagonal))
     out = np.concatenate((white, rest))
     level = {c.name: c.expected for c in rows.components}
-    for correlation in 2.0 * 4.0 ** np.arange(7):
+    for correlation in 2.0 * 4.0 ** np.arange(first, 7):
         kept = np.exp(-np.diff(time) / correlation)
         drift = rng.normal(size=(len(time), 6))
         drift[1:] *= np.sqrt(1 - kept**2)[:, None]
@@ -71,6 +71,24 @@ def test_nothing_is_left_in_contrasts_of_what_means_have_said() -> None:
     before, after = (np.corrcoef(np.ravel(ahead), np.ravel(v))[0, 1] for v in (raw, left))
     assert abs(before) > 0.1
     assert abs(after) < 0.5 * abs(before)
+
+
+def test_drift_within_rests_is_as_large_as_levels_say() -> None:
+    rows, rng = slow(), np.random.default_rng(9)
+    levels = np.array(
+        [9.0 * c.expected if c.name.endswith("flicker") else 1e-30 for c in rows.components]
+    )
+    y = np.stack([drifting(rows, rng, 9.0, first=-1) for _ in range(40)], axis=1)
+    variance = rows.white_diagonal.copy()
+    for known in foretold(rows, levels):
+        variance[known.contrast] = known.variance
+    whitener = make_whitener(rows, levels, variance, rows.baseline[:, :0])
+    for triad in (0, 1):
+        own = rows.n_dense + np.flatnonzero(rows.channel[rows.n_dense :] // 3 == triad)
+        beside = np.square(y[own]).mean(axis=1) / rows.white_diagonal[own - rows.n_dense]
+        assert beside.mean() > 1.2
+        # The drift that is drawn is a sum of other processes.
+        assert np.square(whitener.whiten(y)[own]).mean() == pytest.approx(1.0, abs=0.12)
 
 
 def test_what_drifts_slowly_is_no_effect(monkeypatch: pytest.MonkeyPatch) -> None:
