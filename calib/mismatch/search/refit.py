@@ -92,6 +92,13 @@ def refit(
         levels = estimate_levels(rows, fitted(rows, accepted), levels).values
     rows, accepted, steps, off = _stepped(problem, rows, accepted, levels, contrast)
     straight = steps == 1 and off < BENT
+    for _ in range(REFINED):
+        if steps == 1 or not off < BENT:
+            break
+        # What was bent weighed as noise: beside less, steps go on to where they lead.
+        levels = find_levels(rows, fitted(rows, accepted), levels).values
+        contrast = contrast_noise(rows, accepted)
+        rows, accepted, steps, off = _stepped(problem, rows, accepted, levels, contrast)
     for _ in range(REFINED if rough else 0):
         placed, levels = _placed_anew(problem, rows, accepted, levels, contrast)
         if placed is None:

@@ -128,6 +128,14 @@ def test_one_effect_is_found_and_nothing_else(slug, values):
         assert q.value == pytest.approx(value, abs=5 * q.sigma + 0.02 * abs(value))
 
 
+def test_steps_go_on_until_nothing_is_left_that_noise_was_taken_for():
+    """What another finding had bent raised the noise: a fit beside it ended before its end."""
+    real = recorded(Term("time_offset", {"gyro_delay": 0.003}), seed=7)
+    found = diagnose_against(real, simulation(), gravity=GRAVITY)
+    assert [item.effect for item in found.findings] == ["time_offset"]
+    assert not found.unexplained
+
+
 def test_evidence_that_drift_can_mimic_counts_in_full_where_every_moment_shows_the_drift():
     real = recorded(Term("gyro_bias_step", {"bx": 0.0006, "moment": 14.0}))
     seen = look_at_samples(real, find_poses(real))
