@@ -28,6 +28,10 @@ BLURRED = 0.0025
 signals, of which the slow part that is left beside drift and baseline errs by 5 % (a thermometer is
 not where the sensor is, and a rate of its temperature is a derivative)."""
 
+LEAST = 0.5
+"""Share of a finding's power that a twin mimics at least: of one that hardly shows beside later
+findings, everything would be a twin."""
+
 NEARLY = 4.0
 """How many times as much may be left of a twin at one of the grid's shapes, at its own."""
 
@@ -62,7 +66,8 @@ def twins(
         With all that is fitted but the finding; and what is left beside that.
     """
     explained = _fit(whitener.project(own.columns), y)
-    most = max(MIMICKED, BLURRED * float(np.square(explained).sum()))
+    power = float(np.square(explained).sum())
+    most = min(max(MIMICKED, BLURRED * power), LEAST * power)
     allowed: list[FloatArray] = []
     out = []
     rivals = _rivals(stack, own, evidence)
@@ -84,7 +89,7 @@ def twins(
             left = min(_left(moved, found) for found in allowed)
         if left < most:
             out.append(candidate.group)
-    whole = max(ALIKE, SHARE * float(np.square(explained).sum()))
+    whole = min(max(ALIKE, SHARE * power), LEAST * power)
     for candidate in _wider(stack, own):
         if candidate.group not in out and (
             _left(whitener.project(stack.of(candidate)), explained) < whole

@@ -74,3 +74,20 @@ def test_what_a_known_rival_mimics_wholly_is_a_tie_however_many_parameters_it_ha
     evidence = stack.log_bayes_factors(whitener, y)
     names = twins(rows, stack, found, evidence, whitener, y, reference=False)
     assert ("gyro_g_sensitivity" in names) is (not north)
+
+
+def test_what_hardly_shows_has_no_twins():
+    """Within the noise everything is alike: thirty effects were rivals of one that had faded."""
+    _, made = problem()
+    rows = made.rows()
+    stack = make_stack(rows, skip=(), reference=False)
+    whitener = make_whitener(rows, expected_levels(rows), rows.white_diagonal, fitted(rows, []))
+    own = next(c for c in stack if c.name == "gyro_scale_nonlinearity" and c.parameters == AXES)
+    columns = stack.of(own)
+    along = whitener.project(columns) @ np.ones(3)
+    y = 2.0 * along / np.linalg.norm(along)
+    found = Accepted(own, columns, np.ones(3), np.zeros(3), False, 100.0)
+    evidence = stack.log_bayes_factors(whitener, y)
+    names = twins(rows, stack, found, evidence, whitener, y, reference=False)
+    assert len(names) < 6
+    assert "accel_warm_up" not in names
