@@ -205,6 +205,8 @@ class Motion:
     force: np.ndarray
     rate: np.ndarray
     quaternion: np.ndarray
+    position: np.ndarray
+    """Of the sensor in the room, m."""
     temperature: np.ndarray
     since_turn: np.ndarray
     vibration: np.ndarray
@@ -310,8 +312,9 @@ def make_motion(rng: np.random.Generator, setting: Setting) -> Motion:
         vibration = np.square(on[:, None] * direction)
         force = force + np.sqrt(vibration) * rng.normal(size=force.shape)
     return Motion(
-        time, step, stride, force, rate, middle, _temperature(rng, setting, time), since_turn,
-        vibration, rests, setting, EARTH * np.sin(latitude),
+        time, step, stride, force, rate, middle, 0.5 * (position[1:] + position[:-1]),
+        _temperature(rng, setting, time), since_turn, vibration, rests, setting,
+        EARTH * np.sin(latitude),
     )  # fmt: skip
 
 

@@ -85,6 +85,11 @@ def notes(document: Mapping[str, Any]) -> list[str]:
             f"{left['samples']} samples of the reference were left out: one marker was taken for "
             f"another at {spans(left['intervals'], digits=2)}."
         )
+    if "corners" in recording:
+        out.append(
+            f"{recording['corners']} samples of the simulation were left out: they are too few to "
+            "follow the corners of its motion."
+        )
     if "silent" in recording:
         out.append(
             f"Without noise: {recording['silent']}; they count as noisy as the quietest sensor is."

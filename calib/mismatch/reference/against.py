@@ -41,6 +41,10 @@ UNPLACED = ("accel_lever_arm", "accel_size_effect", "time_offset")
 """What shows only where it is known what an accelerometer feels while it moves: its place, that of
 its axes, and its delay against the gyroscope."""
 
+CORNERS = "corners"
+"""How many samples of a simulation are about corners of its motion, and too few to follow it there:
+they are left out."""
+
 _SELDOM_ALONE = ("earth_rate", "gravity_magnitude")
 """What is in a simulation's own signals already, or is a scale that the baseline has."""
 
@@ -98,6 +102,8 @@ def diagnose_against(
             f"a simulation at a higher rate: at {1.0 / simulated.interval:.3g} Hz it has too few "
             "samples for its motion, of which only the slow part was compared",
         )
+    elif problem.truth.spoilt is not None:
+        summary[CORNERS] = int(problem.truth.spoilt.sum())
     return conclude(
         problem, seen, summary, setups=("clock_scale",), clocks=clocks, skip=skip, missing=few
     )
@@ -128,6 +134,7 @@ def compare_simulation(
         band=common.band,
         raw=real if common.limited else None,
         stuck=common.stuck,
+        folded=common.folded,
     )
     return problem, ((*_SELDOM_ALONE, "bandwidth") if common.limited else _SELDOM_ALONE)
 

@@ -14,13 +14,14 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy import fft
 from scipy import sparse
 
 from calib.mismatch.noise.hush import least_noise
 from calib.mismatch.reference.alignment import Alignment
+from calib.mismatch.reference.corners import is_common, unfollowed
 from calib.mismatch.reference.floor import audible_beside
-from calib.mismatch.reference.truths import DEGREE, RecordingTruth
+from calib.mismatch.reference.scatter import LOUD, QUIETEST
+from calib.mismatch.reference.truths import RecordingTruth
 from calib.recording import Recording
 from calib.types import BoolArray, FloatArray, IntArray
 
@@ -73,7 +74,9 @@ class Matched(NamedTuple):
 
     ``blur`` is the standard deviation (s) of the Gaussian through which differences are seen,
     ``band`` the frequency (Hz) up to which both passed `zero_phase`; 0 is none. Where neither has
-    noise, ``stuck`` is what rounding does (`calib.mismatch.reference.floor.Heard`).
+    noise, ``stuck`` is what rounding does (`calib.mismatch.reference.floor.Heard`). ``folded`` is
+    the power (n, 2) of the motion beyond the band, of both triads: unlike samples fold unlike parts
+    of it into the band.
     """
 
     real: Recording
@@ -82,6 +85,7 @@ class Matched(NamedTuple):
     blur: float = 0.0
     band: float = 0.0
     stuck: tuple[sparse.csr_matrix, ...] = ()
+    folded: FloatArray | None = None
 
     @property
     def limited(self) -> bool:
@@ -108,15 +112,52 @@ def matched(
         return Matched(heard.real, truth, heard.spoilt, stuck=heard.stuck)
     other = truth.recording
     if (noise_of(other) <= QUIET * noise_of(real)).all():
-        if not too_few(real, other):
-            return Matched(real, truth, spoilt)
-        return limited(real, truth, RESOLVED / max(real.interval, other.interval), spoilt)
+        corners = unfollowed(other, noise_of(real))
+        if not is_common(corners, other.gyro):
+            return Matched(real, _with_unknown(truth, corners), spoilt)
+        resolved = RESOLVED / max(real.interval, other.interval)
+        return _limited_beside(real, truth, alignment, resolved, spoilt)
     bandwidth = common_band(real, truth, alignment, mat, forces=forces)
     if bandwidth is None:
         blur = BLUR * max(real.interval, other.interval)
         return Matched(real, truth, spoilt, blur=blur)
     bandwidth = min(bandwidth, RESOLVED / max(real.interval, other.interval))
-    return limited(real, truth, bandwidth, spoilt)
+    return _limited_beside(real, truth, alignment, bandwidth, spoilt)
+
+
+def _with_unknown(truth: RecordingTruth, unknown: BoolArray) -> RecordingTruth:
+    """Return a truth of which some samples more are not to be believed."""
+    if not unknown.any():
+        return truth
+    return replace(truth, spoilt=unknown if truth.spoilt is None else truth.spoilt | unknown)
+
+
+def _limited_beside(
+    real: Recording,
+    truth: RecordingTruth,
+    alignment: Alignment,
+    bandwidth: float,
+    spoilt: BoolArray,
+) -> Matched:
+    """Return what `limited` does, and what is beyond the band."""
+    common = limited(real, truth, bandwidth, spoilt)
+    power = beyond(truth.recording, common.truth.recording, bandwidth)
+    at = alignment.times(common.real.time)
+    folded = [np.interp(at, truth.recording.time, own) for own in power.T]
+    return common._replace(folded=np.stack(folded, axis=1))
+
+
+def beyond(whole: Recording, kept: Recording, bandwidth: float) -> FloatArray:
+    """Return the power (n, 2) that a low-pass took from both triads, beside that of noise.
+
+    It is the mean over a period of the cut-off; of noise rests have as much.
+    """
+    lost = np.hstack((whole.accel - kept.accel, whole.gyro - kept.gyro))
+    power = np.square(lost).reshape(-1, 2, 3).sum(axis=2)
+    width = round(1.0 / (bandwidth * whole.interval)) | 1
+    window = np.full(width, 1.0 / width)
+    mean = np.stack([np.convolve(own, window, mode="same") for own in power.T], axis=1)
+    return np.asarray(np.maximum(mean - LOUD * np.quantile(mean, QUIETEST, axis=0), 0.0))
 
 
 def noise_of(recording: Recording) -> FloatArray:
@@ -155,33 +196,7 @@ def follows_noise(real: Recording, truth: RecordingTruth, alignment: Alignment) 
 
 def too_few(real: Recording, other: Recording) -> bool:
     """Whether another recording has too few samples for its motion, beside this one's noise."""
-    return bool((between(other) > noise_of(real)).any())
-
-
-def between(recording: Recording) -> FloatArray:
-    """Return by how much a spline errs between a recording's samples, (2,) for both triads.
-
-    The root-mean-square over the liveliest `PART` seconds. Through even samples a spline of degree
-    d gives back a sinusoid of frequency f (in cycles per sample) but for ``(f / (1 - f))**(d + 1)``
-    of it, and as much of its first alias.
-
-    References
-    ----------
-    .. [1] M. Unser, "Splines: a perfect fit for signal and image processing", IEEE Signal Process.
-       Mag. 16(6), 1999 (the frequency response of cardinal splines).
-    """
-    n = min(max(16, round(PART / recording.interval)), len(recording))
-    window = np.hanning(n)
-    frequency = fft.rfftfreq(n)
-    lost = 2.0 * np.square((frequency / (1.0 - frequency)) ** (DEGREE + 1))
-    lost[1:] *= 2.0
-    out = []
-    for values in (recording.accel, recording.gyro):
-        parts = np.lib.stride_tricks.sliding_window_view(values, n, axis=0)[:: max(n // 2, 1)]
-        spread = parts - parts.mean(axis=2, keepdims=True)
-        power = np.square(np.abs(fft.rfft(spread * window, axis=2))) @ lost
-        out.append(float(np.sqrt(power.max() / n / np.square(window).sum())))
-    return np.array(out)
+    return is_common(unfollowed(other, noise_of(real)), other.gyro)
 
 
 def limited(real: Recording, truth: RecordingTruth, bandwidth: float, spoilt: BoolArray) -> Matched:

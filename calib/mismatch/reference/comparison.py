@@ -87,6 +87,8 @@ class ComparisonProblem:
         rest. The differences keep it: it is white there.
     stuck : six sparse matrices, optional
         By how much rounding may be off, as `calib.mismatch.reference.floor.Heard` has it.
+    folded : (n, 2) array, optional
+        Power of the motion beyond the band, of both triads, as `Matched` has it.
     other : two (18,) arrays, optional
         Of another IMU as the truth: its errors, and how far they may be off (`known_errors`).
     notes : mapping, optional
@@ -110,6 +112,7 @@ class ComparisonProblem:
         band: float = 0.0,
         raw: Recording | None = None,
         stuck: tuple[sparse.csr_matrix, ...] = (),
+        folded: FloatArray | None = None,
         other: tuple[FloatArray, FloatArray] | None = None,
         notes: Mapping[str, object] | None = None,
     ) -> None:
@@ -128,6 +131,7 @@ class ComparisonProblem:
         self.index = np.flatnonzero(covered)
         self.time = real.time[self.index]
         self.stuck = tuple(own[self.index] for own in stuck)
+        self.folded = None if folded is None else folded[self.index]
         self.band, self.interval, self.unresolved = band, real.interval, blur > 0
         self.judged: BoolArray | None = None
         self.measured = np.hstack((real.accel, real.gyro))[self.index]
@@ -250,7 +254,14 @@ class ComparisonProblem:
             columns = list(self._shape_columns(felt, left))
             rough = None
             if self.noisy:
-                rough = scatter(felt, left, columns, blur=self.blur, resolved=not self.unresolved)
+                rough = scatter(
+                    felt,
+                    left,
+                    columns,
+                    blur=self.blur,
+                    resolved=not self.unresolved,
+                    folded=self.folded,
+                )
             self.shapes = find_shapes(self.time, left, columns, blur=self.blur, scatter=rough)
         turned = [n.startswith("reference_misalignment") for n in self.alignments]
         rows = make_rows(

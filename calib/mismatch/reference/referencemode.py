@@ -275,6 +275,7 @@ def compared(
         band=common.band,
         raw=real if common.limited else None,
         stuck=common.stuck,
+        folded=common.folded,
         other=other,
         notes=notes,
     )
@@ -307,7 +308,7 @@ def _captured(
     common = matched(real, truth, alignment, mat, spoilt=spoilt, forces=forces)
     if common.band and BEYOND * common.band < 0.5 / truth.recording.interval:
         truth = reference.truth(gravity=gravity, bandwidth=BEYOND * common.band)
-        common = limited(real, truth, common.band, spoilt)
+        common = limited(real, truth, common.band, spoilt)._replace(folded=common.folded)
     return common, alignment, mat, notes, reference
 
 

@@ -62,6 +62,7 @@ def scatter(
     *,
     blur: Blur,
     resolved: bool,
+    folded: FloatArray | None = None,
 ) -> Scatter:
     """Return how far points scatter.
 
@@ -77,8 +78,12 @@ def scatter(
         What their differences are seen through. What they scatter more than always is white.
     resolved : bool
         Whether the samples resolve the motion.
+    folded : (n, k) array, optional
+        Power of what is beyond the band of the differences, and partly folded into it.
     """
     parts = _parts(state, resolved=resolved)
+    if folded is not None:
+        parts = np.hstack((parts, folded))
     size = parts.mean(axis=0)
     parts = parts[:, size > 0] / size[size > 0]
     variance = np.empty((len(parts), len(CHANNELS)))

@@ -12,7 +12,7 @@ from calib.mismatch import diagnose_against, diagnose_reference
 from calib.mismatch.noise.noise import expected_levels
 from calib.mismatch.reference.against import compare_simulation
 from calib.mismatch.reference.alignment import Alignment, align
-from calib.mismatch.reference.band import between, follows_noise
+from calib.mismatch.reference.band import follows_noise
 from calib.mismatch.reference.comparison import ComparisonProblem
 from calib.mismatch.reference.truths import RecordingTruth
 from calib.mismatch.samples.samples import look_at_samples
@@ -261,12 +261,6 @@ def test_a_simulation_of_few_samples_is_compared_up_to_what_it_resolves():
     assert [f.effect for f in found.findings] == ["gyro_g_sensitivity"]
     assert not found.unexplained
     assert "20 Hz" in found.missing[0]
-    time = np.arange(0.0, motion().duration, 1 / 20)
-    at = time[10:-10] + 1 / 40
-    error = RecordingTruth(few, GRAVITY).state(at).rate - motion().state(at).rate
-    worst = np.sqrt(np.mean(np.square(error), axis=0).max())
-    assert 0.5 * worst < between(few)[1]
-    assert (between(simulation()) < between(few)).all()
 
 
 @pytest.mark.parametrize("part", [slice(None), slice(100, 900)])

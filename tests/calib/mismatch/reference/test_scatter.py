@@ -9,7 +9,7 @@ from scipy.signal import butter, sosfilt
 from calib.effects.base import State
 from calib.effects.vibration import vibration_variance
 from calib.mismatch import diagnose_reference
-from calib.mismatch.reference.band import zero_phase
+from calib.mismatch.reference.band import beyond, low_passed, zero_phase
 from calib.mismatch.reference.colour import WHITE, Blur, Colour, gaussian, whitening
 from calib.mismatch.reference.scatter import Scatter, scatter
 from calib.mismatch.reference.shapes import find_shapes
@@ -83,6 +83,33 @@ def test_the_variance_of_samples_is_found_beside_what_effects_explain(tumbled):
     found = scatter(tumbled, left, columns, blur=blurred(tumbled), resolved=False).variance
     for own in (variance[:, 0] < 0.02, variance[:, 0] > 1.0):
         assert np.allclose(np.median(found[own] / variance[own], axis=0), 1.0, atol=0.2)
+
+
+def test_what_is_folded_into_the_band_scatters_where_there_is_something_beyond_it(tumbled):
+    rng = np.random.default_rng(8)
+    tremor = (tumbled.time % 4.0 < 1.0)[:, None] * np.array([0.5, 0.02])
+    variance = 1e-4 + 0.1 * np.repeat(tremor, 3, axis=1)
+    left = np.sqrt(variance) * rng.normal(size=(N, 6))
+    seen = {"blur": blurred(tumbled), "resolved": True, "folded": tremor}
+    still = replace(tumbled, vibration=None)
+    found = scatter(still, left, shown(still), **seen).variance
+    for own in (tremor[:, 0] == 0.0, tremor[:, 0] > 0.0):
+        assert np.allclose(np.median(found[own] / variance[own], axis=0), 1.0, atol=0.2)
+
+
+def test_beyond_the_band_is_what_is_fast_and_no_noise():
+    rng = np.random.default_rng(9)
+    time = np.arange(6000) / 100.0
+    fast = (time % 6.0 < 1.0) * np.sin(2 * np.pi * 30.0 * time)
+    slow = np.sin(2 * np.pi * time)
+    signal = np.outer(slow + fast, [1.0, 0.0, 0.0])
+    whole = Recording(time, 0.01 * rng.normal(size=signal.shape), signal, "device")
+    power = beyond(whole, low_passed(whole, 10.0), 10.0)
+    inside = (time % 6.0 > 0.2) & (time % 6.0 < 0.8)
+    assert np.allclose(power[inside, 1], 0.5, atol=0.1)
+    quiet = (time % 6.0 > 2.0) & (time % 6.0 < 5.0)
+    assert np.median(power[quiet, 0]) == 0.0
+    assert power[quiet, 1].max() < 1e-3
 
 
 @pytest.mark.parametrize("known", [True, False])

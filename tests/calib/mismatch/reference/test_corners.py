@@ -1,0 +1,103 @@
+"""Motions that samples do not follow: corners, here and there or everywhere."""
+
+import numpy as np
+import pytest
+from scipy.interpolate import make_interp_spline
+from scipy.spatial.transform import Rotation
+
+from calib.mismatch import diagnose_against
+from calib.mismatch.reference.corners import is_common, unfollowed
+from calib.mismatch.reference.truths import DEGREE
+from calib.recording import Recording
+
+GRAVITY = 9.80665
+REST, TURN, RAMP, TOP, TURNS = 3.0, 1.0, 0.15, 4.0, 24
+NOISE = np.array([0.02, 1e-3])
+
+
+def cornered(time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return force and rate (n, 3) of turns whose rate goes up and down at a constant pace."""
+    turn = np.clip((time / (REST + TURN)).astype(int), 0, TURNS - 1)
+    since = time - turn * (REST + TURN) - REST
+    knots, rates = np.array([0.0, RAMP, TURN - RAMP, TURN]), np.array([0.0, TOP, TOP, 0.0])
+    rate = np.interp(since, knots, rates)
+    up = np.clip(since, 0.0, RAMP)
+    down = np.clip(since - (TURN - RAMP), 0.0, RAMP)
+    angle = TOP * np.clip(since - RAMP, 0.0, TURN - 2 * RAMP)
+    angle += TOP * (up**2 + RAMP**2 - (RAMP - down) ** 2) / (2 * RAMP)
+    axes = np.eye(3)[np.arange(TURNS) % 3] * np.where(np.arange(TURNS) % 4 < 2, 1.0, -0.6)[:, None]
+    starts = [Rotation.identity()]
+    for axis in axes:
+        starts.append(starts[-1] * Rotation.from_rotvec(TOP * (TURN - RAMP) * axis))
+    begun = Rotation.concatenate([starts[k] for k in turn])
+    mat_ns = begun * Rotation.from_rotvec(angle[:, None] * axes[turn])
+    return mat_ns.inv().apply([0.0, 0.0, GRAVITY]), rate[:, None] * axes[turn]
+
+
+def simulated(rate: float) -> Recording:
+    time = np.arange(0.0, TURNS * (REST + TURN), 1 / rate)
+    return Recording(time - 5.0, *cornered(time), "device")
+
+
+def recorded(rate: float, noise: np.ndarray, *, gain: float = 1.0) -> Recording:
+    rng = np.random.default_rng(3)
+    time = np.arange(0.0023, TURNS * (REST + TURN), 1 / rate)
+    force, turning = cornered(time)
+    turning = turning + (gain - 1.0) * np.abs(turning) * [1.0, 0.0, 0.0]
+    accel = force + 0.1 + noise[0] * rng.normal(size=force.shape)
+    gyro = turning + 0.01 + noise[1] * rng.normal(size=force.shape)
+    return Recording(time, accel, gyro, "device")
+
+
+def test_the_motion_of_these_tests_is_one():
+    """The rate is that of the force: gravity turns with it."""
+    time = np.arange(0.0, 96.0, 1e-3)
+    force, rate = cornered(time)
+    change = np.gradient(force, 1e-3, axis=0)
+    assert np.abs(change + np.cross(rate, force))[2:-2].max() < 0.2
+
+
+@pytest.mark.parametrize("rates", [(50.0, 200.0), (100.0, 200.0), (100.0, 50.0)])
+@pytest.mark.parametrize("noise", [NOISE, 0.1 * NOISE], ids=["consumer", "tactical"])
+def test_corners_that_a_simulation_rounds_off_are_no_error_of_the_sensor(rates, noise):
+    """They looked like a low-pass and a delay, at p < 1e-6."""
+    real = recorded(rates[0], noise)
+    found = diagnose_against(real, simulated(rates[1]), gravity=GRAVITY)
+    assert found.verdict == "consistent"
+    assert found.missing or found.summary["corners"] > 0
+
+
+def test_an_effect_is_found_between_corners():
+    real = recorded(100.0, NOISE, gain=1.002)
+    found = diagnose_against(real, simulated(200.0), gravity=GRAVITY)
+    assert [f.effect for f in found.findings] == ["gyro_scale_asymmetry"]
+    value = found.findings[0].parameters["kx"]
+    assert abs(value.value - 0.002) < 3 * value.sigma
+    assert not found.unexplained
+
+
+@pytest.mark.parametrize("rate", [50.0, 100.0, 200.0])
+def test_what_a_spline_errs_by_is_noise_outside_of_what_is_left_out(rate):
+    few = simulated(rate)
+    out = unfollowed(few, NOISE)
+    assert 0 < out.mean() < 0.3
+    assert is_common(out, few.gyro) is (rate < 100.0)
+    time = np.arange(1.0, 90.0, 0.0007)
+    error = np.abs(make_interp_spline(few.time, few.gyro, k=DEGREE)(time - 5.0) - cornered(time)[1])
+    beside = np.convolve(out, np.ones(5), mode="same")[np.searchsorted(few.time, time - 5.0)] > 0
+    assert error[~beside].max() < NOISE[1] < 3 * NOISE[1] < error[beside].max()
+
+
+def test_a_tremor_is_followed_if_it_has_four_samples_and_not_if_it_has_less_than_three():
+    time = np.arange(2000) / 100.0
+    for frequency, followed in ((10.0, True), (20.0, True), (36.0, False)):
+        wave = 0.5 * np.sin(2 * np.pi * frequency * time)[:, None] * np.ones(3)
+        out = unfollowed(Recording(time, 0.1 * wave, wave, "device"), NOISE)
+        assert is_common(out, wave) is not followed
+        assert out[50:-50].all() or followed
+
+
+def test_what_is_too_short_has_no_corners():
+    time = np.arange(20) / 100.0
+    still = np.zeros((20, 3))
+    assert not unfollowed(Recording(time, still, still, "device"), NOISE).any()
