@@ -87,8 +87,8 @@ def notes(document: Mapping[str, Any]) -> list[str]:
         )
     if "corners" in recording:
         out.append(
-            f"{recording['corners']} samples of the simulation were left out: they are too few to "
-            "follow the corners of its motion."
+            f"{recording['corners']} samples were left out: those of the simulation are too few to "
+            "follow the corners of its motion there."
         )
     if "silent" in recording:
         out.append(

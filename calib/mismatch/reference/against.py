@@ -42,8 +42,8 @@ UNPLACED = ("accel_lever_arm", "accel_size_effect", "time_offset")
 its axes, and its delay against the gyroscope."""
 
 CORNERS = "corners"
-"""How many samples of a simulation are about corners of its motion, and too few to follow it there:
-they are left out."""
+"""How many samples are about corners that those of a simulation are too few to follow: they are
+left out."""
 
 _SELDOM_ALONE = ("earth_rate", "gravity_magnitude")
 """What is in a simulation's own signals already, or is a scale that the baseline has."""
@@ -102,8 +102,8 @@ def diagnose_against(
             f"a simulation at a higher rate: at {1.0 / simulated.interval:.3g} Hz it has too few "
             "samples for its motion, of which only the slow part was compared",
         )
-    elif problem.truth.spoilt is not None:
-        summary[CORNERS] = int(problem.truth.spoilt.sum())
+    elif problem.unknown is not None:
+        summary[CORNERS] = int(problem.unknown.sum())
     return conclude(
         problem, seen, summary, setups=("clock_scale",), clocks=clocks, skip=skip, missing=few
     )
@@ -135,6 +135,7 @@ def compare_simulation(
         raw=real if common.limited else None,
         stuck=common.stuck,
         folded=common.folded,
+        unknown=common.unknown,
     )
     return problem, ((*_SELDOM_ALONE, "bandwidth") if common.limited else _SELDOM_ALONE)
 

@@ -21,7 +21,7 @@ from calib.mismatch.reference.alignment import Alignment
 from calib.mismatch.reference.corners import is_common, unfollowed
 from calib.mismatch.reference.floor import audible_beside
 from calib.mismatch.reference.scatter import LOUD, QUIETEST
-from calib.mismatch.reference.truths import RecordingTruth
+from calib.mismatch.reference.truths import REACH, RecordingTruth
 from calib.recording import Recording
 from calib.types import BoolArray, FloatArray, IntArray
 
@@ -76,7 +76,7 @@ class Matched(NamedTuple):
     ``band`` the frequency (Hz) up to which both passed `zero_phase`; 0 is none. Where neither has
     noise, ``stuck`` is what rounding does (`calib.mismatch.reference.floor.Heard`). ``folded`` is
     the power (n, 2) of the motion beyond the band, of both triads: unlike samples fold unlike parts
-    of it into the band.
+    of it into the band. ``unknown`` (n,) are samples about corners that the truth does not follow.
     """
 
     real: Recording
@@ -86,6 +86,7 @@ class Matched(NamedTuple):
     band: float = 0.0
     stuck: tuple[sparse.csr_matrix, ...] = ()
     folded: FloatArray | None = None
+    unknown: BoolArray | None = None
 
     @property
     def limited(self) -> bool:
@@ -114,7 +115,11 @@ def matched(
     if (noise_of(other) <= QUIET * noise_of(real)).all():
         corners = unfollowed(other, noise_of(real))
         if not is_common(corners, other.gyro):
-            return Matched(real, _with_unknown(truth, corners), spoilt)
+            unknown = None
+            if corners.any():
+                about = np.convolve(corners, np.ones(2 * REACH + 1), mode="same")
+                unknown = np.interp(alignment.times(real.time), other.time, about) > 0
+            return Matched(real, truth, spoilt, unknown=unknown)
         resolved = RESOLVED / max(real.interval, other.interval)
         return _limited_beside(real, truth, alignment, resolved, spoilt)
     bandwidth = common_band(real, truth, alignment, mat, forces=forces)
@@ -123,13 +128,6 @@ def matched(
         return Matched(real, truth, spoilt, blur=blur)
     bandwidth = min(bandwidth, RESOLVED / max(real.interval, other.interval))
     return _limited_beside(real, truth, alignment, bandwidth, spoilt)
-
-
-def _with_unknown(truth: RecordingTruth, unknown: BoolArray) -> RecordingTruth:
-    """Return a truth of which some samples more are not to be believed."""
-    if not unknown.any():
-        return truth
-    return replace(truth, spoilt=unknown if truth.spoilt is None else truth.spoilt | unknown)
 
 
 def _limited_beside(

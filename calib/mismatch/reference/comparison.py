@@ -41,7 +41,7 @@ from calib.mismatch.reference.colour import (
     whitening,
 )
 from calib.mismatch.reference.floor import with_rounding
-from calib.mismatch.reference.scatter import scatter
+from calib.mismatch.reference.scatter import scatter, silenced
 from calib.mismatch.reference.setup import BASELINE, GYRO_ANGLES, LOOSE, Setup
 from calib.mismatch.reference.shapes import Shapes, find_shapes
 from calib.mismatch.reference.step import robust_step
@@ -89,6 +89,9 @@ class ComparisonProblem:
         By how much rounding may be off, as `calib.mismatch.reference.floor.Heard` has it.
     folded : (n, 2) array, optional
         Power of the motion beyond the band, of both triads, as `Matched` has it.
+    unknown : (n,) array of bool, optional
+        Samples that say nothing, as their truth is not known. They are no gap: what acts on whole
+        signals takes them as they are.
     other : two (18,) arrays, optional
         Of another IMU as the truth: its errors, and how far they may be off (`known_errors`).
     notes : mapping, optional
@@ -113,6 +116,7 @@ class ComparisonProblem:
         raw: Recording | None = None,
         stuck: tuple[sparse.csr_matrix, ...] = (),
         folded: FloatArray | None = None,
+        unknown: BoolArray | None = None,
         other: tuple[FloatArray, FloatArray] | None = None,
         notes: Mapping[str, object] | None = None,
     ) -> None:
@@ -132,6 +136,7 @@ class ComparisonProblem:
         self.time = real.time[self.index]
         self.stuck = tuple(own[self.index] for own in stuck)
         self.folded = None if folded is None else folded[self.index]
+        self.unknown = None if unknown is None else unknown[self.index]
         self.band, self.interval, self.unresolved = band, real.interval, blur > 0
         self.judged: BoolArray | None = None
         self.measured = np.hstack((real.accel, real.gyro))[self.index]
@@ -262,6 +267,8 @@ class ComparisonProblem:
                     resolved=not self.unresolved,
                     folded=self.folded,
                 )
+            elif self.unknown is not None:
+                rough = silenced(self.unknown)
             self.shapes = find_shapes(self.time, left, columns, blur=self.blur, scatter=rough)
         turned = [n.startswith("reference_misalignment") for n in self.alignments]
         rows = make_rows(

@@ -276,6 +276,7 @@ def compared(
         raw=real if common.limited else None,
         stuck=common.stuck,
         folded=common.folded,
+        unknown=common.unknown,
         other=other,
         notes=notes,
     )

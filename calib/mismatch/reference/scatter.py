@@ -18,7 +18,7 @@ from scipy import linalg
 from calib.effects.base import State
 from calib.mismatch.reference.colour import Blur
 from calib.recording import CHANNELS
-from calib.types import FloatArray
+from calib.types import BoolArray, FloatArray
 
 PASSES = 8
 """How often columns and variance are fitted in turn, at most: what scatters most is reached from
@@ -39,6 +39,10 @@ second."""
 LOOSE = 30.0
 """How large, in its typical size, an effect may be that takes its part before the rest scatters."""
 
+
+NOTHING_SAID = 1e8
+"""Variance, in that of others, of points whose truth is not known: a hundred standard errors are a
+hundredth."""
 
 ALIKE = 1e-13
 """Of a column's square, that rounding leaves of it beside others."""
@@ -105,6 +109,12 @@ def scatter(
         variance[:, c] = heard @ share
         shown[:, c] = known / (seen @ share)
     return Scatter(variance, shown)
+
+
+def silenced(unknown: BoolArray) -> Scatter:
+    """Return the scatter of points that are as noisy as each other, but for n that say nothing."""
+    variance = np.where(unknown, NOTHING_SAID, 1.0)[:, None] * np.ones(len(CHANNELS))
+    return Scatter(variance, np.where(unknown, 0.0, 1.0)[:, None] * np.ones(len(CHANNELS)))
 
 
 def _parts(state: State, *, resolved: bool) -> FloatArray:
