@@ -4,7 +4,8 @@ A gyroscope that is late and one behind a low-pass of that group delay are the s
 order; what tells them apart is of the third. So a delay must not be judged by how it begins: at
 20 ms it is off by more than the two differ. Where it is not straight, both are judged as the
 difference of the turns as they were recorded and as they were before (`rows.restored`), each with
-its size refined and under noise of its own.
+its size refined and under noise of its own. Beside a truth that is where the model with the delay
+leaves the rows, and the low-pass of the true signals.
 """
 
 from __future__ import annotations
@@ -78,9 +79,15 @@ class Whole:
 
 
 class Judge:
-    """Log-likelihoods of whole changes beside what was accepted, under the noise of some levels."""
+    """Log-likelihoods of whole changes beside what was accepted, under the noise of some levels.
 
-    def __init__(self, rows: Rows, accepted: list[Accepted], levels: FloatArray) -> None:
+    The ``problem`` stands where it has taken up what was accepted, and nothing else.
+    """
+
+    def __init__(
+        self, problem: Problem, rows: Rows, accepted: list[Accepted], levels: FloatArray
+    ) -> None:
+        self.problem, self.accepted = problem, accepted
         self.rows, self.mean = rows, fitted(rows, accepted)
         self.contrast = contrast_noise(rows, accepted)
         self.settle(levels)
@@ -133,11 +140,28 @@ class Judge:
 
     def _tried(self, family: Family, size: float) -> tuple[Whole, FloatArray]:
         """Return a member of a family, and its whitened column (m, 1)."""
+        change = self._beside_truth if self.problem.reference else self._of_turns
+        column = change(family, size)
+        return Whole(family, size, column), self.whitener.project(column)[:, None]
+
+    def _of_turns(self, family: Family, size: float) -> FloatArray:
+        """Return what a member of a family did to the rows of a recording by itself, (m,)."""
         effect = get_effect(family.candidate.name)
         assert isinstance(effect, TransformEffect)
         change = whole_change(effect, self.rows, family.parameters(size))
-        column = np.zeros(len(self.y)) if change is None else change
-        return Whole(family, size, column), self.whitener.project(column)[:, None]
+        return np.zeros(len(self.y)) if change is None else change
+
+    def _beside_truth(self, family: Family, size: float) -> FloatArray:
+        """Return what it did to the differences between a recording and its truth, (m,)."""
+        candidate = family.candidate
+        if not family.is_delay:
+            shape = {**candidate.shape, family.size: size}
+            columns = candidate_columns(self.rows, candidate, shape, reference=True)
+            return np.zeros(len(self.y)) if columns is None else columns[:, 0]
+        late = Accepted(candidate, np.zeros((0, 1)), np.ones(1), np.array([size]), True, 1.0)
+        there = put_back(self.problem, self.rows, [*self.accepted, late])
+        put_back(self.problem, self.rows, self.accepted)
+        return self.rows.residual - there.residual
 
 
 def whole_fit(
@@ -162,9 +186,9 @@ def whole_fit(
     levels : (c,) array
         Of the noise beside it.
     """
-    if problem.reference or not _alone(new, accepted):
+    if not _alone(new, accepted):
         return None
-    judge = Judge(rows, accepted, levels)
+    judge = Judge(problem, rows, accepted, levels)
     found = _explanations(judge, stack, new.candidate)
     if not found:
         return None
@@ -173,7 +197,7 @@ def whole_fit(
         rows, own = _accepted(problem, rows, stack, accepted, new, best)
         fit = refit(problem, rows, [*accepted, own], levels, refine=False)
         rows, accepted, levels = fit.rows, fit.accepted[:-1], fit.levels
-        judge = Judge(put_back(problem, rows, accepted), accepted, levels)
+        judge = Judge(problem, put_back(problem, rows, accepted), accepted, levels)
         found = [judge.best(whole.family, [whole.size]) for whole in found]
         put_back(problem, rows, fit.accepted)
         again = judge.most_likely(found)
@@ -202,7 +226,7 @@ def _accepted(
     typical, size = np.array([_typical(candidate)]), np.array([best.size])
     new = replace(new, candidate=candidate, typical=typical, values=size, in_model=True)
     rows = put_back(problem, rows, [*accepted, new])
-    columns = candidate_columns(rows, candidate, {}, reference=False)
+    columns = candidate_columns(rows, candidate, {}, reference=problem.reference)
     return rows, replace(new, columns=stack.of(candidate) if columns is None else columns)
 
 
@@ -225,12 +249,14 @@ def whole_odds(
     """
     own = accepted[which]
     others = [a for i, a in enumerate(accepted) if i != which]
-    if problem.reference:
-        return _untried_odds(rows, stack, own, others, levels, mimicked=mimicked, least=least)
+    if not any(c.name == LOW_PASS for c in stack.physics.values()):
+        return _untried_odds(
+            problem, rows, stack, own, others, levels, mimicked=mimicked, least=least
+        )
     if not _alone(own, others):
         return own
     before = put_back(problem, rows, others) if own.in_model else rows
-    judge = Judge(before, others, levels)
+    judge = Judge(problem, before, others, levels)
     found = _explanations(judge, stack, own.candidate)
     if own.in_model:
         put_back(problem, rows, accepted)
@@ -260,6 +286,7 @@ def _shared(own: Accepted, odds: Mapping[str, float]) -> Accepted:
 
 
 def _untried_odds(
+    problem: Problem,
     rows: Rows,
     stack: Stack,
     own: Accepted,
@@ -273,15 +300,14 @@ def _untried_odds(
 
     At most as likely: how amplitude falls with frequency, which would tell, both signals lack.
     """
-    tried = any(c.name == LOW_PASS for c in stack.physics.values())
-    if tried or own.candidate.parameters != ("gyro_delay",):
+    if own.candidate.parameters != ("gyro_delay",):
         return own
     (late,) = own.values
     triad, effect = "gyro" if late > 0 else "accel", get_effect(LOW_PASS)
     mine = own.columns @ (own.values / own.typical)
     if own.in_model:
         rows = rows.with_residual(rows.residual + mine)
-    judge = Judge(rows, others, levels)
+    judge = Judge(problem, rows, others, levels)
     share = 0.0
     for order in (1, 2):
         shape = {f"{triad}_cutoff": group_delay(abs(late), order), "order": float(order)}
@@ -308,14 +334,18 @@ def _typical(delayed: Candidate) -> float:
 
 def _explanations(judge: Judge, stack: Stack, chosen: Candidate) -> list[Whole]:
     """Return the best delay, and low-passes of each order; nothing where a delay is straight."""
-    delayed = next((c for c in stack.physics.values() if c.name == DELAY), None)
+    delays = (c for c in stack.physics.values() if c.parameters == ("gyro_delay",))
+    delayed = next(delays, None)
     if delayed is None:
         return []
     line = stack.of(delayed)[:, 0] / _typical(delayed)
     white = judge.whitener.project(line)
     straight = float(white @ judge.y) / max(float(white @ white), 1e-300)
     family = Family(delayed, delayed.parameters[0], (-STILL, STILL))
-    delay = judge.best(family, [*-DELAYS, *DELAYS, straight])
+    # Beside a truth both triads are aligned with it: a delay is not far from where it seems.
+    delay = judge.best(
+        family, [straight] if judge.problem.reference else [*-DELAYS, *DELAYS, straight]
+    )
     if judge.power(delay.column - delay.size * line) < BENT:
         return []
     triads = {"gyro" if delay.size > 0 else "accel"}
