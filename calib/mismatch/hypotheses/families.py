@@ -167,7 +167,14 @@ def _plain_columns(effect: Effect, rows: Rows, shape: Mapping[str, float]) -> di
             rows.kept[effect.slug] = Onset(effect, rows)
         onset: Onset = rows.kept[effect.slug]
         return onset.columns(shape["moment"])
-    return {n: rows.column(signals) for n, signals in effect.columns(rows.state, shape).items()}
+    gain = dict.fromkeys(CHANNELS, 1.0)
+    if isinstance(effect, TransformEffect):
+        # It acts on what the sensor puts out.
+        gain = dict(zip(CHANNELS, rows.gain.tolist(), strict=True))
+    return {
+        n: rows.column({c: gain[c] * values for c, values in signals.items()})
+        for n, signals in effect.columns(rows.state, shape).items()
+    }
 
 
 def candidate_columns(

@@ -287,6 +287,9 @@ class ComparisonProblem:
             prior=np.stack((self.moved, self.loose), axis=1),
             known=self._known(self.shapes),
         )
+        model = self.setup.model
+        scales = (model.accel.scale_factor_error, model.gyro.scale_factor_error)
+        rows = replace(rows, gain=1.0 + np.concatenate(scales))
         if self.stuck:
             rows = with_rounding(rows, self.stuck)
         if felt is state and not arm_of(self.setup.model).any():

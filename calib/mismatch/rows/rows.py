@@ -156,6 +156,8 @@ class Rows:
         `baseline` and `nuisance` where no setup is felt (no lever arm); empty where none is.
     lean : Lean, optional
         How the sensor may move at rest; None where the truth says how it moves.
+    gain : (6,) array
+        What the sensor's channels make of the state: one, or beside a truth their scale factors.
     """
 
     residual: FloatArray
@@ -180,6 +182,7 @@ class Rows:
     prior: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
     plain: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
     lean: Lean | None = None
+    gain: FloatArray = field(default_factory=lambda: np.ones(len(CHANNELS)))
 
     @property
     def n_dense(self) -> int:

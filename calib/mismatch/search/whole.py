@@ -10,7 +10,7 @@ leaves the rows, and the low-pass of the true signals.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -37,6 +37,13 @@ DELAYS = np.geomspace(0.005, 0.32, 7)
 
 STEPS, SETTLED = 8, 1e-3
 """Steps to the best size, at most, and the square of one, in standard errors, that ends them."""
+
+FITS, SAME = 6, 0.02
+"""How often they are fitted, at most, each beside the baseline that the last one left; and by how
+much a cut-off may still move, relative to it: the rest is refined with everything else."""
+
+HALVED = 5
+"""How often one is halved, at most, until it leads up."""
 
 NEAR = 1e-3
 """How far from a size, relative to it, another shows where a change goes from there."""
@@ -112,8 +119,16 @@ class Judge:
         rows = self.rows.with_residual(self.rows.residual - whole.column)
         return find_levels(rows, self.mean, self.levels)
 
-    def most_likely(self, found: Iterable[Whole]) -> Whole:
-        """Return the explanation that is most probable, each under noise of its own."""
+    def most_likely(self, found: Sequence[Whole]) -> Whole:
+        """Return the explanation that is most probable, each under noise of its own.
+
+        Beside a truth the noise of the best holds for all: shapes, which tell the most there, do
+        not tell of levels.
+        """
+        if self.problem.reference:
+            first = max(found, key=lambda whole: self.gain(whole.column))
+            self.settle(self.without(first).values)
+            return max(found, key=lambda whole: self.gain(whole.column))
         return max(found, key=lambda whole: self.without(whole).log_likelihood)
 
     def best(self, family: Family, starts: Iterable[float]) -> Whole:
@@ -127,14 +142,18 @@ class Judge:
             slope = (self._tried(family, near)[1] - white)[:, 0] / (near - found.size)
             power = float(slope @ slope)
             step = float(slope @ (self.y - white[:, 0])) / max(power, 1e-300)
-            size = float(np.clip(found.size + step, low, high))
-            if (size - found.size) ** 2 * power < SETTLED or not size:
-                break
-            there = self._tried(family, size)
-            if likelihood_gain(there[1], self.y, present=True) <= likelihood_gain(
-                white, self.y, present=True
-            ):
-                break
+            least = likelihood_gain(white, self.y, present=True)
+            for _ in range(HALVED):
+                size = float(np.clip(found.size + step, low, high))
+                if (size - found.size) ** 2 * power < SETTLED or not size:
+                    return found
+                there = self._tried(family, size)
+                if likelihood_gain(there[1], self.y, present=True) > least:
+                    break
+                # It led too far: a cut-off is bent.
+                step *= 0.5
+            else:
+                return found
             found, white = there
         return found
 
@@ -176,7 +195,7 @@ def whole_fit(
 
     None of anything else, and of a delay that is straight: its column tells as much. The twin that
     did not know of either is off by some of it. So they are judged again beside what was fitted
-    together with the first, and once more if that turned out to be the other.
+    together with the first, and so on until that is the best.
 
     Parameters
     ----------
@@ -193,15 +212,16 @@ def whole_fit(
     if not found:
         return None
     best = judge.most_likely(found)
-    for _ in range(2):
+    for _ in range(FITS):
         rows, own = _accepted(problem, rows, stack, accepted, new, best)
         fit = refit(problem, rows, [*accepted, own], levels, refine=False)
         rows, accepted, levels = fit.rows, fit.accepted[:-1], fit.levels
         judge = Judge(problem, put_back(problem, rows, accepted), accepted, levels)
-        found = [judge.best(whole.family, [whole.size]) for whole in found]
+        found = _anew(judge, found)
         put_back(problem, rows, fit.accepted)
         again = judge.most_likely(found)
-        if again.family is best.family:
+        alike = again.family is best.family
+        if alike and (best.family.is_delay or abs(again.size / best.size - 1.0) < SAME):
             break
         best, rows = again, judge.rows
     return fit._replace(straight=False)
@@ -365,4 +385,14 @@ def _explanations(judge: Judge, stack: Stack, chosen: Candidate) -> list[Whole]:
     # Levels that had to make up for it leave sizes free that those beside the best do not.
     first = max(found, key=lambda whole: judge.gain(whole.column))
     judge.settle(judge.without(first).values)
-    return [judge.best(whole.family, [whole.size]) for whole in found]
+    return _anew(judge, found)
+
+
+def _anew(judge: Judge, found: list[Whole]) -> list[Whole]:
+    """Return the best delay, and the best low-passes, near what they were and near that delay."""
+    delay = judge.best(found[0].family, [found[0].size])
+    out = [delay]
+    for whole in found[1:]:
+        order = int(whole.family.candidate.shape["order"])
+        out.append(judge.best(whole.family, [whole.size, group_delay(abs(delay.size), order)]))
+    return out
