@@ -30,7 +30,7 @@ from calib.mismatch.search.refine import likelihood_gain
 from calib.mismatch.search.refit import BENT, Problem, Refit, put_back, refit
 from calib.types import FloatArray
 
-DELAY, LOW_PASS = "time_offset", "bandwidth"
+DELAY, LOW_PASS, CLOCK = "time_offset", "bandwidth", "time_offset.delay"
 
 DELAYS = np.geomspace(0.005, 0.32, 7)
 """s, either way. Steps lead from half a delay to all of it: turns take a second and more."""
@@ -83,6 +83,14 @@ class Whole:
     def name(self) -> str:
         """The effect."""
         return self.family.candidate.name
+
+    @property
+    def late(self) -> float:
+        """By how much the gyroscope comes late beside the accelerometer, s."""
+        if self.family.is_delay:
+            return self.size
+        delay = group_delay(self.size, int(self.family.candidate.shape["order"]))
+        return delay if self.family.size.startswith("gyro") else -delay
 
 
 class Judge:
@@ -178,9 +186,14 @@ class Judge:
             columns = candidate_columns(self.rows, candidate, shape, reference=True)
             return np.zeros(len(self.y)) if columns is None else columns[:, 0]
         late = Accepted(candidate, np.zeros((0, 1)), np.ones(1), np.array([size]), True, 1.0)
+        clock = np.array([-size * (name == CLOCK) for name in self.rows.aligned])
         there = put_back(self.problem, self.rows, [*self.accepted, late])
-        put_back(self.problem, self.rows, self.accepted)
-        return self.rows.residual - there.residual
+        both = [self.rows.residual - there.residual]
+        # The clocks are aligned by what one of the triads shows, or the other: that one stays.
+        there = put_back(self.problem, self.rows, [*self.accepted, late], nuisance=clock)
+        both.append(self.rows.residual - there.residual)
+        put_back(self.problem, self.rows, self.accepted, nuisance=-clock)
+        return max(both, key=self.gain)
 
 
 def whole_fit(
@@ -362,10 +375,9 @@ def _explanations(judge: Judge, stack: Stack, chosen: Candidate) -> list[Whole]:
     white = judge.whitener.project(line)
     straight = float(white @ judge.y) / max(float(white @ white), 1e-300)
     family = Family(delayed, delayed.parameters[0], (-STILL, STILL))
-    # Beside a truth both triads are aligned with it: a delay is not far from where it seems.
-    delay = judge.best(
-        family, [straight] if judge.problem.reference else [*-DELAYS, *DELAYS, straight]
-    )
+    # Beside a truth low-passes tell where it may be: they are looked for at once.
+    far = [] if judge.problem.reference else [*-DELAYS, *DELAYS]
+    delay = judge.best(family, [*far, straight])
     if judge.power(delay.column - delay.size * line) < BENT:
         return []
     triads = {"gyro" if delay.size > 0 else "accel"}
@@ -389,8 +401,12 @@ def _explanations(judge: Judge, stack: Stack, chosen: Candidate) -> list[Whole]:
 
 
 def _anew(judge: Judge, found: list[Whole]) -> list[Whole]:
-    """Return the best delay, and the best low-passes, near what they were and near that delay."""
-    delay = judge.best(found[0].family, [found[0].size])
+    """Return the best delay, and the best low-passes, near what they were and near each other."""
+    starts = [found[0].size]
+    if judge.problem.reference:
+        # What trembles has hills of its own: the delay may be beyond the one that it seemed to be.
+        starts += [whole.late for whole in found[1:]]
+    delay = judge.best(found[0].family, starts)
     out = [delay]
     for whole in found[1:]:
         order = int(whole.family.candidate.shape["order"])

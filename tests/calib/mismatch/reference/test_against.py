@@ -139,6 +139,19 @@ def test_a_delay_is_found_as_such_and_nothing_is_left_that_noise_was_taken_for(s
     assert not found.unexplained
 
 
+@pytest.mark.parametrize("delay", [0.01, -0.012])
+def test_a_delay_that_is_no_line_is_found_whichever_triad_is_late(delay):
+    """An accelerometer that is 12 ms late was two low-passes, and something else."""
+    real = recorded(Term("time_offset", {"gyro_delay": delay}), seed=3)
+    found = diagnose_against(real, simulation(), gravity=GRAVITY)
+    (item,) = found.findings
+    assert item.effect == "time_offset"
+    value = item.parameters["gyro_delay"]
+    assert abs(value.value - delay) < 3 * value.sigma
+    assert not item.rivals
+    assert not found.unexplained
+
+
 @pytest.mark.parametrize(
     ("triad", "cutoff", "order", "seed"),
     [("gyro", 20.0, 2, 6), ("gyro", 18.0, 1, 2), ("gyro", 44.0, 2, 6), ("accel", 20.0, 2, 6)],
