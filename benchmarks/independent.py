@@ -6,6 +6,9 @@ temperatures than `concealed.py` has, 3 to 15 minutes long. Effects are 1.5 and 
 size: that at which an oracle has non-centrality 45 (`_independent_oracle.py`), at most
 three times what a data sheet calls typical.
 
+``--parts beside`` judges effects, and clean recordings, ``--against`` a simulation of their motion
+that is perfect but for its rate, on a clock of its own.
+
 A name counts if it is a finding, or a stated rival of one. A name is false if neither it nor its
 rivals are in the recording. Failing recordings are kept with ``--keep DIR``.
 """
@@ -31,6 +34,7 @@ import numpy as np
 from _independent_generator import (
     AXES,
     EFFECTS,
+    G0,
     OUTSIDE,
     Errors,
     Motion,
@@ -42,6 +46,7 @@ from _independent_generator import (
     make_motion,
     noise,
     read_out,
+    simulated,
     write_csv,
 )
 from _independent_oracle import Oracle
@@ -52,7 +57,7 @@ CAP = 3.0
 """Times the typical size, at most."""
 SHAKEN_CAP = 30.0
 """The same for what only a shaker shows at typical size."""
-PARTS = ("single", "clean", "pairs", "outside", "readout")
+PARTS = ("single", "clean", "pairs", "outside", "readout", "beside")
 READOUT = ("saturation", "quantization", "dropped_samples", "unit_error", "axis_error")
 STRESS: dict[str, dict[str, object]] = {
     "plain": {},
@@ -159,6 +164,8 @@ class Result:
             return self.overlap < 0.5
         if self.case.part == "clean":
             return bool(self.answer["unexplained"]) and self.case.names != ("knock",)
+        if not self.case.names:
+            return bool(self.answer["unexplained"])
         return not all(self.among(n) for n in self.truth.required)
 
     def __str__(self) -> str:
@@ -185,7 +192,7 @@ def main() -> int:
     parser.add_argument("--quick", action="store_true", help="one seed, some of the effects")
     parser.add_argument("--seeds", type=int, default=2, help="recordings per effect and size")
     parser.add_argument("--first", type=int, default=0, help="number of the first seed")
-    parser.add_argument("--parts", nargs="*", default=list(PARTS), choices=PARTS)
+    parser.add_argument("--parts", nargs="*", default=list(PARTS[:-1]), choices=PARTS)
     parser.add_argument("--effects", nargs="*", help="only these")
     parser.add_argument("--times", type=float, nargs="*", default=[1.5, 3.0])
     parser.add_argument("--keep", type=Path, metavar="DIR", help="keep what fails here")
@@ -207,10 +214,12 @@ def cases(args: argparse.Namespace) -> Iterator[Case]:
     chosen = args.effects
     for part in args.parts:
         for seed in seeds:
-            if part == "single":
+            if part in ("single", "beside"):
                 for name in chosen or single:
                     if name in EFFECTS:
                         yield from (Case(part, (name,), t, seed) for t in args.times)
+                if part == "beside":
+                    yield from (Case(part, (), 0.0, 10 * seed + i) for i in range(5))
             elif part == "clean":
                 yield from (Case(part, (name,), 0.0, seed) for name in chosen or STRESS)
             elif part == "outside":
@@ -253,6 +262,10 @@ def run(case: Case, keep: Path | None) -> Result:
         forced = dict(STRESS[case.names[0]])
     if forced.get("shaken"):
         forced["averaged"] = False  # a mean over the sample interval would damp the vibration
+    beside = case.part == "beside"
+    if beside:
+        # What a simulation does not know of: means over a sample's interval, the Earth, a place.
+        forced |= {"averaged": False, "earth": False, "gravity": G0}
     setting = draw_setting(rng, **forced)
     motion = make_motion(rng, setting)
     errors = draw_errors(rng, setting)
@@ -260,7 +273,7 @@ def run(case: Case, keep: Path | None) -> Result:
     output, reading = conceal(rng, case, motion, errors, truth)
     if setting.misaligned:
         # Nothing else is asked of a recording in wrong units or with wrong axes.
-        if case.names[0] in ("unit_error", "axis_error"):
+        if {"unit_error", "axis_error"} & set(case.names):
             truth.allowed += ("gyro_misalignment",)
         else:
             truth.required += ("gyro_misalignment",)
@@ -281,11 +294,13 @@ def run(case: Case, keep: Path | None) -> Result:
         path = Path(folder) / f"{case.label}.csv"
         seen = None if setting.temperature == "none" else temperature
         write_csv(path, time, values, seen, rng)
+        command = [sys.executable, "-m", "imu_cli", "diagnose", str(path), "--json"]
+        if beside:
+            simulation = path.with_suffix(".sim.csv")
+            write_csv(simulation, *simulated(rng, motion), None, rng)
+            command += ["--against", str(simulation)]
         before = resource.getrusage(resource.RUSAGE_CHILDREN)
-        said = subprocess.run(
-            [sys.executable, "-m", "imu_cli", "diagnose", str(path), "--json"],
-            capture_output=True, text=True, check=False,
-        )  # fmt: skip
+        said = subprocess.run(command, capture_output=True, text=True, check=False)
         after = resource.getrusage(resource.RUSAGE_CHILDREN)
         if said.returncode:
             raise RuntimeError(f"{case.label}: exit {said.returncode}\n{said.stderr}")
@@ -293,7 +308,8 @@ def run(case: Case, keep: Path | None) -> Result:
         result = Result(case, truth, json.loads(said.stdout), seconds)
         if keep is not None and result.failed:
             keep.mkdir(parents=True, exist_ok=True)
-            (keep / path.name).write_bytes(path.read_bytes())
+            for file in Path(folder).iterdir():
+                (keep / file.name).write_bytes(file.read_bytes())
             (keep / f"{case.label}.txt").write_text(f"{result}\n{truth}\n{said.stdout}")
     return result
 
@@ -303,7 +319,7 @@ def conceal(
 ) -> tuple[np.ndarray, dict]:
     """Return the fine output with the case's effects in it, and options of the read-out."""
     clean = ideal(motion, errors)
-    if case.part == "clean":
+    if case.part == "clean" or not case.names:
         return clean, {}
     oracle, setting = Oracle(motion), motion.setting
     if case.part == "readout":
@@ -423,8 +439,8 @@ def report(results: list[Result]) -> int:
     single = [r for r in results if r.case.part == "single"]
     print("| what | size | recordings | found | right name | or a stated rival | false name |")
     print("|---|---|---|---|---|---|---|")
-    for part in ("single", "pairs", "readout"):
-        chosen = [r for r in results if r.case.part == part]
+    for part in ("single", "pairs", "readout", "beside"):
+        chosen = [r for r in results if r.case.part == part and r.case.names]
         for times in sorted({r.case.times for r in chosen}):
             group = [r for r in chosen if r.case.times == times]
             looked = [(r, n) for r in group for n in r.case.names]
@@ -437,14 +453,17 @@ def report(results: list[Result]) -> int:
                 f"| {part} | {times:g} | {len(group)} | {found / n:.0%} | {right / n:.0%} | "
                 f"{among / n:.0%} | {false / len(group):.1%} |"
             )
-            missed += part == "single" and times >= 1.5 and among / n < 0.98
-    for part in ("clean", "outside"):
+            missed += part in ("single", "beside") and times >= 1.5 and among / n < 0.98
+    for part in ("clean", "outside", "beside"):
         group = [r for r in results if r.case.part == part]
+        if part == "beside":
+            group = [r for r in group if not r.case.names]
         if not group:
             continue
         false = sum(bool(r.false) for r in group)
-        line = f"\n{part}: {false} of {len(group)} recordings got a false name"
-        if part == "clean":
+        label = "clean, beside a simulation" if part == "beside" else part
+        line = f"\n{label}: {false} of {len(group)} recordings got a false name"
+        if part != "outside":
             line += f", {sum(bool(r.answer['unexplained']) for r in group)} something unexplained"
             missed += false / len(group) > 0.005
         else:
@@ -461,6 +480,7 @@ def report(results: list[Result]) -> int:
         inside = float(np.mean(np.abs(errors) < 3))
         print(f"\nparameters within 3 standard errors: {inside:.1%} of {len(errors)}")
         missed += inside < 0.99
+    single += [r for r in results if r.case.part == "beside"]
     lost = sorted({n for r in single for n in r.case.names if not r.among(n)})
     if lost:
         print("\nnot named:", ", ".join(lost))

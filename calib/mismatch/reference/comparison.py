@@ -53,7 +53,7 @@ from calib.mismatch.reference.witnessed import witnessed
 from calib.mismatch.rows.rows import Rows
 from calib.mismatch.twin.twin import baseline_column
 from calib.model import SensorModel
-from calib.recording import AXES, Recording
+from calib.recording import AXES, CHANNELS, Recording
 from calib.statics import find_poses
 from calib.thermometer import smooth_temperature
 from calib.types import BoolArray, FloatArray
@@ -287,9 +287,7 @@ class ComparisonProblem:
             prior=np.stack((self.moved, self.loose), axis=1),
             known=self._known(self.shapes),
         )
-        model = self.setup.model
-        scales = (model.accel.scale_factor_error, model.gyro.scale_factor_error)
-        rows = replace(rows, gain=1.0 + np.concatenate(scales))
+        rows = replace(rows, gain=self._gain())
         if self.stuck:
             rows = with_rounding(rows, self.stuck)
         if felt is state and not arm_of(self.setup.model).any():
@@ -379,11 +377,18 @@ class ComparisonProblem:
 
     def _nuisance(self, state: State, name: str) -> Mapping[str, FloatArray]:
         slug, parameter = name.split(".")
-        if slug != "clock_scale":
+        if slug == "reference_misalignment":
             return get_effect(slug).columns(state, {})[parameter]
+        # What is late is what the sensor puts out.
+        gain = dict(zip(CHANNELS, self._gain(), strict=True))
+        since = state.time - self.setup.alignment.middle if slug == "clock_scale" else 1.0
         delay = get_effect("time_offset").columns(state, {})["delay"]
-        since = state.time - self.setup.alignment.middle
-        return {c: since * values for c, values in delay.items()}
+        return {c: gain[c] * since * values for c, values in delay.items()}
+
+    def _gain(self) -> FloatArray:
+        """Return what the channels make of their true signals, (6,)."""
+        model = self.setup.model
+        return 1.0 + np.concatenate((model.accel.scale_factor_error, model.gyro.scale_factor_error))
 
     def _shape_columns(self, state: State, left: FloatArray) -> Iterator[tuple[str, FloatArray]]:
         """Yield what can show in the signals, in units of its typical size: channel and values."""

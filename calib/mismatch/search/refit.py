@@ -249,21 +249,16 @@ def _step(
     return _Stepped(rows, renewed, removed, (baseline, nuisance))
 
 
-def put_back(
-    problem: Problem,
-    rows: Rows,
-    accepted: list[Accepted],
-    *,
-    nuisance: FloatArray | None = None,
-) -> Rows:
-    """Return the rows of a model that has taken up what these findings say it has, no others.
-
-    The nuisances are moved by steps, or stay.
-    """
-    terms = tuple(_term(a) for a in accepted if a.in_model)
-    nuisance = np.zeros(rows.nuisance.shape[1]) if nuisance is None else nuisance
-    problem.move(dict.fromkeys(rows.names, 0.0), nuisance, terms)
+def put_back(problem: Problem, rows: Rows, accepted: list[Accepted]) -> Rows:
+    """Return the rows of a model that has taken up what these findings say it has, no others."""
+    take_up(problem, rows, accepted, np.zeros(rows.nuisance.shape[1]))
     return problem.rows()
+
+
+def take_up(problem: Problem, rows: Rows, accepted: list[Accepted], nuisance: FloatArray) -> None:
+    """Let the model take up what findings say it has, no others; move the nuisances by steps."""
+    terms = tuple(_term(a) for a in accepted if a.in_model)
+    problem.move(dict.fromkeys(rows.names, 0.0), nuisance, terms)
 
 
 def _term(a: Accepted) -> Term:

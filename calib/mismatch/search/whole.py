@@ -27,10 +27,14 @@ from calib.mismatch.rows.restored import STILL, whole_change
 from calib.mismatch.rows.rows import Rows
 from calib.mismatch.search.accepted import Accepted, contrast_noise, fitted
 from calib.mismatch.search.refine import likelihood_gain
-from calib.mismatch.search.refit import BENT, Problem, Refit, put_back, refit
+from calib.mismatch.search.refit import BENT, Problem, Refit, put_back, refit, take_up
 from calib.types import FloatArray
 
 DELAY, LOW_PASS, CLOCK = "time_offset", "bandwidth", "time_offset.delay"
+
+CLOCK_MOVES = (0.0, -1.0)
+"""By how much of a delay the clocks' offset moves: they are aligned by what one of the triads
+shows, or the other, and that one stays."""
 
 DELAYS = np.geomspace(0.005, 0.32, 7)
 """s, either way. Steps lead from half a delay to all of it: turns take a second and more."""
@@ -103,6 +107,7 @@ class Judge:
         self, problem: Problem, rows: Rows, accepted: list[Accepted], levels: FloatArray
     ) -> None:
         self.problem, self.accepted = problem, accepted
+        self.clock: float | None = None
         self.rows, self.mean = rows, fitted(rows, accepted)
         self.contrast = contrast_noise(rows, accepted)
         self.settle(levels)
@@ -134,10 +139,14 @@ class Judge:
         not tell of levels.
         """
         if self.problem.reference:
-            first = max(found, key=lambda whole: self.gain(whole.column))
+            first = max(found, key=self._value)
             self.settle(self.without(first).values)
-            return max(found, key=lambda whole: self.gain(whole.column))
+            return max(found, key=self._value)
         return max(found, key=lambda whole: self.without(whole).log_likelihood)
+
+    def _value(self, whole: Whole) -> float:
+        """Return the log-likelihood that an explanation gains, two orders sharing what one has."""
+        return self.gain(whole.column) - (0.0 if whole.family.is_delay else float(np.log(2.0)))
 
     def best(self, family: Family, starts: Iterable[float]) -> Whole:
         """Return the member of a family that gains most, near the best of some sizes."""
@@ -186,14 +195,14 @@ class Judge:
             columns = candidate_columns(self.rows, candidate, shape, reference=True)
             return np.zeros(len(self.y)) if columns is None else columns[:, 0]
         late = Accepted(candidate, np.zeros((0, 1)), np.ones(1), np.array([size]), True, 1.0)
-        clock = np.array([-size * (name == CLOCK) for name in self.rows.aligned])
-        there = put_back(self.problem, self.rows, [*self.accepted, late])
-        both = [self.rows.residual - there.residual]
-        # The clocks are aligned by what one of the triads shows, or the other: that one stays.
-        there = put_back(self.problem, self.rows, [*self.accepted, late], nuisance=clock)
-        both.append(self.rows.residual - there.residual)
-        put_back(self.problem, self.rows, self.accepted, nuisance=-clock)
-        return max(both, key=self.gain)
+        found: dict[float, FloatArray] = {}
+        for moves in CLOCK_MOVES if self.clock is None else (self.clock,):
+            clock = np.array([moves * size * (name == CLOCK) for name in self.rows.aligned])
+            take_up(self.problem, self.rows, [*self.accepted, late], clock)
+            found[moves] = self.rows.residual - self.problem.rows().residual
+            take_up(self.problem, self.rows, self.accepted, -clock)
+        self.clock = max(found, key=lambda moves: self.gain(found[moves]))
+        return found[self.clock]
 
 
 def whole_fit(

@@ -152,6 +152,24 @@ def test_a_delay_that_is_no_line_is_found_whichever_triad_is_late(delay):
     assert not found.unexplained
 
 
+def test_a_scale_factor_hides_no_delay():
+    """What is late is what the sensor puts out: else 2 % of scale leave 2 % of all that is fast."""
+    long = bench_protocol(np.random.default_rng(4), poses=40, pose_duration=(2.0, 3.0))
+    rng = np.random.default_rng(3)
+    model = SensorModel(
+        Triad(np.zeros(3), np.zeros(3)),
+        Triad(np.zeros(3), np.array([0.02, -0.03, 0.02])),
+        (Term("time_offset", {"gyro_delay": 0.004}),),
+    )
+    real = simulate(long, model, CONSUMER.scaled(0.2), rng=rng, rate=100.0)
+    other = simulate(long, SensorModel(), NoiseModel(), rng=rng, rate=100.0)
+    found = diagnose_against(real, other, gravity=GRAVITY)
+    (item,) = found.findings
+    assert item.effect == "time_offset"
+    assert item.parameters["gyro_delay"].value == pytest.approx(0.004, abs=1e-4)
+    assert not found.unexplained
+
+
 @pytest.mark.parametrize(
     ("triad", "cutoff", "order", "seed"),
     [("gyro", 20.0, 2, 6), ("gyro", 18.0, 1, 2), ("gyro", 44.0, 2, 6), ("accel", 20.0, 2, 6)],
