@@ -18,7 +18,7 @@ from scipy import sparse
 
 from calib.mismatch.noise.hush import least_noise
 from calib.mismatch.reference.alignment import Alignment
-from calib.mismatch.reference.corners import is_common, unfollowed
+from calib.mismatch.reference.corners import MOVES, is_common, unfollowed
 from calib.mismatch.reference.floor import audible_beside
 from calib.mismatch.reference.scatter import LOUD, QUIETEST
 from calib.mismatch.reference.truths import REACH, RecordingTruth
@@ -53,8 +53,8 @@ QUIET = 0.1
 """Noise of a truth, relative to the recording's, up to which it counts as exact."""
 
 
-STILL, MOVES = 0.05, 0.5
-"""rad/s below which a motion is at rest, and above which it moves."""
+STILL = 0.05
+"""rad/s below which a motion is at rest; from `MOVES` on it moves."""
 
 ENOUGH = 300
 """Samples of either kind that tell how loud the noise is: 1 in 20."""
