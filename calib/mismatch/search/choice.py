@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import log_ndtr, logsumexp
@@ -31,7 +32,17 @@ LEAST = float(log_ndtr(-SURE) - log_ndtr(0.0))
 """Log probability of what is that far beyond."""
 
 
-def choose(rows: Rows, ranking: Ranking, accepted: list[Accepted]) -> Candidate | None:
+class Choice(NamedTuple):
+    """The explanation that is taken, and the log e-value that anything is left.
+
+    That counts only what may be the cause: what was passed over says nothing of how rare it is.
+    """
+
+    candidate: Candidate
+    worth: float
+
+
+def choose(rows: Rows, ranking: Ranking, accepted: list[Accepted]) -> Choice | None:
     """Return what explains most: physics, unless the rivals together are more probable.
 
     An event where something is unexplained already is part of that, and gets no name of its own.
@@ -64,7 +75,7 @@ def choose(rows: Rows, ranking: Ranking, accepted: list[Accepted]) -> Candidate 
     if chosen is None:
         return None
     alike = [v for g, v in groups.items() if set(best[g].channels) & set(chosen.channels)]
-    return chosen if logsumexp(alike) >= np.log(CLAIM) else None
+    return Choice(chosen, ranking.worth) if logsumexp(alike) >= np.log(CLAIM) else None
 
 
 def _most_probable(

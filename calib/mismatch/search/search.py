@@ -87,8 +87,8 @@ def search(problem: Problem, *, skip: tuple[str, ...] = ()) -> Outcome:
         chosen = choose(rows, ranking, accepted)
         if chosen is None:
             break
-        new = accept(stack, chosen, float(np.exp(min(ranking.worth, 700))))
-        beside = ranking.levels_with(chosen)
+        new = accept(stack, chosen.candidate, float(np.exp(min(chosen.worth, 700))))
+        beside = ranking.levels_with(chosen.candidate)
         fit = whole_fit(problem, rows, stack, accepted, new, beside)
         if fit is None:
             accepted = joined(rows, accepted, new, reference=problem.reference)

@@ -27,6 +27,11 @@ def ranked(stacked, evidence, drifting=frozenset()):
     return Ranking(stack, np.zeros(0), best, groups, levels, whitener, drifting)
 
 
+def taken(rows, ranking):
+    choice = choose(rows, ranking, [])
+    return None if choice is None else choice.candidate
+
+
 def wave_in_a_window(stack, channel):
     return next(c for c in stack if c.group == f"wave in a window {channel}")
 
@@ -38,7 +43,7 @@ def test_what_a_drift_can_mimic_is_not_passed_over_for_a_poorer_rival(stacked):
 
     def chosen(of_step, of_wave):
         found = ranked(stacked, {step: of_step, wave: of_wave}, frozenset({step.group}))
-        return choose(rows, found, [])
+        return taken(rows, found)
 
     assert chosen(3.8, -0.2) is step
     assert chosen(1.5, -0.2) is None
@@ -54,7 +59,7 @@ def test_a_name_that_is_less_probable_than_rivals_needs_the_claim_by_itself(stac
     wave = wave_in_a_window(stack, "gyro.x")
 
     def chosen(physics, rival):
-        return choose(rows, ranked(stacked, {effect: physics, wave: rival}), [])
+        return taken(rows, ranked(stacked, {effect: physics, wave: rival}))
 
     assert chosen(1.5, 2.0) is effect
     assert chosen(0.6, 0.5) is effect
@@ -73,7 +78,7 @@ def test_a_second_cause_outbids_a_rival_unless_it_is_there_beside_the_rival(stac
             return ranked(stacked, {second: 28.0 if alone else beside_rival})
 
         monkeypatch.setattr(choice, "rank", again)
-        return choose(rows, ranked(stacked, {rival: 48.0, effect: 30.0, second: 28.0}), [])
+        return taken(rows, ranked(stacked, {rival: 48.0, effect: 30.0, second: 28.0}))
 
     assert chosen(2.0) is effect
     assert chosen(28.0) is rival
@@ -88,11 +93,28 @@ def test_causes_on_other_channels_lend_no_weight(stacked):
     def chosen(evidence):
         ranking = ranked(stacked, evidence)
         assert ranking.claims
-        return choose(rows, ranking, [])
+        return taken(rows, ranking)
 
     assert chosen({gyro: 0.6, accel: 0.5}) is None
     assert chosen({gyro: 0.6, wave: 0.5}) is gyro
     assert chosen({gyro: 1.0, accel: 0.5}) is gyro
+
+
+def test_what_is_passed_over_does_not_make_the_claim_stronger(stacked):
+    rows, stack = stacked
+    second = candidate(stack, "accel_cubic", ("kx",))
+    wave = wave_in_a_window(stack, "accel.x")
+    wild = candidate(stack, "gyro_g_sensitivity", ("gxx",))
+    found = ranked(stacked, {wild: 60.0, wave: 4.0, second: 2.0})
+
+    def impossible(stack, candidate, whitener, y):
+        return -np.inf if candidate is wild else 0.0
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(choice, "possible", impossible)
+        chosen = choose(rows, found, [])
+    assert chosen.candidate is wave
+    assert chosen.worth == pytest.approx(np.logaddexp(4.0, 2.0))
 
 
 def test_nothing_is_chosen_below_the_claim(stacked):
