@@ -41,6 +41,7 @@ from calib.mismatch.reference.colour import (
     whitening,
 )
 from calib.mismatch.reference.floor import with_rounding
+from calib.mismatch.reference.lateness import LATE, delaying, rough_delay
 from calib.mismatch.reference.scatter import scatter, silenced
 from calib.mismatch.reference.setup import BASELINE, GYRO_ANGLES, LOOSE, Setup
 from calib.mismatch.reference.shapes import Shapes, find_shapes
@@ -100,6 +101,8 @@ class ComparisonProblem:
 
     reference = True
     moves_signals = True
+    late: float
+    """By how much a gyroscope is roughly late, where a derivative would not do, s; else 0."""
 
     def __init__(
         self,
@@ -184,6 +187,7 @@ class ComparisonProblem:
         kinds = [n.split(".")[1] for n in (*self.names, *self.alignments)]
         self.loose = np.append([LOOSE[k] for k in kinds], own)
         self.moved = np.zeros(len(self.loose))
+        self.late = 0.0
         self.shapes: Shapes | None = None
         self.colours: list[Colour] | None = None
         self._at: tuple[Setup, State] | None = None
@@ -255,8 +259,11 @@ class ComparisonProblem:
         # The sensor's errors act on what it feels where it is. Of a motion that is not resolved
         # that is not known: it would be noise, and the same in many columns.
         felt = state if self.unresolved else self.setup.model.felt(state)
+        late = self._late()
         if self.shapes is None:
             columns = list(self._shape_columns(felt, left))
+            if late is not None:
+                columns = [(c, late @ v if c.startswith("gyro") else v) for c, v in columns]
             rough = None
             if self.noisy:
                 rough = scatter(
@@ -286,6 +293,7 @@ class ComparisonProblem:
             aligned=self.aligned,
             prior=np.stack((self.moved, self.loose), axis=1),
             known=self._known(self.shapes),
+            late=late,
         )
         rows = replace(rows, gain=self._gain())
         if self.stuck:
@@ -320,10 +328,13 @@ class ComparisonProblem:
         """Fit baseline and alignment by robust Gauss-Newton.
 
         Beside an arm, as far as it is roughly known: what half a metre makes a sensor feel would
-        draw scale factors and time with it. It is left to be found as any other effect.
+        draw scale factors and time with it. So would a gyroscope that is late by far, and it would
+        look like noise. Both are left to be found as any other effect.
         """
         check_units(self.state(), self.measured)
         given, arm = self.given, np.zeros(3)
+        self._align_accel()
+        known = self.given
         for k in range(iterations):
             # Beside a truth without noise its first step leads nearly there.
             if k in (0, 2) or (k == 1 and self.noisy):
@@ -341,11 +352,34 @@ class ComparisonProblem:
             if self.judged is not None:
                 continue
             arm = arm + rough_arm(self.setup.model.felt(state), self.residual(state)[:, :3])
-            self._give((*given, arm_term(arm)) if arm.any() else given)
-        self._give(given)
+            self._give((*known, arm_term(arm)) if arm.any() else known)
         self.shapes = None
+        if self.late:
+            # Windows, and their noise, as they are beside a gyroscope that is not late.
+            self._give(known)
+            self.rows()
+        self._give(given)
         state = self.state()
         check_motion(state, self.measured, self.residual(state))
+
+    def _late(self) -> sparse.csr_matrix | None:
+        """Return what makes signals late by as much as the model has a gyroscope, if it is much."""
+        terms = [t.parameters for t in self.setup.model.terms if t.effect == "time_offset"]
+        delay = sum(p.get("gyro_delay", 0.0) for p in terms)
+        return delaying(self.time, delay) if abs(delay) >= LATE else None
+
+    def _align_accel(self) -> None:
+        """Align the accelerometer in time, the gyroscope being roughly as late as it is."""
+        if self.judged is not None:
+            return
+        state = self.state()
+        true = np.hstack((state.force, state.rate))
+        force, rate = rough_delay(self.measured, true, self.interval)
+        if abs(rate - force) < LATE:
+            return
+        self.late = rate - force
+        self.setup = self.setup._replace(alignment=self.setup.alignment.moved(-force, 0.0))
+        self._give((*self.given, Term("time_offset", {"gyro_delay": self.late})))
 
     def _give(self, terms: tuple[Term, ...]) -> None:
         if terms == self.given:

@@ -44,11 +44,13 @@ def make_rows(
     aligned: tuple[str, ...],
     prior: FloatArray,
     known: Known | None = None,
+    late: sparse.csr_matrix | None = None,
 ) -> Rows:
     """Return the rows: the mean of every window and channel, and what follows the shapes there.
 
     Each is scaled such that white samples give it the variance of a mean. What is ``known`` of the
-    noise of a captured motion says more of means than the noise of samples does.
+    noise of a captured motion says more of means than the noise of samples does. A gyroscope may
+    put out all that it senses ``late``, as `delaying` has it.
     """
     blur, first, last = shapes.blur, shapes.first, shapes.last
     count = last - first
@@ -72,6 +74,9 @@ def make_rows(
         (np.ones(len(inside)), (inside, point_segment[inside])), shape=(len(state.time), k)
     )
     pieces = tuple((f @ member).tocsr() for f in functional)
+    samples = functional
+    if late is not None:
+        functional = (*functional[:3], *((f @ late).tocsr() for f in functional[3:]))
 
     def column(signals: Mapping[str, FloatArray]) -> FloatArray:
         out = np.zeros(m)
@@ -79,7 +84,7 @@ def make_rows(
             out += functional[CHANNELS.index(name)] @ values
         return out
 
-    residual = column(dict(zip(CHANNELS, left.T, strict=True)))
+    residual = sum(f @ values for f, values in zip(samples, left.T, strict=True))
     matrix, means = np.diag(variance[:dense]), variance[:dense]
     slow: tuple[Component, ...] = ()
     density = np.median(
@@ -87,7 +92,7 @@ def make_rows(
     )
     if known is not None:
         share = np.maximum(1.0 - LIKE_REST * quiet / shapes.noise, 0.0)
-        averaging = [f[:dense] for f in functional]
+        averaging = [f[:dense] for f in samples]
         matrix = mean_covariance(averaging, channel[:dense], state, known)
         matrix += np.diag(means * share[segment[:dense], channel[:dense]])
         nodes = np.append(interval[:, 0], interval[-1, 1])

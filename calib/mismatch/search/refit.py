@@ -43,6 +43,7 @@ class Problem(Protocol):
 
     reference: bool
     moves_signals: bool
+    late: float
 
     def rows(self) -> Rows:
         """Return recording minus model, linearised where the model stands."""

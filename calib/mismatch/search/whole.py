@@ -82,6 +82,8 @@ class Whole:
     family: Family
     size: float
     column: FloatArray
+    clock: float = 0.0
+    """By how much the clocks' offset is moved with it, s."""
 
     @property
     def name(self) -> str:
@@ -93,7 +95,7 @@ class Whole:
         """By how much the gyroscope comes late beside the accelerometer, s."""
         if self.family.is_delay:
             return self.size
-        delay = group_delay(self.size, int(self.family.candidate.shape["order"]))
+        delay = group_delay(self.size, _order(self.family.candidate))
         return delay if self.family.size.startswith("gyro") else -delay
 
 
@@ -107,7 +109,7 @@ class Judge:
         self, problem: Problem, rows: Rows, accepted: list[Accepted], levels: FloatArray
     ) -> None:
         self.problem, self.accepted = problem, accepted
-        self.clock: float | None = None
+        self.clocks: dict[Family, float] = {}
         self.rows, self.mean = rows, fitted(rows, accepted)
         self.contrast = contrast_noise(rows, accepted)
         self.settle(levels)
@@ -176,9 +178,12 @@ class Judge:
 
     def _tried(self, family: Family, size: float) -> tuple[Whole, FloatArray]:
         """Return a member of a family, and its whitened column (m, 1)."""
-        change = self._beside_truth if self.problem.reference else self._of_turns
-        column = change(family, size)
-        return Whole(family, size, column), self.whitener.project(column)[:, None]
+        column, clock = (
+            self._beside_truth(family, size)
+            if self.problem.reference
+            else (self._of_turns(family, size), 0.0)
+        )
+        return Whole(family, size, column, clock), self.whitener.project(column)[:, None]
 
     def _of_turns(self, family: Family, size: float) -> FloatArray:
         """Return what a member of a family did to the rows of a recording by itself, (m,)."""
@@ -187,22 +192,47 @@ class Judge:
         change = whole_change(effect, self.rows, family.parameters(size))
         return np.zeros(len(self.y)) if change is None else change
 
-    def _beside_truth(self, family: Family, size: float) -> FloatArray:
-        """Return what it did to the differences between a recording and its truth, (m,)."""
-        candidate = family.candidate
-        if not family.is_delay:
-            shape = {**candidate.shape, family.size: size}
-            columns = candidate_columns(self.rows, candidate, shape, reference=True)
-            return np.zeros(len(self.y)) if columns is None else columns[:, 0]
-        late = Accepted(candidate, np.zeros((0, 1)), np.ones(1), np.array([size]), True, 1.0)
-        found: dict[float, FloatArray] = {}
-        for moves in CLOCK_MOVES if self.clock is None else (self.clock,):
-            clock = np.array([moves * size * (name == CLOCK) for name in self.rows.aligned])
-            take_up(self.problem, self.rows, [*self.accepted, late], clock)
-            found[moves] = self.rows.residual - self.problem.rows().residual
-            take_up(self.problem, self.rows, self.accepted, -clock)
-        self.clock = max(found, key=lambda moves: self.gain(found[moves]))
-        return found[self.clock]
+    def _beside_truth(self, family: Family, size: float) -> tuple[FloatArray, float]:
+        """Return what it did to the differences between a recording and its truth, (m,).
+
+        Beside it how far the clocks' offset moves with it, s.
+        """
+        late = size if family.is_delay else group_delay(size, _order(family.candidate))
+        # What a low-pass of a few milliseconds moves is in the clocks' columns.
+        tried = CLOCK_MOVES if family.is_delay or self.problem.late else CLOCK_MOVES[:1]
+        if family in self.clocks:
+            tried = (self.clocks[family],)
+        found = {moves: self._moved(family, size, moves * late) for moves in tried}
+        best = max(found, key=lambda moves: self.gain(found[moves]))
+        self.clocks[family] = best
+        return found[best], best * late
+
+    def _moved(self, family: Family, size: float, clock: float) -> FloatArray:
+        """Return the same (m,) for clocks whose offset is moved by `clock`, s."""
+        candidate, rows = family.candidate, self.rows
+        taken = self.accepted
+        if family.is_delay:
+            late = Accepted(candidate, np.zeros((0, 1)), np.ones(1), np.array([size]), True, 1.0)
+            taken = [*taken, late]
+        if family.is_delay or clock:
+            take_up(self.problem, rows, taken, _of_clock(rows, clock))
+            rows = self.problem.rows()
+            take_up(self.problem, rows, self.accepted, _of_clock(rows, -clock))
+        change = self.rows.residual - rows.residual
+        if family.is_delay:
+            return change
+        shape = {**candidate.shape, family.size: size}
+        columns = candidate_columns(rows, candidate, shape, reference=True)
+        return change if columns is None else change + columns[:, 0]
+
+
+def _of_clock(rows: Rows, offset: float) -> FloatArray:
+    """Return steps of the nuisances, all zero but that of the clocks' offset, s."""
+    return np.array([offset * (name == CLOCK) for name in rows.aligned])
+
+
+def _order(low_pass: Candidate) -> int:
+    return int(low_pass.shape["order"])
 
 
 def whole_fit(
@@ -217,7 +247,8 @@ def whole_fit(
 
     None of anything else, and of a delay that is straight: its column tells as much. The twin that
     did not know of either is off by some of it. So they are judged again beside what was fitted
-    together with the first, and so on until that is the best.
+    together with the first, and so on until that is the best. Where a triad is late by far that
+    comes first, whatever columns say: they are all off by that much.
 
     Parameters
     ----------
@@ -227,7 +258,8 @@ def whole_fit(
     levels : (c,) array
         Of the noise beside it.
     """
-    if not _alone(new, accepted):
+    far = bool(problem.late) and all(a.candidate.name not in (DELAY, LOW_PASS) for a in accepted)
+    if not (far or _alone(new, accepted)):
         return None
     judge = Judge(problem, rows, accepted, levels)
     found = _explanations(judge, stack, new.candidate)
@@ -259,17 +291,29 @@ def _accepted(
 ) -> tuple[Rows, Accepted]:
     """Return an explanation in the place of the new finding; a delay is taken out of the rows."""
     candidate = best.family.candidate
-    if not best.family.is_delay:
-        candidate = replace(candidate, shape={**candidate.shape, best.family.size: best.size})
-        column = best.column[:, None]
-        return rows, replace(
-            new, candidate=candidate, columns=column, typical=np.ones(1), values=np.zeros(1)
-        )
-    typical, size = np.array([_typical(candidate)]), np.array([best.size])
-    new = replace(new, candidate=candidate, typical=typical, values=size, in_model=True)
-    rows = put_back(problem, rows, [*accepted, new])
-    columns = candidate_columns(rows, candidate, {}, reference=problem.reference)
-    return rows, replace(new, columns=stack.of(candidate) if columns is None else columns)
+    if best.family.is_delay:
+        typical, size = np.array([_typical(candidate)]), np.array([best.size])
+        new = replace(new, candidate=candidate, typical=typical, values=size, in_model=True)
+        rows = _taken_up(problem, rows, [*accepted, new], best.clock)
+        columns = candidate_columns(rows, candidate, {}, reference=problem.reference)
+        return rows, replace(new, columns=stack.of(candidate) if columns is None else columns)
+    candidate = replace(candidate, shape={**candidate.shape, best.family.size: best.size})
+    column = best.column[:, None]
+    if best.clock:
+        rows = _taken_up(problem, rows, accepted, best.clock)
+        there = candidate_columns(rows, candidate, candidate.shape, reference=problem.reference)
+        column = column if there is None else there
+    return rows, replace(
+        new, candidate=candidate, columns=column, typical=np.ones(1), values=np.zeros(1)
+    )
+
+
+def _taken_up(problem: Problem, rows: Rows, accepted: list[Accepted], clock: float) -> Rows:
+    """Return rows of a model that has these findings, the clocks' offset moved by `clock`, s."""
+    if not clock:
+        return put_back(problem, rows, accepted)
+    take_up(problem, rows, accepted, _of_clock(rows, clock))
+    return problem.rows()
 
 
 def whole_odds(
@@ -384,8 +428,8 @@ def _explanations(judge: Judge, stack: Stack, chosen: Candidate) -> list[Whole]:
     white = judge.whitener.project(line)
     straight = float(white @ judge.y) / max(float(white @ white), 1e-300)
     family = Family(delayed, delayed.parameters[0], (-STILL, STILL))
-    # Beside a truth low-passes tell where it may be: they are looked for at once.
-    far = [] if judge.problem.reference else [*-DELAYS, *DELAYS]
+    # Beside a truth it is roughly known, or near, and low-passes tell where it may be.
+    far = [judge.problem.late] if judge.problem.reference else [*-DELAYS, *DELAYS]
     delay = judge.best(family, [*far, straight])
     if judge.power(delay.column - delay.size * line) < BENT:
         return []
@@ -418,6 +462,6 @@ def _anew(judge: Judge, found: list[Whole]) -> list[Whole]:
     delay = judge.best(found[0].family, starts)
     out = [delay]
     for whole in found[1:]:
-        order = int(whole.family.candidate.shape["order"])
+        order = _order(whole.family.candidate)
         out.append(judge.best(whole.family, [whole.size, group_delay(abs(delay.size), order)]))
     return out

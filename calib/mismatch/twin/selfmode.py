@@ -35,6 +35,7 @@ class SelfProblem:
 
     reference = False
     moves_signals = False
+    late = 0.0
 
     def __init__(
         self,

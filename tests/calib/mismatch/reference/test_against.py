@@ -159,6 +159,34 @@ def test_a_delay_that_is_no_line_is_found_whichever_triad_is_late(delay):
     assert not found.unexplained
 
 
+@pytest.mark.parametrize(("delay", "seed"), [(0.04, 3), (-0.045, 10), (0.08, 3)])
+def test_a_delay_of_tens_of_milliseconds_is_found_as_it_is_and_alone(delay, seed):
+    """Beside one a hand's tremor was noise, and columns were off by as much."""
+    real = recorded(Term("time_offset", {"gyro_delay": delay}), seed=seed)
+    found = diagnose_against(real, simulation(), gravity=GRAVITY)
+    (item,) = found.findings
+    assert item.effect == "time_offset"
+    value = item.parameters["gyro_delay"]
+    assert value.sigma < 1e-4
+    assert abs(value.value - delay) < 3 * value.sigma
+    assert not found.unexplained
+    assert found.verdict == "explained"
+
+
+def test_other_effects_are_found_beside_a_delay_of_tens_of_milliseconds():
+    terms = (
+        Term("time_offset", {"gyro_delay": 0.025}),
+        Term("gyro_g_sensitivity", {"gxx": 2e-3, "gyz": 1e-3}),
+    )
+    found = diagnose_against(recorded(*terms, seed=8), simulation(), gravity=GRAVITY)
+    assert {f.effect for f in found.findings} == {t.effect for t in terms}
+    assert not found.unexplained
+    for finding in found.findings:
+        truth = next(t.parameters for t in terms if t.effect == finding.effect)
+        for name, q in finding.parameters.items():
+            assert abs(q.value - truth.get(name, 0.0)) < 3.5 * q.sigma
+
+
 def test_a_scale_factor_hides_no_delay():
     """What is late is what the sensor puts out: else 2 % of scale leave 2 % of all that is fast."""
     long = bench_protocol(np.random.default_rng(4), poses=40, pose_duration=(2.0, 3.0))
@@ -179,7 +207,13 @@ def test_a_scale_factor_hides_no_delay():
 
 @pytest.mark.parametrize(
     ("triad", "cutoff", "order", "seed"),
-    [("gyro", 20.0, 2, 6), ("gyro", 18.0, 1, 2), ("gyro", 44.0, 2, 6), ("accel", 20.0, 2, 6)],
+    [
+        ("gyro", 20.0, 2, 6),
+        ("gyro", 18.0, 1, 2),
+        ("gyro", 44.0, 2, 6),
+        ("accel", 20.0, 2, 6),
+        ("accel", 15.0, 1, 6),
+    ],
 )
 def test_a_low_pass_of_one_triad_is_found_however_strong(triad, cutoff, order, seed):
     """A gyroscope's was a delay, and other things that are not there."""
