@@ -41,7 +41,7 @@ from calib.mismatch.reference.colour import (
     whitening,
 )
 from calib.mismatch.reference.floor import with_rounding
-from calib.mismatch.reference.lateness import LATE, delaying, rough_delay
+from calib.mismatch.reference.lateness import LATE, delaying, liveliest, rough_delay
 from calib.mismatch.reference.scatter import scatter, silenced
 from calib.mismatch.reference.setup import BASELINE, GYRO_ANGLES, LOOSE, Setup
 from calib.mismatch.reference.shapes import Shapes, find_shapes
@@ -373,8 +373,12 @@ class ComparisonProblem:
         if self.judged is not None:
             return
         state = self.state()
-        true = np.hstack((state.force, state.rate))
-        force, rate = rough_delay(self.measured, true, self.interval)
+        # A long arm is felt as well, and is no delay.
+        part = liveliest(state.rate)
+        measured = self.measured[part]
+        felt = (state.force[part], *np.moveaxis(state.gradient[part], -1, 0))
+        force = rough_delay(measured[:, :3], felt, self.interval)
+        rate = rough_delay(measured[:, 3:], (state.rate[part],), self.interval)
         if abs(rate - force) < LATE:
             return
         self.late = rate - force

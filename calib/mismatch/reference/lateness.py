@@ -7,6 +7,8 @@ hill. So it is roughly known before anything is judged; to find it is left to th
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy import sparse
 
@@ -18,43 +20,73 @@ REACH = 0.3
 SPAN = 0.1
 """s over which changes are correlated: what is slow peaks at no lag, and tremor at many."""
 
+ENOUGH = 40_000
+"""Samples that tell of it, at most."""
+
+PASSES = 4
+"""How often it is sought, each time about where it was found."""
+
 LATE = 0.008
 """s: below it a derivative does. It is half a radian of a tremor of 10 Hz."""
 
 
-def rough_delay(measured: FloatArray, true: FloatArray, interval: float) -> tuple[float, float]:
-    """Return how late measured forces, and rates, come after the true ones, s.
+def rough_delay(measured: FloatArray, true: Sequence[FloatArray], interval: float) -> float:
+    """Return how late a triad comes after the truth, s; 0 at the end of what is searched.
+
+    It is the lag at which the changes of what it measured are explained best by those of true
+    signals, each with a factor (least squares); between samples that of a parabola.
 
     Parameters
     ----------
-    measured, true : (n, 6) arrays
-        Forces, then rates.
+    measured : (n, 3) array
+    true : arrays (n, 3)
+        What the triad feels, and what it may feel besides: what a unit of a lever arm adds.
     interval : float, s
     """
-    return _lag(measured[:, :3], true[:, :3], interval), _lag(
-        measured[:, 3:], true[:, 3:], interval
-    )
+    span = max(1, round(SPAN / interval))
+    a, *bases = (signal[span:] - signal[:-span] for signal in (measured, *true))
+    most = min(round(REACH / interval), len(a) // 4)
+    late = 0.0
+    # What moves at the ends draws the lag to zero, by a share of it.
+    for _ in range(PASSES):
+        shift = int(np.clip(round(late), -most, most))
+        inner = slice(most, len(a) - most)
+        moved = [b[most - shift : len(b) - most - shift] for b in bases]
+        left = _lag(a[inner], moved, most)
+        if left is None:
+            return 0.0
+        late = shift + left
+        if round(late) == shift:
+            break
+    return late * interval
 
 
-def _lag(measured: FloatArray, true: FloatArray, interval: float) -> float:
-    """Return the lag at which the changes of (n, 3) signals match best, s; 0 at the search's end.
-
-    Between samples it is that of a parabola.
-    """
+def _lag(a: FloatArray, bases: Sequence[FloatArray], most: int) -> float | None:
+    """Return the lag at which (n, 3) signals explain one best, in samples; None at an end."""
     from scipy import fft  # only comparisons need it
 
-    span = max(1, round(SPAN / interval))
-    a, b = measured[span:] - measured[:-span], true[span:] - true[:-span]
-    most = min(round(REACH / interval), len(a) // 2)
     size = fft.next_fast_len(len(a) + most)
-    spectrum = (fft.rfft(a, size, axis=0) * np.conj(fft.rfft(b, size, axis=0))).sum(axis=1)
     lag = np.arange(-most, most + 1)
-    match = fft.irfft(spectrum, size)[lag]
-    k = int(np.argmax(match))
+    spectrum = fft.rfft(a, size, axis=0)
+    match = np.empty((len(bases), len(lag)))
+    for own, b in zip(match, bases, strict=True):
+        product = spectrum * np.conj(fft.rfft(b, size, axis=0))
+        own[:] = fft.irfft(product.sum(axis=1), size)[lag]
+    flat = np.stack([b.ravel() for b in bases])
+    power = np.einsum("kl,kl->l", match, np.linalg.pinv(flat @ flat.T, rcond=1e-9) @ match)
+    k = int(np.argmax(power))
     if not 0 < k < len(lag) - 1:
-        return 0.0
-    below, here, above = match[k - 1 : k + 2]
-    return float((lag[k] + 0.5 * (below - above) / (below - 2 * here + above)) * interval)
+        return None
+    below, here, above = power[k - 1 : k + 2]
+    bend = below - 2 * here + above
+    return float(lag[k] + (0.5 * (below - above) / bend if bend < 0 else 0.0))
+
+
+def liveliest(rate: FloatArray) -> slice:
+    """Return the part of a long recording in which rates (n, 3) change most, `ENOUGH` long."""
+    starts = range(0, max(len(rate) - ENOUGH, 0) + 1, ENOUGH)
+    first = max(starts, key=lambda i: float(rate[i : i + ENOUGH].var(axis=0).sum()))
+    return slice(first, first + ENOUGH)
 
 
 def delaying(time: FloatArray, delay: float) -> sparse.csr_matrix:

@@ -3,7 +3,12 @@
 import numpy as np
 import pytest
 
-from calib.mismatch.reference.lateness import REACH, delaying, rough_delay
+from calib.effects.base import State
+from calib.mismatch.reference.lateness import ENOUGH, LATE, REACH, delaying, liveliest, rough_delay
+from calib.model import SensorModel
+from calib.simulate import simulate
+from calib.simulation.bench import bench_protocol
+from calib.simulation.noise import NoiseModel
 
 
 def turning(time, rng):
@@ -13,27 +18,47 @@ def turning(time, rng):
 
 
 @pytest.mark.parametrize("rate", [50.0, 100.0, 400.0])
-@pytest.mark.parametrize("late", [(0.0, 0.04), (0.0123, -0.03), (-0.11, 0.0)])
-def test_each_triad_is_placed_to_a_part_of_a_sample(rate, late):
+@pytest.mark.parametrize("late", [0.0, 0.04, 0.0123, -0.03, -0.11])
+def test_a_triad_is_placed_to_a_part_of_a_sample(rate, late):
     time = np.arange(0.0, 60.0, 1.0 / rate)
-
-    def signals(delays):
-        rng = np.random.default_rng(3)
-        return np.hstack([turning(time - delay, rng) for delay in delays])
-
-    noise = np.random.default_rng(4).normal(0.0, 0.02, (len(time), 6))
-    gain, bias = 1.02, 0.3
-    found = rough_delay(gain * signals(late) + bias + noise, signals((0.0, 0.0)), 1.0 / rate)
+    true, measured = (turning(time - d, np.random.default_rng(3)) for d in (0.0, late))
+    noise = np.random.default_rng(4).normal(0.0, 0.02, measured.shape)
+    found = rough_delay(1.02 * measured + 0.3 + noise, (true,), 1.0 / rate)
     assert found == pytest.approx(late, abs=0.001)
+
+
+@pytest.mark.parametrize("late", [0.0, 0.03])
+def test_what_a_long_arm_feels_is_no_delay(late):
+    worst = 0.0
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        motion = bench_protocol(rng, poses=8, first_pose=1.0, pose_duration=(1.0, 3.0))
+        recording = simulate(motion, SensorModel(), NoiseModel(), rng=rng, rate=100.0)
+        state = State(recording.time, recording.accel, recording.gyro)
+        felt = (state.force, *np.moveaxis(state.gradient, -1, 0))
+        arm = 0.6 * rng.normal(size=3) / np.sqrt(3.0)
+        measured = delaying(state.time, late) @ (state.force + state.gradient @ arm)
+        assert rough_delay(measured, felt, 0.01) == pytest.approx(late, abs=1e-3)
+        worst = max(worst, abs(rough_delay(measured, felt[:1], 0.01) - late))
+    # Were the arm not known of, it would have been one.
+    assert worst > LATE
 
 
 def test_beyond_the_search_nothing_is_said():
     time = np.arange(0.0, 60.0, 0.01)
-    once = np.exp(-np.square((time - 30.0) / 0.1))[:, None] * np.ones(3)
-    early = np.exp(-np.square((time - 29.0) / 0.1))[:, None] * np.ones(3)
-    true, measured = np.hstack((once, early)), np.hstack((once, once))
-    assert rough_delay(measured, true, 0.01)[0] == pytest.approx(0.0, abs=1e-9)
-    assert abs(rough_delay(measured, true, 0.01)[1]) <= REACH
+
+    def step(late):
+        return np.clip((time - 30.0 - late) / 0.5, 0.0, 1.0)[:, None] * np.ones(3)
+
+    assert rough_delay(step(0.8 * REACH), (step(0.0),), 0.01) == pytest.approx(0.8 * REACH)
+    assert rough_delay(step(1.5 * REACH), (step(0.0),), 0.01) == 0.0
+
+
+def test_of_a_long_recording_the_liveliest_part_tells():
+    rate = np.zeros((3 * ENOUGH + 500, 3))
+    rate[ENOUGH + 100 : ENOUGH + 200, 1] = 1.0
+    assert liveliest(rate) == slice(ENOUGH, 2 * ENOUGH)
+    assert liveliest(rate[:50]).start == 0
 
 
 @pytest.mark.parametrize("delay", [0.04, -0.03, 0.0137, 0.0])
