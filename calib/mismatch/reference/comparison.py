@@ -379,7 +379,7 @@ class ComparisonProblem:
         felt = (state.force[part], *np.moveaxis(state.gradient[part], -1, 0))
         force = rough_delay(measured[:, :3], felt, self.interval)
         rate = rough_delay(measured[:, 3:], (state.rate[part],), self.interval)
-        if abs(rate - force) < LATE:
+        if force is None or rate is None or abs(rate - force) < LATE:
             return
         self.late = rate - force
         self.setup = self.setup._replace(alignment=self.setup.alignment.moved(-force, 0.0))

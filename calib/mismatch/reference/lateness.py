@@ -26,12 +26,16 @@ ENOUGH = 40_000
 PASSES = 4
 """How often it is sought, each time about where it was found."""
 
+TOLD = 0.5
+"""Share of the changes that must be explained at the best lag: what feels nothing of the motion, as
+an accelerometer on a table that turns about the vertical, tells of no lag."""
+
 LATE = 0.008
 """s: below it a derivative does. It is half a radian of a tremor of 10 Hz."""
 
 
-def rough_delay(measured: FloatArray, true: Sequence[FloatArray], interval: float) -> float:
-    """Return how late a triad comes after the truth, s; 0 at the end of what is searched.
+def rough_delay(measured: FloatArray, true: Sequence[FloatArray], interval: float) -> float | None:
+    """Return how late a triad comes after the truth, s; None if that does not show.
 
     It is the lag at which the changes of what it measured are explained best by those of true
     signals, each with a factor (least squares); between samples that of a parabola.
@@ -54,7 +58,7 @@ def rough_delay(measured: FloatArray, true: Sequence[FloatArray], interval: floa
         moved = [b[most - shift : len(b) - most - shift] for b in bases]
         left = _lag(a[inner], moved, most)
         if left is None:
-            return 0.0
+            return None
         late = shift + left
         if round(late) == shift:
             break
@@ -62,7 +66,7 @@ def rough_delay(measured: FloatArray, true: Sequence[FloatArray], interval: floa
 
 
 def _lag(a: FloatArray, bases: Sequence[FloatArray], most: int) -> float | None:
-    """Return the lag at which (n, 3) signals explain one best, in samples; None at an end."""
+    """Return the lag at which (n, 3) signals explain one best, in samples; None if none does."""
     from scipy import fft  # only comparisons need it
 
     size = fft.next_fast_len(len(a) + most)
@@ -75,7 +79,7 @@ def _lag(a: FloatArray, bases: Sequence[FloatArray], most: int) -> float | None:
     flat = np.stack([b.ravel() for b in bases])
     power = np.einsum("kl,kl->l", match, np.linalg.pinv(flat @ flat.T, rcond=1e-9) @ match)
     k = int(np.argmax(power))
-    if not 0 < k < len(lag) - 1:
+    if not 0 < k < len(lag) - 1 or power[k] < TOLD * float(np.square(a).sum()):
         return None
     below, here, above = power[k - 1 : k + 2]
     bend = below - 2 * here + above
