@@ -364,9 +364,13 @@ class ComparisonProblem:
 
     def _late(self) -> sparse.csr_matrix | None:
         """Return what makes signals late by as much as the model has a gyroscope, if it is much."""
-        terms = [t.parameters for t in self.setup.model.terms if t.effect == "time_offset"]
-        delay = sum(p.get("gyro_delay", 0.0) for p in terms)
+        delay = self._gyro_delay()
         return delaying(self.time, delay) if abs(delay) >= LATE else None
+
+    def _gyro_delay(self) -> float:
+        """Return by how much the model has the gyroscope late, s."""
+        terms = [t.parameters for t in self.setup.model.terms if t.effect == "time_offset"]
+        return sum(p.get("gyro_delay", 0.0) for p in terms)
 
     def _align_accel(self) -> None:
         """Align the accelerometer in time, the gyroscope being roughly as late as it is."""
@@ -379,9 +383,13 @@ class ComparisonProblem:
         felt = (state.force[part], *np.moveaxis(state.gradient[part], -1, 0))
         force = rough_delay(measured[:, :3], felt, self.interval)
         rate = rough_delay(measured[:, 3:], (state.rate[part],), self.interval)
-        if force is None or rate is None or abs(rate - force) < LATE:
+        if force is None or rate is None:
             return
-        self.late = rate - force
+        # A calibration may have some of it already.
+        late = rate - force - self._gyro_delay()
+        if abs(late) < LATE:
+            return
+        self.late = late
         self.setup = self.setup._replace(alignment=self.setup.alignment.moved(-force, 0.0))
         self._give((*self.given, Term("time_offset", {"gyro_delay": self.late})))
 

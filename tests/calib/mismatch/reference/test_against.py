@@ -173,6 +173,16 @@ def test_a_delay_of_tens_of_milliseconds_is_found_as_it_is_and_alone(delay, seed
     assert found.verdict == "explained"
 
 
+def test_a_delay_that_a_calibration_has_is_there_once():
+    delay = Term("time_offset", {"gyro_delay": 0.03})
+    real, known = recorded(delay, seed=4), SensorModel(terms=(delay,))
+    seen = look_at_samples(real, find_poses(real))
+    problem, _ = compare_simulation(real, simulation(), seen, gravity=GRAVITY, model=known)
+    assert problem.late == 0.0
+    found = diagnose_against(real, simulation(), gravity=GRAVITY, model=known)
+    assert found.verdict == "consistent"
+
+
 def test_other_effects_are_found_beside_a_delay_of_tens_of_milliseconds():
     terms = (
         Term("time_offset", {"gyro_delay": 0.025}),
@@ -208,6 +218,12 @@ def test_a_scale_factor_hides_no_delay():
 @pytest.mark.parametrize(
     ("triad", "cutoff", "order", "seed"),
     [
+        pytest.param(
+            *("gyro", 20.0, 2, 6),
+            marks=pytest.mark.xfail(
+                reason="this noise has an e-value of 2.2 by itself, and of 2.8 beside the low-pass"
+            ),
+        ),
         ("gyro", 20.0, 2, 14),
         ("gyro", 18.0, 1, 2),
         ("gyro", 44.0, 2, 6),
