@@ -205,6 +205,7 @@ class Motion:
     force: np.ndarray
     rate: np.ndarray
     quaternion: np.ndarray
+    position: np.ndarray
     temperature: np.ndarray
     since_turn: np.ndarray
     vibration: np.ndarray
@@ -310,7 +311,8 @@ def make_motion(rng: np.random.Generator, setting: Setting) -> Motion:
         vibration = np.square(on[:, None] * direction)
         force = force + np.sqrt(vibration) * rng.normal(size=force.shape)
     return Motion(
-        time, step, stride, force, rate, middle, _temperature(rng, setting, time), since_turn,
+        time, step, stride, force, rate, middle, 0.5 * (position[1:] + position[:-1]),
+        _temperature(rng, setting, time), since_turn,
         vibration, rests, setting, EARTH * np.sin(latitude),
     )  # fmt: skip
 
@@ -762,25 +764,6 @@ def read_out(
     time = np.arange(len(out)) / setting.rate
     late = np.random.default_rng(len(out)).uniform(-setting.late, setting.late, len(out))
     return setting.start + time + late, out, temperature
-
-
-def simulated(rng: np.random.Generator, motion: Motion) -> tuple[np.ndarray, np.ndarray]:
-    """Return time and output (n, 6) of a perfect sensor, at a rate and on a clock of its own.
-
-    It is not where the fine grid is: a cubic through four points of it, as far apart as a hundredth
-    of what trembles, errs by less than 1e-6. It begins later and ends earlier than the recording.
-    """
-    rate = float(rng.choice([50.0, 80.0, 100.0, 200.0]))
-    late, early = rng.uniform(0.0, 2.5, 2)
-    time = np.arange(motion.time[0] + late, motion.time[-1] - early, 1 / rate)
-    place = (time - motion.time[0]) / motion.step
-    k = np.clip(place.astype(int), 1, len(motion.time) - 3)
-    u = (place - k)[:, None]
-    weights = (-u * (u - 1) * (u - 2) / 6, (u + 1) * (u - 1) * (u - 2) / 2,
-               -(u + 1) * u * (u - 2) / 2, (u + 1) * u * (u - 1) / 6)  # fmt: skip
-    signals = np.hstack((motion.force, motion.rate))
-    output = sum(w * signals[k + i] for i, w in enumerate(weights, start=-1))
-    return time + float(rng.choice([0.0, 1000.0, -37.2])), output
 
 
 def write_csv(

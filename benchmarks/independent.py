@@ -7,7 +7,8 @@ size: that at which an oracle has non-centrality 45 (`_independent_oracle.py`), 
 three times what a data sheet calls typical.
 
 ``--parts beside`` judges effects, and clean recordings, ``--against`` a simulation of their motion
-that is perfect but for its rate, on a clock of its own.
+that is perfect but for its rate, on a clock of its own; ``captured`` and ``imu`` do so with
+``--reference``: markers that are seen with noise, or another IMU, turned and some centimetres away.
 
 A name counts if it is a finding, or a stated rival of one. A name is false if neither it nor its
 rivals are in the recording. Failing recordings are kept with ``--keep DIR``.
@@ -46,10 +47,10 @@ from _independent_generator import (
     make_motion,
     noise,
     read_out,
-    simulated,
     write_csv,
 )
 from _independent_oracle import Oracle
+from _independent_reference import REFERENCES
 
 SMALLEST = 45.0
 """Non-centrality of the smallest size."""
@@ -57,7 +58,7 @@ CAP = 3.0
 """Times the typical size, at most."""
 SHAKEN_CAP = 30.0
 """The same for what only a shaker shows at typical size."""
-PARTS = ("single", "clean", "pairs", "outside", "readout", "beside")
+PARTS = ("single", "clean", "pairs", "outside", "readout", *REFERENCES)
 READOUT = ("saturation", "quantization", "dropped_samples", "unit_error", "axis_error")
 STRESS: dict[str, dict[str, object]] = {
     "plain": {},
@@ -192,7 +193,8 @@ def main() -> int:
     parser.add_argument("--quick", action="store_true", help="one seed, some of the effects")
     parser.add_argument("--seeds", type=int, default=2, help="recordings per effect and size")
     parser.add_argument("--first", type=int, default=0, help="number of the first seed")
-    parser.add_argument("--parts", nargs="*", default=list(PARTS[:-1]), choices=PARTS)
+    alone = [p for p in PARTS if p not in REFERENCES]
+    parser.add_argument("--parts", nargs="*", default=alone, choices=PARTS)
     parser.add_argument("--effects", nargs="*", help="only these")
     parser.add_argument("--times", type=float, nargs="*", default=[1.5, 3.0])
     parser.add_argument("--keep", type=Path, metavar="DIR", help="keep what fails here")
@@ -214,11 +216,11 @@ def cases(args: argparse.Namespace) -> Iterator[Case]:
     chosen = args.effects
     for part in args.parts:
         for seed in seeds:
-            if part in ("single", "beside"):
+            if part == "single" or part in REFERENCES:
                 for name in chosen or single:
                     if name in EFFECTS:
                         yield from (Case(part, (name,), t, seed) for t in args.times)
-                if part == "beside":
+                if part in REFERENCES:
                     yield from (Case(part, (), 0.0, 10 * seed + i) for i in range(5))
             elif part == "clean":
                 yield from (Case(part, (name,), 0.0, seed) for name in chosen or STRESS)
@@ -262,8 +264,7 @@ def run(case: Case, keep: Path | None) -> Result:
         forced = dict(STRESS[case.names[0]])
     if forced.get("shaken"):
         forced["averaged"] = False  # a mean over the sample interval would damp the vibration
-    beside = case.part == "beside"
-    if beside:
+    if case.part in REFERENCES:
         # What a simulation does not know of: means over a sample's interval, the Earth, a place.
         forced |= {"averaged": False, "earth": False, "gravity": G0}
     setting = draw_setting(rng, **forced)
@@ -295,10 +296,12 @@ def run(case: Case, keep: Path | None) -> Result:
         seen = None if setting.temperature == "none" else temperature
         write_csv(path, time, values, seen, rng)
         command = [sys.executable, "-m", "imu_cli", "diagnose", str(path), "--json"]
-        if beside:
-            simulation = path.with_suffix(".sim.csv")
-            write_csv(simulation, *simulated(rng, motion), None, rng)
-            command += ["--against", str(simulation)]
+        if case.part in REFERENCES:
+            other = path.with_suffix(".other.csv")
+            reference = REFERENCES[case.part](rng, motion, other)
+            command += [reference.option, str(other)]
+            truth.allowed += reference.allowed
+            truth.parameters |= reference.parameters
         before = resource.getrusage(resource.RUSAGE_CHILDREN)
         said = subprocess.run(command, capture_output=True, text=True, check=False)
         after = resource.getrusage(resource.RUSAGE_CHILDREN)
@@ -439,7 +442,7 @@ def report(results: list[Result]) -> int:
     single = [r for r in results if r.case.part == "single"]
     print("| what | size | recordings | found | right name | or a stated rival | false name |")
     print("|---|---|---|---|---|---|---|")
-    for part in ("single", "pairs", "readout", "beside"):
+    for part in ("single", "pairs", "readout", *REFERENCES):
         chosen = [r for r in results if r.case.part == part and r.case.names]
         for times in sorted({r.case.times for r in chosen}):
             group = [r for r in chosen if r.case.times == times]
@@ -453,15 +456,15 @@ def report(results: list[Result]) -> int:
                 f"| {part} | {times:g} | {len(group)} | {found / n:.0%} | {right / n:.0%} | "
                 f"{among / n:.0%} | {false / len(group):.1%} |"
             )
-            missed += part in ("single", "beside") and times >= 1.5 and among / n < 0.98
-    for part in ("clean", "outside", "beside"):
+            missed += part not in ("pairs", "readout") and times >= 1.5 and among / n < 0.98
+    for part in ("clean", "outside", *REFERENCES):
         group = [r for r in results if r.case.part == part]
-        if part == "beside":
+        if part in REFERENCES:
             group = [r for r in group if not r.case.names]
         if not group:
             continue
         false = sum(bool(r.false) for r in group)
-        label = "clean, beside a simulation" if part == "beside" else part
+        label = f"clean, {part}" if part in REFERENCES else part
         line = f"\n{label}: {false} of {len(group)} recordings got a false name"
         if part != "outside":
             line += f", {sum(bool(r.answer['unexplained']) for r in group)} something unexplained"
@@ -480,7 +483,7 @@ def report(results: list[Result]) -> int:
         inside = float(np.mean(np.abs(errors) < 3))
         print(f"\nparameters within 3 standard errors: {inside:.1%} of {len(errors)}")
         missed += inside < 0.99
-    single += [r for r in results if r.case.part == "beside"]
+    single += [r for r in results if r.case.part in REFERENCES]
     lost = sorted({n for r in single for n in r.case.names if not r.among(n)})
     if lost:
         print("\nnot named:", ", ".join(lost))
