@@ -295,7 +295,7 @@ class ComparisonProblem:
             known=self._known(self.shapes),
             late=late,
         )
-        rows = replace(rows, gain=self._gain())
+        rows = replace(rows, gain=self._gain(), clustered=self.noisy)
         if self.stuck:
             rows = with_rounding(rows, self.stuck)
         if felt is state and not arm_of(self.setup.model).any():

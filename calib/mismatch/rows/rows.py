@@ -158,6 +158,8 @@ class Rows:
         How the sensor may move at rest; None where the truth says how it moves.
     gain : (6,) array
         What the sensor's channels make of the state: one, or beside a truth their scale factors.
+    clustered : bool
+        Whether what the rows of one segment err by may go together, as a truth's own noise does.
     """
 
     residual: FloatArray
@@ -183,6 +185,7 @@ class Rows:
     plain: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
     lean: Lean | None = None
     gain: FloatArray = field(default_factory=lambda: np.ones(len(CHANNELS)))
+    clustered: bool = False
 
     @property
     def n_dense(self) -> int:

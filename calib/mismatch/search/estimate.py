@@ -9,7 +9,13 @@ form (the order of a filter) that fits nearly as well is part of the mixture.
 
 The noise is an estimate too: of slow drift a recording shows a few modes only. Standard errors are
 as much wider as it takes for three of them to hold an error as often as three do where the noise is
-known.
+known. Where a truth has noise of its own, what it errs by goes together in channels and shapes of
+one window: there they are no less than what the residuals of whole windows say [1]_.
+
+References
+----------
+.. [1] Liang, Zeger, "Longitudinal data analysis using generalized linear models", Biometrika 73,
+   1986, p. 15 (the robust covariance of clusters).
 """
 
 from __future__ import annotations
@@ -181,6 +187,8 @@ def estimate(
             )
     size = np.sqrt(np.diag(total))
     unsure = _unsure(rows, accepted, levels, contrast, covariance)
+    if rows.clustered:
+        unsure = unsure * _together(rows, accepted, levels, contrast, best, covariance)
     longer = unsure * np.maximum(reach / 3.0, size) / np.where(size > 0, size, 1.0)
     total *= np.outer(longer, longer)
     start = rows.baseline.shape[1] + rows.nuisance.shape[1]
@@ -207,6 +215,31 @@ def _unsure(
     whitener = make_whitener(rows, levels, contrast, mean[:, :0])
     influence = whitener.unwhiten_transposed(whitener.whiten(mean) @ covariance)
     return wider(spread_of_variance(rows, mean, levels, influence, np.diag(covariance)))
+
+
+def _together(
+    rows: Rows,
+    accepted: tuple[Accepted, ...],
+    levels: FloatArray,
+    contrast: FloatArray,
+    best: FloatArray,
+    covariance: FloatArray,
+) -> FloatArray:
+    """Return how much wider errors are, as rows of one segment err together, than if none did.
+
+    With the whitened columns ``A``, residuals ``r`` and covariance ``C``, the variances are the
+    diagonal of ``C (sum_k s_k s_k') C``, ``s_k = A_k' r_k`` of the rows of segment k. What few
+    segments tell of may look smaller so than it is: it counts where it is larger.
+    """
+    mean = fitted(rows, accepted)
+    whitener = make_whitener(rows, levels, contrast, mean[:, :0])
+    left = whitener.whiten(rows.residual - mean @ best)
+    moved = (whitener.whiten(mean) @ covariance) * left[:, None]
+    sums = np.zeros((int(rows.segment.max()) + 1, moved.shape[1]))
+    np.add.at(sums, rows.segment, moved)
+    plain = np.diag(covariance)
+    ratio = np.square(sums).sum(axis=0) / np.where(plain > 0, plain, np.inf)
+    return np.asarray(np.sqrt(np.maximum(ratio, 1.0)))
 
 
 def wider(spread: FloatArray) -> FloatArray:

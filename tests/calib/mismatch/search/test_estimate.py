@@ -180,3 +180,56 @@ def test_drift_of_unknown_size_is_in_the_errors_of_what_it_can_mimic():
     # 120 draws: 0.065 is one standard deviation.
     assert 0.7 < np.sqrt(np.mean(np.square(z))) < 1.15
     assert np.abs(z).max() < 3.5
+
+
+@pytest.fixture(scope="module")
+def apart():
+    """Rows of a bench protocol, a finding, and what makes residuals of whitened ones."""
+    _, self_mode = problem()
+    rows = self_mode.rows()
+    whitener = make_whitener(
+        rows, expected_levels(rows), rows.white_diagonal, np.zeros((len(rows.residual), 0))
+    )
+    found = named(rows, "gyro_bias_temperature", ("kx",))
+    along = whitener.whiten(found.columns[:, 0])
+    return rows, found, along, np.linalg.inv(whitener.whiten(np.eye(len(along))))
+
+
+@pytest.mark.parametrize("together", [0.0, 2.0])
+def test_what_errs_together_in_a_segment_is_in_the_errors(apart, together):
+    rows, found, along, back = apart
+    noise = expected_levels(rows), rows.white_diagonal
+    segments = int(rows.segment.max()) + 1
+    length = np.sqrt(np.bincount(rows.segment, along**2, segments))[rows.segment]
+    along = np.divide(along, length, out=np.zeros_like(along), where=length > 0)
+    rng = np.random.default_rng(3)
+    squares, plain, robust = [], [], []
+    for _ in range(60):
+        common = together * rng.normal(size=segments)[rows.segment] * along
+        drawn_rows = rows.with_residual(back @ (rng.normal(size=len(along)) + common))
+        step, covariance = module._fit(drawn_rows, (found,), *noise)
+        wide = module._together(drawn_rows, (found,), *noise, step, covariance)
+        squares.append(step[-1] ** 2)
+        plain.append(covariance[-1, -1])
+        robust.append(covariance[-1, -1] * wide[-1] ** 2)
+        assert wide.min() >= 1.0
+    # 60 squares tell their mean to a fifth; thirty segments a variance to a quarter.
+    assert 0.5 < np.mean(squares) / np.mean(robust) < 1.6
+    if together:
+        assert np.mean(squares) > 3.0 * np.mean(plain)
+    else:
+        assert np.mean(robust) < 1.35 * np.mean(plain)
+
+
+def test_only_rows_that_may_err_together_have_wider_errors(apart):
+    rows, found, _, _ = apart
+    noise = expected_levels(rows), rows.white_diagonal
+    sizes = []
+    for clustered in (False, True):
+        there = replace(rows, clustered=clustered)
+        fit = estimate(there, (found,), *noise, reference=False)
+        sizes.append(np.sqrt(np.diag(fit.covariance)))
+    step, covariance = module._fit(rows, (found,), *noise)
+    wide = module._together(rows, (found,), *noise, step, covariance)
+    assert wide.max() > 1.05
+    np.testing.assert_allclose(sizes[1], sizes[0] * wide, rtol=1e-9)
