@@ -188,7 +188,7 @@ def estimate(
     size = np.sqrt(np.diag(total))
     unsure = _unsure(rows, accepted, levels, contrast, covariance)
     if rows.clustered:
-        unsure = unsure * _together(rows, accepted, levels, contrast, best, covariance)
+        unsure = unsure * _together(rows, accepted, levels, contrast, best)
     longer = unsure * np.maximum(reach / 3.0, size) / np.where(size > 0, size, 1.0)
     total *= np.outer(longer, longer)
     start = rows.baseline.shape[1] + rows.nuisance.shape[1]
@@ -223,22 +223,27 @@ def _together(
     levels: FloatArray,
     contrast: FloatArray,
     best: FloatArray,
-    covariance: FloatArray,
 ) -> FloatArray:
     """Return how much wider errors are, as rows of one segment err together, than if none did.
 
-    With the whitened columns ``A``, residuals ``r`` and covariance ``C``, the variances are the
-    diagonal of ``C (sum_k s_k s_k') C``, ``s_k = A_k' r_k`` of the rows of segment k. What few
-    segments tell of may look smaller so than it is: it counts where it is larger.
+    Of an estimate ``g' y`` of whitened rows y, which leaves the residuals r, the variance is the
+    sum over segments of ``(g_k' r_k)²``; if rows erred apart, it were ``g' g``. What few segments
+    tell of may look smaller so than it is: it counts where it is larger. What is known beforehand
+    errs as it says.
     """
-    mean = fitted(rows, accepted)
-    whitener = make_whitener(rows, levels, contrast, mean[:, :0])
-    left = whitener.whiten(rows.residual - mean @ best)
-    moved = (whitener.whiten(mean) @ covariance) * left[:, None]
-    sums = np.zeros((int(rows.segment.max()) + 1, moved.shape[1]))
-    np.add.at(sums, rows.segment, moved)
-    plain = np.diag(covariance)
-    ratio = np.square(sums).sum(axis=0) / np.where(plain > 0, plain, np.inf)
+    design, scale, y = _weighed(rows, accepted, levels, contrast)
+    aside = cut(rows, accepted)
+    influence = np.zeros(design.T.shape)
+    for own in (~aside, aside):
+        if own.any():
+            influence[own] = pseudo_inverse(design[:, own])
+    plain = np.square(influence).sum(axis=1)
+    m = len(rows.residual)
+    moved = influence * (y - design @ (best * scale))
+    sums = np.zeros((int(rows.segment.max()) + 1, len(moved)))
+    np.add.at(sums, rows.segment, moved[:, :m].T)
+    variance = np.square(sums).sum(axis=0) + np.square(influence[:, m:]).sum(axis=1)
+    ratio = variance / np.where(plain > 0, plain, np.inf)
     return np.asarray(np.sqrt(np.maximum(ratio, 1.0)))
 
 
@@ -262,11 +267,7 @@ def _fit(
     rows: Rows, accepted: tuple[Accepted, ...], levels: FloatArray, contrast: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return the least-squares step of all columns, of any rank, and its covariance."""
-    mean = fitted(rows, accepted)
-    whitener = make_whitener(rows, levels, contrast, mean[:, :0])
-    prior, value = prior_rows(rows, accepted)
-    design, scale = scaled(np.vstack((whitener.whiten(mean), prior)))
-    y = np.append(whitener.whiten(rows.residual), value)
+    design, scale, y = _weighed(rows, accepted, levels, contrast)
     # A triangle has all products of these columns, in fewer rows.
     triangle = np.asarray(np.linalg.qr(np.column_stack((design, y)), mode="r"))
     design, y = triangle[:, :-1], triangle[:, -1]
@@ -284,6 +285,20 @@ def _fit(
         hidden = inverse[~aside] @ design[:, aside] * scale[aside]
         covariance[np.ix_(~aside, ~aside)] += np.mean(size**2) * hidden @ hidden.T
     return step / scale, covariance / np.outer(scale, scale)
+
+
+def _weighed(
+    rows: Rows, accepted: tuple[Accepted, ...], levels: FloatArray, contrast: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return all columns, whitened and of unit length, their lengths, and the same of residuals.
+
+    Below the rows is what is known beforehand.
+    """
+    mean = fitted(rows, accepted)
+    whitener = make_whitener(rows, levels, contrast, mean[:, :0])
+    prior, value = prior_rows(rows, accepted)
+    design, scale = scaled(np.vstack((whitener.whiten(mean), prior)))
+    return design, scale, np.append(whitener.whiten(rows.residual), value)
 
 
 def pseudo_inverse(design: FloatArray) -> FloatArray:

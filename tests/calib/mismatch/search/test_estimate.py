@@ -208,7 +208,7 @@ def test_what_errs_together_in_a_segment_is_in_the_errors(apart, together):
         common = together * rng.normal(size=segments)[rows.segment] * along
         drawn_rows = rows.with_residual(back @ (rng.normal(size=len(along)) + common))
         step, covariance = module._fit(drawn_rows, (found,), *noise)
-        wide = module._together(drawn_rows, (found,), *noise, step, covariance)
+        wide = module._together(drawn_rows, (found,), *noise, step)
         squares.append(step[-1] ** 2)
         plain.append(covariance[-1, -1])
         robust.append(covariance[-1, -1] * wide[-1] ** 2)
@@ -229,7 +229,7 @@ def test_only_rows_that_may_err_together_have_wider_errors(apart):
         there = replace(rows, clustered=clustered)
         fit = estimate(there, (found,), *noise, reference=False)
         sizes.append(np.sqrt(np.diag(fit.covariance)))
-    step, covariance = module._fit(rows, (found,), *noise)
-    wide = module._together(rows, (found,), *noise, step, covariance)
+    step, _ = module._fit(rows, (found,), *noise)
+    wide = module._together(rows, (found,), *noise, step)
     assert wide.max() > 1.05
     np.testing.assert_allclose(sizes[1], sizes[0] * wide, rtol=1e-9)
