@@ -41,7 +41,7 @@ from calib.mismatch.rows.rows import Rows
 from calib.mismatch.search.accepted import Accepted, fitted
 from calib.mismatch.search.joint import cut, prior_rows, scaled
 from calib.mismatch.search.refine import likelihood_gain
-from calib.types import FloatArray
+from calib.types import BoolArray, FloatArray
 
 POINTS = 25
 """Values of a shape at which the profile is taken."""
@@ -232,11 +232,7 @@ def _together(
     errs as it says.
     """
     design, scale, y = _weighed(rows, accepted, levels, contrast)
-    aside = cut(rows, accepted)
-    influence = np.zeros(design.T.shape)
-    for own in (~aside, aside):
-        if own.any():
-            influence[own] = pseudo_inverse(design[:, own])
+    influence = _inverse(design, cut(rows, accepted))
     plain = np.square(influence).sum(axis=1)
     m = len(rows.residual)
     moved = influence * (y - design @ (best * scale))
@@ -272,12 +268,10 @@ def _fit(
     triangle = np.asarray(np.linalg.qr(np.column_stack((design, y)), mode="r"))
     design, y = triangle[:, :-1], triangle[:, -1]
     aside = cut(rows, accepted)
-    inverse = np.zeros(design.T.shape)
-    inverse[~aside] = pseudo_inverse(design[:, ~aside])
+    inverse = _inverse(design, aside)
     step = inverse @ y
     if aside.any():
-        inverse[aside] = pseudo_inverse(design[:, aside])
-        step[aside] = inverse[aside] @ (y - design @ step)
+        step[aside] = inverse[aside] @ (y - design[:, ~aside] @ step[~aside])
     covariance = inverse @ inverse.T
     if aside.any():
         # Its part within reach of the physics is not seen, but of the size of what is.
@@ -299,6 +293,15 @@ def _weighed(
     prior, value = prior_rows(rows, accepted)
     design, scale = scaled(np.vstack((whitener.whiten(mean), prior)))
     return design, scale, np.append(whitener.whiten(rows.residual), value)
+
+
+def _inverse(design: FloatArray, aside: BoolArray) -> FloatArray:
+    """Return what makes steps of data: of what is put ``aside`` beside what is fitted first."""
+    out = np.zeros(design.T.shape)
+    for own in (~aside, aside):
+        if own.any():
+            out[own] = pseudo_inverse(design[:, own])
+    return out
 
 
 def pseudo_inverse(design: FloatArray) -> FloatArray:
