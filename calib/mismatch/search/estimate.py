@@ -188,7 +188,7 @@ def estimate(
     size = np.sqrt(np.diag(total))
     unsure = _unsure(rows, accepted, levels, contrast, covariance)
     if rows.clustered:
-        unsure = unsure * _together(rows, accepted, levels, contrast, best)
+        unsure = unsure * _together(rows, accepted, levels, contrast)
     longer = unsure * np.maximum(reach / 3.0, size) / np.where(size > 0, size, 1.0)
     total *= np.outer(longer, longer)
     start = rows.baseline.shape[1] + rows.nuisance.shape[1]
@@ -218,24 +218,23 @@ def _unsure(
 
 
 def _together(
-    rows: Rows,
-    accepted: tuple[Accepted, ...],
-    levels: FloatArray,
-    contrast: FloatArray,
-    best: FloatArray,
+    rows: Rows, accepted: tuple[Accepted, ...], levels: FloatArray, contrast: FloatArray
 ) -> FloatArray:
     """Return how much wider errors are, as rows of one segment err together, than if none did.
 
     Of an estimate ``g' y`` of whitened rows y, which leaves the residuals r, the variance is the
     sum over segments of ``(g_k' r_k)²``; if rows erred apart, it were ``g' g``. What few segments
     tell of may look smaller so than it is: it counts where it is larger. What is known beforehand
-    errs as it says.
+    errs as it says. Residuals are those of all columns fitted at once: what is put aside moves the
+    others by what `_fit` adds, and that is no noise.
     """
-    design, scale, y = _weighed(rows, accepted, levels, contrast)
-    influence = _inverse(design, cut(rows, accepted))
+    design, _, y = _weighed(rows, accepted, levels, contrast)
+    aside = cut(rows, accepted)
+    influence = _inverse(design, aside)
+    at_once = pseudo_inverse(design) if aside.any() else influence
     plain = np.square(influence).sum(axis=1)
     m = len(rows.residual)
-    moved = influence * (y - design @ (best * scale))
+    moved = influence * (y - design @ (at_once @ y))
     sums = np.zeros((int(rows.segment.max()) + 1, len(moved)))
     np.add.at(sums, rows.segment, moved[:, :m].T)
     variance = np.square(sums).sum(axis=0) + np.square(influence[:, m:]).sum(axis=1)

@@ -208,7 +208,7 @@ def test_what_errs_together_in_a_segment_is_in_the_errors(apart, together):
         common = together * rng.normal(size=segments)[rows.segment] * along
         drawn_rows = rows.with_residual(back @ (rng.normal(size=len(along)) + common))
         step, covariance = module._fit(drawn_rows, (found,), *noise)
-        wide = module._together(drawn_rows, (found,), *noise, step)
+        wide = module._together(drawn_rows, (found,), *noise)
         squares.append(step[-1] ** 2)
         plain.append(covariance[-1, -1])
         robust.append(covariance[-1, -1] * wide[-1] ** 2)
@@ -229,7 +229,30 @@ def test_only_rows_that_may_err_together_have_wider_errors(apart):
         there = replace(rows, clustered=clustered)
         fit = estimate(there, (found,), *noise, reference=False)
         sizes.append(np.sqrt(np.diag(fit.covariance)))
-    step, _ = module._fit(rows, (found,), *noise)
-    wide = module._together(rows, (found,), *noise, step)
+    wide = module._together(rows, (found,), *noise)
     assert wide.max() > 1.05
     np.testing.assert_allclose(sizes[1], sizes[0] * wide, rtol=1e-9)
+
+
+def test_what_is_put_aside_is_no_noise_of_segments(apart):
+    rows, found, along, back = apart
+    start = rows.baseline.shape[1] + rows.nuisance.shape[1]
+    loose = np.stack((np.zeros(start), np.full(start, 1e6)), axis=1)
+    rows = replace(rows, aligned=("time_offset.delay",), prior=loose)
+    rng = np.random.default_rng(4)
+    # A smooth function that is half what is found, and a hundred times the noise.
+    other = rng.normal(size=len(along))
+    shape = along / np.linalg.norm(along) + other / np.linalg.norm(other)
+    smooth = replace(
+        found,
+        candidate=Candidate("time", np.arange(1), 1.0, False, found.candidate.channels),
+        columns=(back @ shape)[:, None],
+        typical=np.ones(1),
+        values=np.zeros(1),
+    )
+    real = rows.with_residual(back @ (rng.normal(size=len(along)) + 100.0 * shape))
+    noise = expected_levels(rows), rows.white_diagonal
+    _, covariance = module._fit(real, (found, smooth), *noise)
+    _, alone = module._fit(real, (found,), *noise)
+    assert covariance[start, start] > 100.0 * alone[start, start]
+    assert module._together(real, (found, smooth), *noise)[start] < 1.5
