@@ -120,7 +120,7 @@ def _added(stack: Stack, rows: Rows, found: list[FloatArray]) -> Iterator[int]:
     number = np.empty(len(found), np.int64)
     for pattern in np.unique(felt, axis=0):
         mine = np.flatnonzero((felt == pattern).all(axis=1))
-        touched = np.flatnonzero(np.isin(rows.channel, [-1, *np.flatnonzero(pattern)]))
+        touched = rows.touched(np.flatnonzero(pattern).tolist())
         number[mine] = stack.columns.add(columns[:, mine], touched)
     return iter(number.tolist())
 

@@ -157,9 +157,9 @@ def _add_columns(stack: Stack, rows: Rows, slots: Slots) -> _Layout:
     for c, name in enumerate(CHANNELS):
         size = typical_size(name.split(".")[0])
         in_slots = (rows.functional[c] @ slots.member).toarray()
-        stack.columns.add(size * in_slots, _touched(rows, c))
+        stack.columns.add(size * in_slots, rows.touched([c]))
         signal = in_segments(rows, c, own_signal(state, c))
-        stack.columns.add(size * signal, _touched(rows, c))
+        stack.columns.add(size * signal, rows.touched([c]))
     width = in_slots.shape[1] + signal.shape[1]
     followed = [*smooth(state), *history(rows)]
     for c, name in enumerate(CHANNELS):
@@ -167,14 +167,9 @@ def _add_columns(stack: Stack, rows: Rows, slots: Slots) -> _Layout:
         own = [("its own rate", own_rate(state, c))]
         own += [("rate about the other axes", f(state, c)) for f in (other_rates, paired_rates)]
         for label, values in [*followed, *own]:
-            index = stack.columns.add(size * rows.columns(c, values), _touched(rows, c))
+            index = stack.columns.add(size * rows.columns(c, values), rows.touched([c]))
             follow.append((label, c, int(index[0]), int(index[-1]) + 1))
     return _Layout(in_slots.shape[1], width, tuple(follow))
-
-
-def _touched(rows: Rows, c: int) -> IntArray:
-    """Return the rows that a channel can show in."""
-    return np.flatnonzero((rows.channel == c) | (rows.channel < 0))
 
 
 @lru_cache(maxsize=1)
@@ -313,7 +308,7 @@ def _fading(stack: Stack, rows: Rows) -> Iterator[Candidate]:
         size = typical_size(triad[0].split(".")[0])
         index = np.stack(
             [
-                stack.columns.add(size * rows.columns(c, shapes), _touched(rows, c))
+                stack.columns.add(size * rows.columns(c, shapes), rows.touched([c]))
                 for c in map(CHANNELS.index, triad)
             ]
         )

@@ -20,6 +20,7 @@ from scipy import sparse
 from calib.effects.base import State
 from calib.effects.vibration import quiet_level
 from calib.mismatch.reference.colour import Colour
+from calib.mismatch.reference.steadied import Steady
 from calib.mismatch.rows.rows import Component
 from calib.recording import Recording
 from calib.rotation import skew
@@ -51,10 +52,10 @@ relative to its cut-off."""
 
 
 class Known(NamedTuple):
-    """Densities of white noise: of the sensor's own triads, and of each angle (rad/√Hz).
+    """Densities of white noise: of the sensor's own triads, and of what was captured.
 
-    ``interval`` (s) is that between the points that are compared, ``coning`` the density of the
-    rate that the angles make of themselves.
+    That is each ``angle`` (rad/√Hz) and ``position`` (m/√Hz). ``interval`` (s) is that between the
+    points that are compared, ``coning`` the density of the rate that the angles make of themselves.
     """
 
     accel: float
@@ -62,6 +63,7 @@ class Known(NamedTuple):
     angle: float
     interval: float
     coning: float = 0.0
+    position: float = 0.0
 
 
 def sensor_densities(recording: Recording, rests: IntArray) -> tuple[float, float] | None:
@@ -96,7 +98,7 @@ def sensor_densities(recording: Recording, rests: IntArray) -> tuple[float, floa
 def known_noise(
     own: tuple[float, float],
     seen: tuple[float, float],
-    colour: Colour,
+    colours: tuple[Colour, Colour],
     *,
     interval: float,
     cutoff: float,
@@ -107,16 +109,17 @@ def known_noise(
     ----------
     own, seen : two floats
         Densities of both triads, of the sensor alone and of slow differences.
-    colour : Colour
-        Of the differences of rates.
+    colours : two of Colour
+        Of the differences of forces and rates.
     interval, cutoff : float, s and Hz
         Between the points that are compared, and of what the orientations have passed.
     """
-    # A rate is 2 pi f times an angle.
-    angle = seen[1] * float(np.sqrt(colour.square)) / (2.0 * np.pi)
+    # A rate is 2 pi f times an angle, an acceleration the square of that times a position.
+    angle = seen[1] * float(np.sqrt(colours[1].square)) / (2.0 * np.pi)
+    position = seen[0] * float(np.sqrt(colours[0].fourth)) / (2.0 * np.pi) ** 2
     # The sensor alone is no louder than both: where it is, the body moves in its rests.
     accel, gyro = (a if a < UNSURE * b else b for a, b in zip(own, seen, strict=True))
-    return Known(accel, gyro, angle, interval, coning(angle, cutoff))
+    return Known(accel, gyro, angle, interval, coning(angle, cutoff), position)
 
 
 def coning(angle: float, cutoff: float) -> float:
@@ -137,43 +140,58 @@ def coning(angle: float, cutoff: float) -> float:
 
 
 def mean_covariance(
-    functional: list[sparse.csr_matrix], channel: IntArray, state: State, known: Known
+    functional: list[sparse.csr_matrix], state: State, known: Known, steady: Steady | None = None
 ) -> FloatArray:
     """Return the covariance (k, k) of rows that are slow beside the samples.
 
-    What channels have in common is left out: each is judged by itself.
+    One angle moves all channels: what it turns gravity by across is not seen along gravity, however
+    noisy it is.
 
     Parameters
     ----------
     functional : six sparse (k, n) matrices
         What the rows are of each channel.
-    channel : (k,) array of int
-        The one that each row is of.
     state : State
         The motion at the n points.
     known : Known
         Whatever else there is comes on top.
+    steady : Steady, optional
+        What orientations at rest are taken as.
     """
     step = known.interval
-    out = np.zeros((len(channel), len(channel)))
-    for c, weights in enumerate(functional):
-        own = np.flatnonzero(channel == c)
-        rows = weights[own]
+    out = sparse.csr_matrix((functional[0].shape[0],) * 2)
+    for c, rows in enumerate(functional):
         # Per point a variance is half a density over the interval.
         density = known.accel if c < 3 else np.hypot(known.gyro, known.coning)
-        total = rows @ rows.T * (density**2 / (2.0 * step))
-        for felt in _felt(rows, c, state, step):
-            total += felt @ felt.T * (known.angle**2 / (2.0 * step))
-        out[np.ix_(own, own)] = total.toarray()
-    return out
+        out += rows @ rows.T * (density**2 / (2.0 * step))
+    turned, carried = _of_motion(functional, state, step)
+    for felt in carried if known.position else ():
+        out += felt @ felt.T * (known.position**2 / (2.0 * step))
+    for felt in turned:
+        if steady is None:
+            out += felt @ felt.T * (known.angle**2 / (2.0 * step))
+            continue
+        own = felt @ sparse.diags(np.where(steady.inside, steady.sway, known.angle))
+        slow = felt @ steady.lines * steady.noise
+        out += (own @ own.T + slow @ slow.T) / (2.0 * step)
+    return np.asarray(out.toarray())
+
+
+def moved_by(
+    functional: list[sparse.csr_matrix], state: State, known: Known, angle: FloatArray
+) -> FloatArray:
+    """Return what rows (k,) see of a truth whose orientations are turned by (n, 3) angles."""
+    turned, _ = _of_motion(functional, state, known.interval)
+    parts = [felt @ own for felt, own in zip(turned, angle.T, strict=True)]
+    return np.asarray(np.sum(parts, axis=0))
 
 
 def wobble(
     functional: list[sparse.csr_matrix],
-    channel: IntArray,
     state: State,
     known: Known,
     nodes: FloatArray,
+    steady: Steady | None = None,
 ) -> Component:
     """Return what angles err by slowly, as a component of (k,) rows: straight from node to node.
 
@@ -185,29 +203,43 @@ def wobble(
     ----------
     nodes : (s,) array, s
         Between them an angle errs by what is between its errors there.
+    steady : Steady, optional
+        What orientations at rest are taken as.
     """
     hats = np.stack([np.interp(state.time, nodes, hat) for hat in np.eye(len(nodes))], axis=1)
-    response = sparse.lil_matrix((len(channel), 3 * len(nodes)))
-    for c, weights in enumerate(functional):
-        own = np.flatnonzero(channel == c)
-        felt = [each @ hats for each in _felt(weights[own], c, state, known.interval)]
-        response[own] = np.hstack(felt)
+    if steady is not None:
+        hats = ~steady.inside[:, None] * hats + steady.lines @ (steady.lines.T @ hats)
+    turned, _ = _of_motion(functional, state, known.interval)
+    felt = np.hstack([each @ hats for each in turned])
     length = float(np.median(np.diff(nodes)))
     expected = WANDERS * max(known.angle**2 / (2.0 * length), LEAST_ANGLE**2)
-    index, kernel = np.arange(len(channel)), np.eye(3 * len(nodes))
-    return Component("angles slow", index, response.tocsr(), kernel, expected, WIDE)
+    index, kernel = np.arange(len(felt)), np.eye(3 * len(nodes))
+    return Component("angles slow", index, sparse.csr_matrix(felt), kernel, expected, WIDE)
 
 
-def _felt(
-    rows: sparse.csr_matrix, c: int, state: State, step: float
-) -> Iterator[sparse.csr_matrix]:
-    """Yield what rows (k, n) of a channel feel of errors of each angle at the n points."""
-    n = len(state.time)
-    crossed = skew(state.force if c < 3 else state.rate)
-    for k in range(3):
-        felt = rows @ sparse.diags(crossed[:, c % 3, k])
-        if c == 3 + k:
-            # Of a sum of weights times a derivative: minus the derivative of the weights.
-            slope = sparse.diags([0.5 / step, -0.5 / step], [1, -1], shape=(n, n), format="csr")
-            felt = felt + rows @ slope
-        yield felt
+def _of_motion(
+    functional: list[sparse.csr_matrix], state: State, step: float
+) -> tuple[Iterator[sparse.csr_matrix], Iterator[sparse.csr_matrix]]:
+    """Return what rows (k, n) of all channels feel of each angle, and of each position."""
+    slope, bend = _derivatives(state.time, step)
+    crossed = np.concatenate((skew(state.force), skew(state.rate)), axis=1)
+    turned = (
+        functional[3 + k] @ slope
+        + sum(rows @ sparse.diags(crossed[:, c, k]) for c, rows in enumerate(functional))
+        for k in range(3)
+    )
+    mat = np.zeros((len(state.time), 3, 3)) if state.mat_ns is None else state.mat_ns
+    carried = (
+        sum(functional[c] @ sparse.diags(mat[:, k, c]) for c in range(3)) @ bend for k in range(3)
+    )
+    return turned, carried
+
+
+def _derivatives(time: FloatArray, step: float) -> tuple[sparse.csr_matrix, sparse.csr_matrix]:
+    """Return what makes first and second derivatives of values at (n,) times; none beside gaps."""
+    near = np.diff(time) < 1.5 * step
+    both = sparse.diags(1.0 * (np.convolve(near, np.ones(2)) > 1.5))
+    one, two = np.ones(len(near)), np.ones(len(time))
+    slope = sparse.diags([one, -one], [1, -1]) / (2.0 * step)
+    bend = sparse.diags([one, -2.0 * two, one], [1, 0, -1]) / step**2
+    return (both @ slope).tocsr(), (both @ bend).tocsr()

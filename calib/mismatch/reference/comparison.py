@@ -45,6 +45,7 @@ from calib.mismatch.reference.lateness import LATE, delaying, liveliest, rough_d
 from calib.mismatch.reference.scatter import scatter, silenced
 from calib.mismatch.reference.setup import BASELINE, GYRO_ANGLES, LOOSE, Setup
 from calib.mismatch.reference.shapes import Shapes, find_shapes
+from calib.mismatch.reference.steadied import steadied
 from calib.mismatch.reference.step import robust_step
 from calib.mismatch.reference.stilled import gradient_in, resting, stilled
 from calib.mismatch.reference.truths import RecordingTruth
@@ -155,13 +156,16 @@ class ComparisonProblem:
         self.densities: tuple[float, float] | None = None
         shaken = real if raw is None else raw
         self.thin = max(1, round(real.interval / shaken.interval))
-        self.rests = np.zeros((0, 2), np.int64)
+        self.rests = self.settled = np.zeros((0, 2), np.int64)
         if raw is not None:
             poses = find_poses(raw)
             if truth.quat is not None and band:
                 self.densities = sensor_densities(raw, np.stack((poses.start, poses.stop), axis=1))
             edges = np.stack((raw.time[poses.start], raw.time[poses.stop - 1]), axis=1)
             self.rests = np.searchsorted(self.time, edges)
+            if self.densities is not None:
+                apart = np.array([1.0, -1.0]) * FELT / band
+                self.settled = np.searchsorted(self.time, edges + apart)
         if not truth.placed:
             self.judged = resting(self.time, shaken, felt=FELT / band if band else 0.0)
         self.blur = self._judging(
@@ -255,6 +259,7 @@ class ComparisonProblem:
         left = self.residual(state)
         if self.colours is not None and state.mat_ns is not None:
             state = replace(state, witnessed=witnessed(state, left, self.colours))
+        rate = state.rate
         state = stilled(state, self.rests)
         # The sensor's errors act on what it feels where it is. Of a motion that is not resolved
         # that is not known: it would be noise, and the same in many columns.
@@ -276,7 +281,14 @@ class ComparisonProblem:
                 )
             elif self.unknown is not None:
                 rough = silenced(self.unknown)
-            self.shapes = find_shapes(self.time, left, columns, blur=self.blur, scatter=rough)
+            still = self.time[np.minimum(self.settled, len(self.time) - 1)]
+            self.shapes = find_shapes(
+                self.time, left, columns, blur=self.blur, scatter=rough, still=still
+            )
+        known = self._known(self.shapes)
+        steady = None
+        if known is not None:
+            steady = steadied(self.time, rate, self.settled, interval=self.interval, band=self.band)
         turned = [n.startswith("reference_misalignment") for n in self.alignments]
         rows = make_rows(
             self.shapes,
@@ -292,7 +304,8 @@ class ComparisonProblem:
             ],
             aligned=self.aligned,
             prior=np.stack((self.moved, self.loose), axis=1),
-            known=self._known(self.shapes),
+            known=known,
+            steady=steady,
             late=late,
         )
         rows = replace(rows, gain=self._gain(), clustered=self.noisy)
@@ -315,8 +328,9 @@ class ComparisonProblem:
         noise = np.median(shapes.noise, axis=0).reshape(2, 3).mean(axis=1)
         accel, gyro = np.sqrt(2.0 * self.interval * noise).tolist()
         cutoff = min(BEYOND * self.band, 0.5 / self.truth.recording.interval)
+        colours = self.colours[0], self.colours[1]
         return known_noise(
-            self.densities, (accel, gyro), self.colours[1], interval=self.interval, cutoff=cutoff
+            self.densities, (accel, gyro), colours, interval=self.interval, cutoff=cutoff
         )
 
     def residual(self, state: State) -> FloatArray:

@@ -20,8 +20,8 @@ from calib.types import BoolArray, FloatArray, IntArray
 SEGMENTS = 80
 """Windows that a recording is cut into, at most."""
 
-SHORTEST = 1.0
-"""s of a window, at least."""
+SHORTEST, FEWEST = 1.0, 12
+"""s and points of a window, at least."""
 
 SHAPES = 1200
 """Rows that follow a shape within a window, at most: the strongest ones are kept."""
@@ -105,24 +105,32 @@ class Shapes:
         return tuple(functional), white
 
 
-def cut(time: FloatArray, judged: BoolArray | None = None) -> tuple[IntArray, IntArray]:
-    """Return windows ``[first, last)`` of equal length with at least 12 points each.
+def cut(
+    time: FloatArray, judged: BoolArray | None = None, still: FloatArray | None = None
+) -> tuple[IntArray, IntArray]:
+    """Return windows ``[first, last)`` of equal length with at least `FEWEST` points each.
 
     Where the accelerometer is ``judged``, (n,) bool, in parts only, windows begin and end with
-    these.
+    these. None ends within a turn where a rest that is ``still``, (k, 2) s, begins or ends nearby.
     """
     span = time[-1] - time[0]
     count = int(np.clip(span / SHORTEST, 1, SEGMENTS))
     even = time[0] + span * np.arange(count + 1) / count
+    half = 0.5 * even[1] - 0.5 * even[0]
     edges = np.searchsorted(time, even)
     edges[-1] = len(time)
+    fixed = np.zeros(0, np.int64)
     if judged is not None:
-        turns = np.flatnonzero(np.diff(judged)) + 1
-        away = np.abs(even[:, None] - time[turns]).min(axis=1, initial=np.inf)
-        edges = np.unique(
-            np.concatenate(([0, len(time)], turns, edges[away > 0.5 * even[1] - 0.5 * even[0]]))
-        )
-    keep = np.diff(edges) >= 12
+        fixed = np.flatnonzero(np.diff(judged)) + 1
+    elif still is not None and len(still):
+        nearest = still.ravel()[np.abs(even[:, None] - still.ravel()).argmin(axis=1)]
+        within = ((even[:, None] >= still[:, 0]) & (even[:, None] <= still[:, 1])).any(axis=1)
+        fixed = np.unique(np.searchsorted(time, nearest[~within & (np.abs(nearest - even) < half)]))
+        fixed = fixed[(np.diff(fixed, prepend=0) >= FEWEST) & (fixed < len(time))]
+    if len(fixed):
+        away = np.abs(even[:, None] - time[fixed]).min(axis=1)
+        edges = np.unique(np.concatenate(([0, len(time)], fixed, edges[away > half])))
+    keep = np.diff(edges) >= FEWEST
     return edges[:-1][keep], edges[1:][keep]
 
 
@@ -133,6 +141,7 @@ def find_shapes(
     *,
     blur: Blur,
     scatter: Scatter | None = None,
+    still: FloatArray | None = None,
 ) -> Shapes:
     """Return windows, the shapes that columns have in each, and the noise of its samples.
 
@@ -146,9 +155,11 @@ def find_shapes(
         Windows and shapes are of the m points that it leaves.
     scatter : Scatter, optional
         Without, points are as noisy throughout a window.
+    still : (k, 2) array, optional
+        As `cut` has it.
     """
     seen_at = time[blur.seen]
-    first, last = cut(seen_at, blur.judged)
+    first, last = cut(seen_at, blur.judged, still)
     judged = np.stack(
         [[blur.counts(c)[a:b].all() for c in range(6)] for a, b in zip(first, last, strict=True)]
     )

@@ -19,8 +19,9 @@ from calib.mismatch.noise.sensornoise import (
     drift_components,
     flicker_covariance,
 )
-from calib.mismatch.reference.captured import Known, mean_covariance, wobble
+from calib.mismatch.reference.captured import Known, mean_covariance, moved_by, wobble
 from calib.mismatch.reference.shapes import Shapes
+from calib.mismatch.reference.steadied import Steady
 from calib.mismatch.rows.rows import UNKNOWN, Component, Kind, Rows
 from calib.mismatch.twin.twin import baseline_column
 from calib.recording import CHANNELS
@@ -44,13 +45,14 @@ def make_rows(
     aligned: tuple[str, ...],
     prior: FloatArray,
     known: Known | None = None,
+    steady: Steady | None = None,
     late: sparse.csr_matrix | None = None,
 ) -> Rows:
     """Return the rows: the mean of every window and channel, and what follows the shapes there.
 
     Each is scaled such that white samples give it the variance of a mean. What is ``known`` of the
-    noise of a captured motion says more of means than the noise of samples does. A gyroscope may
-    put out all that it senses ``late``, as `delaying` has it.
+    noise of a captured motion says more of means than the noise of samples does; in rests it may be
+    ``steady``. A gyroscope may put out all that it senses ``late``, as `delaying` has it.
     """
     blur, first, last = shapes.blur, shapes.first, shapes.last
     count = last - first
@@ -93,10 +95,12 @@ def make_rows(
     if known is not None:
         share = np.maximum(1.0 - LIKE_REST * quiet / shapes.noise, 0.0)
         averaging = [f[:dense] for f in samples]
-        matrix = mean_covariance(averaging, channel[:dense], state, known)
+        matrix = mean_covariance(averaging, state, known, steady)
         matrix += np.diag(means * share[segment[:dense], channel[:dense]])
         nodes = np.append(interval[:, 0], interval[-1, 1])
-        slow = (wobble(averaging, channel[:dense], state, known, nodes),)
+        slow = (wobble(averaging, state, known, nodes, steady),)
+        if steady is not None:
+            residual[:dense] -= moved_by(averaging, state, known, steady.moved)
         density = np.square(np.repeat(known[:2], 3))
     rows = Rows(
         residual=residual,

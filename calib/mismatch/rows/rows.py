@@ -8,7 +8,7 @@ same functional, so that every effect of the catalogue is judged in one place.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from enum import IntEnum
 from functools import cached_property
@@ -38,7 +38,7 @@ class Kind(IntEnum):
 UNKNOWN = 2.5
 """Spread of the level of noise that nobody knows beforehand."""
 
-_FOUND = ("arrow", "confined", "kept", "turns")
+_FOUND = ("arrow", "confined", "kept", "together", "turns")
 """What rows find out once, and not from their residual."""
 
 
@@ -195,7 +195,30 @@ class Rows:
     @cached_property
     def arrow(self) -> Arrow:
         """The covariance of the dense rows, made for factoring."""
-        return Arrow.of(self.white, self.channel[: self.n_dense], self.components)
+        channel = self.channel[: self.n_dense]
+        return Arrow.of(
+            self.white, np.where(channel < 0, -1, self.together[channel]), self.components
+        )
+
+    @cached_property
+    def together(self) -> IntArray:
+        """Of each channel, the first one that white noise leads to from it, (6,)."""
+        own = 1.0 * (self.channel[: self.n_dense, None] == np.arange(len(CHANNELS)))
+        direct = (own.T @ np.abs(self.white) @ own > 0) | np.eye(len(CHANNELS), dtype=bool)
+        within = np.linalg.matrix_power(direct.astype(float), len(CHANNELS)) > 0
+        return np.asarray(within.argmax(axis=1))
+
+    def touched(self, channels: Sequence[int]) -> IntArray:
+        """Return the rows on which columns of some channels may be once they are whitened.
+
+        Those of turns and of the channels, and means of what errs together with these.
+        """
+        dense = self.channel[: self.n_dense]
+        out = np.isin(self.channel, [-1, *channels])
+        out[: self.n_dense] |= (dense >= 0) & np.isin(
+            self.together[dense], self.together[list(channels)]
+        )
+        return np.flatnonzero(out)
 
     @cached_property
     def confined(self) -> bool:

@@ -13,9 +13,11 @@ from calib.mismatch.reference.captured import (
     Known,
     coning,
     mean_covariance,
+    moved_by,
     sensor_densities,
     wobble,
 )
+from calib.mismatch.reference.steadied import steadied
 from calib.model import SensorModel
 from calib.rotation import mat_from_rotvec
 from calib.simulate import simulate
@@ -37,8 +39,8 @@ def turning(n: int) -> tuple[np.ndarray, np.ndarray]:
     return mat, rate
 
 
-def averages(number: int, n: int) -> tuple[list[sparse.csr_matrix], np.ndarray, np.ndarray]:
-    """Return the means of windows as functionals of six channels, their channels, and weights.
+def averages(number: int, n: int) -> tuple[list[sparse.csr_matrix], np.ndarray]:
+    """Return the means of windows as functionals of six channels, and their weights.
 
     Not up to their ends, where a derivative would be one-sided.
     """
@@ -50,7 +52,7 @@ def averages(number: int, n: int) -> tuple[list[sparse.csr_matrix], np.ndarray, 
         rows = np.zeros((6 * number, n))
         rows[c::6] = mean
         functional.append(sparse.csr_matrix(rows))
-    return functional, np.tile(np.arange(6), number), mean
+    return functional, mean
 
 
 def seen_wrong(mat: np.ndarray, rate: np.ndarray, angle: np.ndarray) -> np.ndarray:
@@ -70,9 +72,9 @@ def test_means_err_as_angles_say():
     mat, rate = turning(n)
     force = np.einsum("nji,j->ni", mat, [0.0, 0.0, 9.8])
     state = State(STEP * np.arange(n), force, rate)
-    functional, channel, mean = averages(8, n)
+    functional, mean = averages(8, n)
     known = Known(2e-3, 1e-4, 3e-4, STEP)
-    expected = mean_covariance(functional, channel, state, known)
+    expected = mean_covariance(functional, state, known)
     sigma = np.array(known[:3]) / np.sqrt(2.0 * STEP)
     trials = np.empty((1000, 48))
     for row in trials:
@@ -80,10 +82,74 @@ def test_means_err_as_angles_say():
         left += rng.normal(size=(n, 6)) * np.repeat(sigma[:2], 3)
         row[:] = (mean @ left).ravel()
     found = trials.T @ trials / len(trials)
-    found[channel[:, None] != channel] = 0.0
     scale = np.sqrt(np.diag(expected))
     assert np.allclose(np.diag(found) / np.diag(expected), 1.0, atol=0.2)
     assert np.abs((found - expected) / np.outer(scale, scale)).max() < 0.15
+    # What is across gravity is noisy, what is along it is not.
+    up = mean @ force / 9.8
+    along = np.zeros((8, 48))
+    for k, axis in enumerate(up):
+        along[k, 6 * k : 6 * k + 3] = axis / np.linalg.norm(axis)
+    quiet = np.einsum("ki,ij,kj->k", along, expected, along)
+    assert (quiet < 2.0 * known.accel**2 / (2.0 * STEP * (WINDOW - 4))).all()
+    assert (np.square(scale).reshape(8, 6)[:, :3].max(axis=1) > 2.5 * quiet[0]).all()
+    np.testing.assert_allclose(np.einsum("ki,ij,kj->k", along, found, along), quiet, rtol=0.2)
+
+
+def test_a_position_moves_the_mean_force_of_all_axes_and_comes_back():
+    n, rng = 8 * WINDOW, np.random.default_rng(7)
+    mat, rate = turning(n)
+    force = np.einsum("nji,j->ni", mat, [0.0, 0.0, 9.8])
+    state = State(STEP * np.arange(n), force, rate, mat_ns=mat)
+    functional, mean = averages(8, n)
+    known = Known(1e-9, 1e-9, 1e-9, STEP, position=1e-5)
+    expected = mean_covariance(functional, state, known)[np.arange(48) % 6 < 3][
+        :, np.arange(48) % 6 < 3
+    ]
+    trials = np.empty((1000, 24))
+    for row in trials:
+        position = rng.normal(0.0, known.position / np.sqrt(2.0 * STEP), (n, 3))
+        bend = np.zeros((n, 3))
+        bend[1:-1] = np.diff(position, n=2, axis=0) / STEP**2
+        row[:] = (mean @ np.einsum("nji,nj->ni", mat, bend)).ravel()
+    found = trials.T @ trials / len(trials)
+    scale = np.sqrt(np.diag(expected))
+    assert np.allclose(np.diag(found) / np.diag(expected), 1.0, atol=0.2)
+    assert np.abs((found - expected) / np.outer(scale, scale)).max() < 0.15
+
+
+def test_where_a_rest_is_steady_means_err_as_its_lines_do():
+    """A body at rest, turned, and at rest: its truth is drawn anew, and steadied each time."""
+    n, rng = 12 * WINDOW, np.random.default_rng(8)
+    time = STEP * np.arange(n)
+    moving = (time > 4.0) & (time < 8.0)
+    rate = np.where(moving, 1.5 * np.sin(np.pi * (time - 4.0) / 4.0) ** 2, 0.0)[:, None] * [1, 0, 0]
+    mat = mat_from_rotvec(np.cumsum(rate, axis=0) * STEP)
+    force = np.einsum("nji,j->ni", mat, [0.0, 0.0, 9.8])
+    state = State(time, force, rate)
+    functional, mean = averages(12, n)
+    known = Known(5e-4, 1e-6, 3e-4, STEP)
+    sigma = np.array(known[:3]) / np.sqrt(2.0 * STEP)
+    rests = np.array([[1, 198], [402, 599]])
+    still = np.repeat([True, False, True], 24)
+    gyro = np.arange(72) % 6 >= 3
+    trials, expected = np.empty((200, 72)), np.zeros((72, 72))
+    for row in trials:
+        angle = zero_phase(rng.normal(0.0, sigma[2], (n, 3)), 8.0 * STEP)
+        left = seen_wrong(mat, rate, angle)
+        steady = steadied(time, rate - left[:, 3:], rests, interval=STEP, band=8.0)
+        assert steady is not None
+        left += rng.normal(size=(n, 6)) * np.repeat(sigma[:2], 3)
+        row[:] = (mean @ left).ravel() - moved_by(functional, state, known, steady.moved)
+        expected += mean_covariance(functional, state, known, steady) / len(trials)
+    scale = np.sqrt(np.diag(expected))
+    ratio = np.sqrt(np.mean(np.square(trials), axis=0)) / scale
+    # Up to the edge of its band only, noise of the same density is less.
+    assert (ratio < 1.15).all()
+    assert (ratio[still] > 0.5).all()
+    # Two rests are all that there is to tell whether the body sways.
+    raw = np.sqrt(np.diag(mean_covariance(functional, state, known)))
+    assert (scale[still & gyro] < 0.6 * raw[still & gyro]).all()
 
 
 def test_what_angles_make_of_themselves_does_not_come_back():
@@ -110,16 +176,16 @@ def test_angles_that_wander_are_felt_as_they_are_and_come_back():
     mat, rate = turning(n)
     force = np.einsum("nji,j->ni", mat, [0.0, 0.0, 9.8])
     state = State(STEP * np.arange(n), force, rate)
-    functional, channel, mean = averages(8, n)
+    functional, mean = averages(8, n)
     nodes = STEP * WINDOW * np.arange(9.0)
-    found = wobble(functional, channel, state, Known(2e-3, 1e-4, 3e-4, STEP), nodes)
+    found = wobble(functional, state, Known(2e-3, 1e-4, 3e-4, STEP), nodes)
     error = rng.normal(0.0, 1e-4, (9, 3))
     angle = np.stack([np.interp(state.time, nodes, own) for own in error.T], axis=1)
     felt = (mean @ seen_wrong(mat, rate, angle)).ravel()
     np.testing.assert_allclose(-(found.response @ error.T.ravel()), felt, atol=2e-6)
     # At rest the mean rates of all windows add up to what the first and last angle differ by.
     still = replace(state, rate=0.0 * rate)
-    at_rest = wobble(functional, channel, still, Known(2e-3, 1e-4, 3e-4, STEP), nodes)
+    at_rest = wobble(functional, still, Known(2e-3, 1e-4, 3e-4, STEP), nodes)
     total = np.ones(8) @ at_rest.matrix[3::6, 3::6] @ np.ones(8)
     assert total < 3.0 / (WINDOW * STEP) ** 2
     assert total < 0.25 * np.trace(at_rest.matrix[3::6, 3::6])

@@ -6,6 +6,7 @@ import pytest
 from calib.effects.base import State
 from calib.mismatch.hypotheses.candidates import Candidate
 from calib.mismatch.noise.contrast import contrast_variance
+from calib.mismatch.reference import shapes
 from calib.mismatch.reference.band import limited, low_passed, widened, zero_phase
 from calib.mismatch.reference.colour import Blur, find_colour, gaussian, whitening
 from calib.mismatch.reference.shapes import find_shapes
@@ -59,6 +60,30 @@ def rows_of(
         aligned=aligned,
         prior=np.array([[0.0, 2.0], [0.0, 0.1]]),
     )
+
+
+def test_windows_end_in_rests_where_there_are_some():
+    time = STEP * np.arange(12000)
+    # Rests of 5 s, and turns of 3 s, with nothing to go by at the end.
+    start = np.arange(0.5, 0.8 * time[-1], 8.0)
+    still = np.stack((start, start + 5.0), axis=1)
+    first, last = shapes.cut(time, None, still)
+    assert first[0] == 0
+    assert last[-1] == len(time)
+    assert (first[1:] == last[:-1]).all()
+    assert (last - first >= shapes.FEWEST).all()
+    at = time[first[1:]]
+    known = at < still[-1, 1]
+    inside = ((at[:, None] >= still[:, 0] - STEP) & (at[:, None] <= still[:, 1] + STEP)).any(axis=1)
+    assert inside[known].all()
+    assert (~known).sum() > 5
+    plain, _ = shapes.cut(time)
+    assert 0.6 * len(plain) < len(first) <= len(plain) + 1
+    # Rests that begin where the recording ends, or outside of it, are no ends of windows.
+    edge = np.array([[-9.0, -5.0], [time[-1] - 0.05, time[-1] + 4.0]])
+    first, last = shapes.cut(time, None, edge)
+    assert (last - first >= shapes.FEWEST).all()
+    assert last[-1] == len(time)
 
 
 def test_white_noise_has_the_variance_that_rows_say_blurred_or_not():

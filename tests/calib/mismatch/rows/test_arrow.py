@@ -39,9 +39,36 @@ def everywhere() -> Rows:
     return replace(rows, components=(*rows.components, own))
 
 
+def angles() -> Rows:
+    """Return rows whose channels err together, in white noise and slowly; two of them do not."""
+    rows = windows()
+    n, rng = rows.n_dense, np.random.default_rng(11)
+    felt = rng.normal(size=(n, 12)) * np.sqrt(np.diag(rows.white))[:, None]
+    felt[np.isin(rows.channel[:n], [1, 4])] = 0.0
+    slow = Component("slow", np.arange(n), sparse.csr_matrix(felt), np.eye(12), 0.5, 2.0)
+    return replace(rows, white=rows.white + felt @ felt.T, components=(*rows.components, slow))
+
+
 KINDS = pytest.mark.parametrize(
-    "rows", [drawn()[0], windows(), everywhere()], ids=["turns", "windows", "everywhere"]
+    "rows",
+    [drawn()[0], windows(), everywhere(), angles()],
+    ids=["turns", "windows", "everywhere", "angles"],
 )
+
+
+def test_what_errs_together_is_one_block_and_a_column_spreads_no_further():
+    rows = angles()
+    assert rows.together.tolist() == [0, 1, 0, 0, 4, 0]
+    assert windows().together.tolist() == [0, 1, 2, 3, 4, 5]
+    dense = rows.channel[: rows.n_dense]
+    for channels in ([1], [0], [4, 5]):
+        column = np.where(np.isin(rows.channel, channels), 1.0, 0.0)
+        white = rows.arrow.factorise(expected_levels(rows)).solve(column[: rows.n_dense])
+        touched = rows.touched(channels)
+        assert set(np.flatnonzero(np.abs(white) > 1e-12)) <= set(touched.tolist())
+        assert set(np.flatnonzero(column)) <= set(touched.tolist())
+        assert len(touched) < len(rows.channel)
+    assert set(np.flatnonzero(dense == 1)) == set(rows.touched([1])[rows.touched([1]) < len(dense)])
 
 
 @KINDS
