@@ -1,13 +1,14 @@
-"""Captured orientations at rest: the straight line through them instead of the noise of each.
+"""Captured orientations at rest: one for each rest instead of the noise of each sample.
 
 The mean rate of a window is what the angles at its ends differ by. Seen by markers both are as
-noisy as one sample, however long the body rests there. A body at rest turns evenly if it turns at
-all (a table that sags, a sensor that leans), and that takes all samples of the rest to tell::
+noisy as one sample, however long the body rests there. At rest all of its samples tell::
 
-    angle(t) = a + b t + noise,        seen instead of it: a + b t
+    angle(t) = a + b t + noise,        seen instead of it: a, or a + b t
 
-The line errs by two coefficients only. What a body that is held sways by is beside the line, and
-counts as noise.
+A rest has a slope where it clearly turns (a table that sags, a sensor that leans), and all have one
+where together they turn by more than their noise: less than that is left to the drift of the
+gyroscope, as in a recording by itself. The rest errs by these coefficients only. What a body that
+is held sways by is beside them, and counts as noise.
 """
 
 from __future__ import annotations
@@ -22,14 +23,18 @@ from calib.types import BoolArray, FloatArray, IntArray
 LONGEST = 10.0
 """s that one line follows."""
 
-BLOCK = 3.0
+BLOCK = 4.0
 """Periods of the cut-off over which angles are averaged: so slow their noise is white."""
 
-FEWEST = 4
+FEWEST = 3
 """Blocks that tell how well a line follows them."""
 
 CHANCE = 2.0
-"""Standard deviations by which what is beside the lines is more than noise by chance."""
+"""Standard deviations by which what is beside the lines, or all slopes, are more than noise by
+chance."""
+
+CLEARLY = 16.3
+"""Square of a slope about three axes, in units of its noise, that a thousandth of rests exceeds."""
 
 
 class Steady(NamedTuple):
@@ -40,7 +45,7 @@ class Steady(NamedTuple):
     inside : (n,) array of bool
         Points of rests that have a line.
     lines : sparse (n, q) matrix
-        Orthonormal: constants and slopes.
+        Orthonormal: the constant of each, and slopes.
     noise, sway : float, rad/√Hz
         Density of the noise of each angle there, and of what of it is left beside the lines.
     moved : (n, 3) array, rad
@@ -75,34 +80,43 @@ def steadied(
     parts = [part for part in _parts(time, rests, interval) if len(part) >= FEWEST * each]
     if not parts:
         return None
-    moved, values = np.zeros((len(time), 3)), []
-    # Squares of what is left of blocks, and of steps between neighbouring ones.
+    seen = np.zeros((len(time), 3))
+    bases, slopes = [], np.empty(len(parts))
+    # Squares of what lines leave of blocks, and of steps between neighbouring ones.
     left = steps = blocks = 0.0
-    for part in parts:
-        seen = np.cumsum(0.5 * (rate[part] + rate[part - 1]), axis=0) * interval
-        line = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, len(part)), 2))[0]
-        moved[part] = line @ (line.T @ seen) - seen
-        values.append(line.ravel())
+    for k, part in enumerate(parts):
+        angle = np.cumsum(0.5 * (rate[part] + rate[part - 1]), axis=0) * interval
+        seen[part] = angle - angle.mean(axis=0)
+        line = np.linspace(-1.0, 1.0, len(part))
+        line /= np.linalg.norm(line)
+        along = line @ seen[part]
+        slopes[k] = along @ along
+        bases.append(np.stack((np.full(len(part), 1.0 / np.sqrt(len(part))), line), axis=1))
         many = len(part) // each
-        means = moved[part[: many * each]].reshape(many, each, 3).mean(axis=1)
+        means = (seen[part] - np.outer(line, along))[: many * each]
+        means = means.reshape(many, each, 3).mean(axis=1)
         left += float(np.square(means).sum()) * many / (many - 2)
         steps += 0.5 * float(np.square(np.diff(means, axis=0)).sum()) * many / (many - 1)
         blocks += 3.0 * many
     if not left:
         return None
-    noise = float(np.sqrt(2.0 * each * interval * left / blocks))
+    variance = each * left / blocks
     beyond = np.clip(left / steps - 1.0 - CHANCE / np.sqrt(blocks), 0.0, 1.0)
-    points = np.concatenate(parts)
-    inside = np.zeros(len(time), bool)
-    inside[points] = True
-    column = 2 * np.repeat(np.arange(len(parts)), [len(part) for part in parts])
-    lines = sparse.csr_matrix(
-        (
-            np.concatenate(values),
-            (np.repeat(points, 2), (column[:, None] + np.arange(2)).ravel()),
-        ),
-        shape=(len(time), 2 * len(parts)),
+    turns = slopes > CLEARLY * variance
+    quiet = slopes[~turns] / variance
+    if quiet.sum() > 3.0 * len(quiet) + CHANCE * np.sqrt(6.0 * len(quiet)):
+        turns[:] = True
+    moved, inside = np.zeros_like(seen), np.zeros(len(time), bool)
+    bases = [basis[:, : 1 + turned] for basis, turned in zip(bases, turns, strict=True)]
+    for part, basis in zip(parts, bases, strict=True):
+        moved[part] = basis @ (basis.T @ seen[part]) - seen[part]
+        inside[part] = True
+    index = np.concatenate(parts)
+    placed = sparse.csr_matrix(
+        (np.ones(len(index)), (index, np.arange(len(index)))), shape=(len(time), len(index))
     )
+    lines = (placed @ sparse.block_diag(bases)).tocsr()
+    noise = float(np.sqrt(2.0 * interval * variance))
     return Steady(inside, lines, noise, noise * float(np.sqrt(beyond)), moved)
 
 
