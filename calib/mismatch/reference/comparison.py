@@ -288,7 +288,14 @@ class ComparisonProblem:
         known = self._known(self.shapes)
         steady = None
         if known is not None:
-            steady = steadied(self.time, rate, self.settled, interval=self.interval, band=self.band)
+            steady = steadied(
+                self.time,
+                rate,
+                self.settled,
+                angle=known.angle,
+                interval=self.interval,
+                band=self.band,
+            )
         turned = [n.startswith("reference_misalignment") for n in self.alignments]
         rows = make_rows(
             self.shapes,

@@ -7,8 +7,9 @@ noisy as one sample, however long the body rests there. At rest all of its sampl
 
 A rest has a slope where it clearly turns (a table that sags, a sensor that leans), and all have one
 where together they turn by more than their noise: less than that is left to the drift of the
-gyroscope, as in a recording by itself. The rest errs by these coefficients only. What a body that
-is held sways by is beside them, and counts as noise.
+gyroscope, as in a recording by itself. The rest errs by these coefficients only. Where a body
+sways by more than noise, as one that is held does, its rest is seen as it is; what is less is
+beside the lines, and counts as noise.
 """
 
 from __future__ import annotations
@@ -32,6 +33,12 @@ FEWEST = 3
 CHANCE = 2.0
 """Standard deviations by which what is beside the lines, or all slopes, are more than noise by
 chance."""
+
+RARE = 3.09
+"""Standard deviations that a thousandth of rests exceeds by chance."""
+
+UNSURE = 1.5
+"""Factor up to which the variance of the noise is not known from its spectrum."""
 
 CLEARLY = 16.3
 """Square of a slope about three axes, in units of its noise, that a thousandth of rests exceeds."""
@@ -60,9 +67,15 @@ class Steady(NamedTuple):
 
 
 def steadied(
-    time: FloatArray, rate: FloatArray, rests: IntArray, *, interval: float, band: float
+    time: FloatArray,
+    rate: FloatArray,
+    rests: IntArray,
+    *,
+    angle: float,
+    interval: float,
+    band: float,
 ) -> Steady | None:
-    """Return what captured orientations are taken as in (k, 2) rests; None if these are too short.
+    """Return what captured orientations are taken as in (k, 2) rests; None if no rest is steady.
 
     Parameters
     ----------
@@ -71,39 +84,46 @@ def steadied(
         By what was captured, through a low-pass.
     rests : (k, 2) array of int
         Points ``[first, last)`` that feel nothing of any turn.
+    angle : float, rad/√Hz
+        Density of the noise of each angle, as its spectrum shows it.
     interval : float, s
         Between points.
     band : float, Hz
         Cut-off of that low-pass.
     """
     each = max(2, round(BLOCK / (band * interval)))
-    parts = [part for part in _parts(time, rests, interval) if len(part) >= FEWEST * each]
-    if not parts:
-        return None
     seen = np.zeros((len(time), 3))
-    bases, slopes = [], np.empty(len(parts))
-    # Squares of what lines leave of blocks, and of steps between neighbouring ones.
-    left = steps = blocks = 0.0
-    for k, part in enumerate(parts):
-        angle = np.cumsum(0.5 * (rate[part] + rate[part - 1]), axis=0) * interval
-        seen[part] = angle - angle.mean(axis=0)
+    expected = UNSURE * angle**2 / (2.0 * interval * each)
+    parts, bases, slopes, squares = [], [], [], []
+    for part in _parts(time, rests, interval):
+        many = len(part) // each
+        if many < FEWEST:
+            continue
+        turned = np.cumsum(0.5 * (rate[part] + rate[part - 1]), axis=0) * interval
+        turned -= turned.mean(axis=0)
         line = np.linspace(-1.0, 1.0, len(part))
         line /= np.linalg.norm(line)
-        along = line @ seen[part]
-        slopes[k] = along @ along
-        bases.append(np.stack((np.full(len(part), 1.0 / np.sqrt(len(part))), line), axis=1))
-        many = len(part) // each
-        means = (seen[part] - np.outer(line, along))[: many * each]
+        along = line @ turned
+        means = (turned - np.outer(line, along))[: many * each]
         means = means.reshape(many, each, 3).mean(axis=1)
-        left += float(np.square(means).sum()) * many / (many - 2)
-        steps += 0.5 * float(np.square(np.diff(means, axis=0)).sum()) * many / (many - 1)
-        blocks += 3.0 * many
-    if not left:
+        # A line takes two degrees of freedom of three angles, a step one.
+        left, free = float(np.square(means).sum()), 3.0 * (many - 2)
+        steps = 0.5 * float(np.square(np.diff(means, axis=0)).sum())
+        if not 0.0 < left < free * expected * _limit(free):
+            continue
+        seen[part] = turned
+        parts.append(part)
+        bases.append(np.stack((np.full(len(part), 1.0 / np.sqrt(len(part))), line), axis=1))
+        slopes.append(along @ along)
+        squares.append((left * many / (many - 2), steps * many / (many - 1), 3.0 * many))
+    if not parts:
         return None
+    left, steps, blocks = np.sum(squares, axis=0)
     variance = each * left / blocks
     beyond = np.clip(left / steps - 1.0 - CHANCE / np.sqrt(blocks), 0.0, 1.0)
-    turns = slopes > CLEARLY * variance
-    quiet = slopes[~turns] / variance
+    slope = np.array(slopes) / variance
+    turns = slope > CLEARLY
+    quiet = slope[~turns]
     if quiet.sum() > 3.0 * len(quiet) + CHANCE * np.sqrt(6.0 * len(quiet)):
         turns[:] = True
     moved, inside = np.zeros_like(seen), np.zeros(len(time), bool)
@@ -118,6 +138,12 @@ def steadied(
     lines = (placed @ sparse.block_diag(bases)).tocsr()
     noise = float(np.sqrt(2.0 * interval * variance))
     return Steady(inside, lines, noise, noise * float(np.sqrt(beyond)), moved)
+
+
+def _limit(free: float) -> float:
+    """Return the mean square that a thousandth exceeds (Wilson and Hilferty's approximation)."""
+    share = 2.0 / (9.0 * free)
+    return float((1.0 - share + RARE * np.sqrt(share)) ** 3)
 
 
 def _parts(time: FloatArray, rests: IntArray, interval: float) -> list[IntArray]:

@@ -137,7 +137,7 @@ def test_where_a_rest_is_steady_means_err_as_its_lines_do():
     for row in trials:
         angle = zero_phase(rng.normal(0.0, sigma[2], (n, 3)), 8.0 * STEP)
         left = seen_wrong(mat, rate, angle)
-        steady = steadied(time, rate - left[:, 3:], rests, interval=STEP, band=8.0)
+        steady = steadied(time, rate - left[:, 3:], rests, angle=3e-4, interval=STEP, band=8.0)
         assert steady is not None
         left += rng.normal(size=(n, 6)) * np.repeat(sigma[:2], 3)
         row[:] = (mean @ left).ravel() - moved_by(functional, state, known, steady.moved)

@@ -28,7 +28,7 @@ def rate_of(angle: np.ndarray) -> np.ndarray:
 
 def seen(angle: np.ndarray, at: np.ndarray, time: np.ndarray | None = None):
     time = STEP * np.arange(len(angle)) if time is None else time
-    return steadied(time, rate_of(angle), at, interval=STEP, band=BAND)
+    return steadied(time, rate_of(angle), at, angle=DENSITY, interval=STEP, band=BAND)
 
 
 def test_a_rest_takes_the_noise_of_angles_away():
@@ -43,14 +43,28 @@ def test_a_rest_takes_the_noise_of_angles_away():
     assert blocks.std(axis=0).max() < 0.3 * angle.std() / np.sqrt(20)
 
 
-@pytest.mark.parametrize(("size", "some"), [(0.0, False), (3e-4, False), (3e-3, True)])
-def test_what_a_held_body_sways_by_is_noise(size, some):
+def swaying(time: np.ndarray, size: float) -> np.ndarray:
+    return size * np.sin(2 * np.pi * 0.4 * time)[:, None] * [1.0, 0.5, 0.2]
+
+
+def test_what_a_body_sways_by_less_than_noise_is_noise():
     at = rests(30)
     time = STEP * np.arange(62 * REST)
-    sway = size * np.sin(2 * np.pi * 0.4 * time)[:, None] * [1.0, 0.5, 0.2]
-    found = seen(white(len(time)) + sway, at)
-    assert (found.sway > 0.5 * DENSITY) == some
-    assert found.sway <= found.noise
+    found = seen(white(len(time)) + swaying(time, 4e-4), at)
+    assert 0.2 * DENSITY < found.sway <= found.noise < 1.5 * DENSITY
+
+
+def test_a_rest_in_which_a_held_body_sways_is_seen_as_it_is():
+    at = rests(30)
+    time = STEP * np.arange(62 * REST)
+    assert seen(white(len(time)) + swaying(time, 4e-3), at) is None
+    # From some moment on it lies on a table.
+    early = time < time[at[10, 0] - 1]
+    found = seen(white(len(time)) + early[:, None] * swaying(time, 4e-3), at)
+    assert not found.inside[: at[9, 1]].any()
+    assert not found.moved[: at[9, 1]].any()
+    assert found.inside[at[10, 0] :].sum() == 20 * REST
+    assert found.sway < 0.3 * DENSITY
 
 
 @pytest.mark.parametrize("turning", [slice(3, 4), slice(None)])
