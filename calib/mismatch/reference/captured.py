@@ -206,15 +206,26 @@ def wobble(
     steady : Steady, optional
         What orientations at rest are taken as.
     """
-    hats = np.stack([np.interp(state.time, nodes, hat) for hat in np.eye(len(nodes))], axis=1)
+    hats = _between(state.time, nodes)
     if steady is not None:
-        hats = ~steady.inside[:, None] * hats + steady.lines @ (steady.lines.T @ hats)
+        outside = sparse.diags(1.0 * ~steady.inside)
+        hats = outside @ hats + steady.lines @ (steady.lines.T @ hats)
     turned, _ = _of_motion(functional, state, known.interval)
-    felt = np.hstack([each @ hats for each in turned])
+    felt = sparse.hstack([each @ hats for each in turned], format="csr")
     length = float(np.median(np.diff(nodes)))
     expected = WANDERS * max(known.angle**2 / (2.0 * length), LEAST_ANGLE**2)
-    index, kernel = np.arange(len(felt)), np.eye(3 * len(nodes))
-    return Component("angles slow", index, sparse.csr_matrix(felt), kernel, expected, WIDE)
+    index, kernel = np.arange(felt.shape[0]), np.eye(3 * len(nodes))
+    return Component("angles slow", index, felt, kernel, expected, WIDE)
+
+
+def _between(time: FloatArray, nodes: FloatArray) -> sparse.csr_matrix:
+    """Return what makes values at (n,) times of those at (s,) nodes, straight between these."""
+    n, last = len(time), len(nodes) - 1
+    before = np.clip(np.searchsorted(nodes, time, side="right") - 1, 0, last - 1)
+    share = np.clip((time - nodes[before]) / (nodes[before + 1] - nodes[before]), 0.0, 1.0)
+    index = np.stack((before, before + 1), axis=1).ravel()
+    values = np.stack((1.0 - share, share), axis=1).ravel()
+    return sparse.csr_matrix((values, index, 2 * np.arange(n + 1)), shape=(n, len(nodes)))
 
 
 def _of_motion(
