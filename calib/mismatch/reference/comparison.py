@@ -60,6 +60,10 @@ from calib.statics import find_poses
 from calib.thermometer import smooth_temperature
 from calib.types import BoolArray, FloatArray
 
+SETTLED = 3.0
+"""Periods of the cut-off after which a low-pass leaves so little of a quarter turn that markers see
+nothing of it: 0.02 %."""
+
 
 class ComparisonProblem:
     """Rows of a recording against a truth, under a sensor model that is fitted to it.
@@ -164,7 +168,7 @@ class ComparisonProblem:
             edges = np.stack((raw.time[poses.start], raw.time[poses.stop - 1]), axis=1)
             self.rests = np.searchsorted(self.time, edges)
             if self.densities is not None:
-                apart = np.array([1.0, -1.0]) * FELT / band
+                apart = np.array([SETTLED, -SETTLED]) / band
                 self.settled = np.searchsorted(self.time, edges + apart)
         if not truth.placed:
             self.judged = resting(self.time, shaken, felt=FELT / band if band else 0.0)

@@ -21,7 +21,7 @@ from scipy import sparse
 
 from calib.types import BoolArray, FloatArray, IntArray
 
-LONGEST = 10.0
+LONGEST = 30.0
 """s that one line follows."""
 
 BLOCK = 4.0
@@ -101,12 +101,11 @@ def steadied(
             continue
         turned = np.cumsum(0.5 * (rate[part] + rate[part - 1]), axis=0) * interval
         turned -= turned.mean(axis=0)
-        line = np.linspace(-1.0, 1.0, len(part))
-        line /= np.linalg.norm(line)
+        line = _slope(len(part))
         along = line @ turned
-        means = (turned - np.outer(line, along))[: many * each]
-        means = means.reshape(many, each, 3).mean(axis=1)
-        # A line takes two degrees of freedom of three angles, a step one.
+        means = turned[: many * each].reshape(many, each, 3).mean(axis=1)
+        means -= means.mean(axis=0) + np.outer(_slope(many), _slope(many) @ means)
+        # A line takes two degrees of freedom of three angles; of white blocks' steps it takes this.
         left, free = float(np.square(means).sum()), 3.0 * (many - 2)
         steps = 0.5 * float(np.square(np.diff(means, axis=0)).sum())
         if not 0.0 < left < free * expected * _limit(free):
@@ -115,7 +114,8 @@ def steadied(
         parts.append(part)
         bases.append(np.stack((np.full(len(part), 1.0 / np.sqrt(len(part))), line), axis=1))
         slopes.append(along @ along)
-        squares.append((left * many / (many - 2), steps * many / (many - 1), 3.0 * many))
+        own = many - 1.0 - 6.0 / (many * (many + 1.0))
+        squares.append((left * many / (many - 2), steps * many / own, 3.0 * many))
     if not parts:
         return None
     left, steps, blocks = np.sum(squares, axis=0)
@@ -138,6 +138,12 @@ def steadied(
     lines = (placed @ sparse.block_diag(bases)).tocsr()
     noise = float(np.sqrt(2.0 * interval * variance))
     return Steady(inside, lines, noise, noise * float(np.sqrt(beyond)), moved)
+
+
+def _slope(n: int) -> FloatArray:
+    """Return a straight line through n points, orthogonal to a constant and of unit length."""
+    line = np.arange(n) - 0.5 * (n - 1)
+    return line / np.linalg.norm(line)
 
 
 def _limit(free: float) -> float:

@@ -43,6 +43,14 @@ def test_a_rest_takes_the_noise_of_angles_away():
     assert blocks.std(axis=0).max() < 0.3 * angle.std() / np.sqrt(20)
 
 
+def test_short_rests_sway_no_more_than_long_ones():
+    """Of three blocks a line leaves one, and their steps are not those of white ones."""
+    found = seen(white(122 * 85), rests(60, 85))
+    assert found.inside.sum() == 60 * 85
+    assert found.sway < 0.25 * found.noise
+    assert found.noise == pytest.approx(DENSITY, rel=0.15)
+
+
 def swaying(time: np.ndarray, size: float) -> np.ndarray:
     return size * np.sin(2 * np.pi * 0.4 * time)[:, None] * [1.0, 0.5, 0.2]
 
