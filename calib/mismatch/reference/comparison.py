@@ -62,7 +62,7 @@ from calib.types import BoolArray, FloatArray
 
 SETTLED = 3.0
 """Periods of the cut-off after which a low-pass leaves so little of a quarter turn that markers see
-nothing of it: 0.02 %."""
+nothing of it: 0.01 %."""
 
 
 class ComparisonProblem:
@@ -170,6 +170,7 @@ class ComparisonProblem:
             if self.densities is not None:
                 apart = np.array([SETTLED, -SETTLED]) / band
                 self.settled = np.searchsorted(self.time, edges + apart)
+                self.settled = self.settled[self.settled[:, 1] > self.settled[:, 0]]
         if not truth.placed:
             self.judged = resting(self.time, shaken, felt=FELT / band if band else 0.0)
         self.blur = self._judging(
