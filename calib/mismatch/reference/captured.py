@@ -98,7 +98,7 @@ def sensor_densities(recording: Recording, rests: IntArray) -> tuple[float, floa
 def known_noise(
     own: tuple[float, float],
     seen: tuple[float, float],
-    colours: tuple[Colour, Colour],
+    colours: list[Colour],
     *,
     interval: float,
     cutoff: float,

@@ -340,9 +340,8 @@ class ComparisonProblem:
         noise = np.median(shapes.noise, axis=0).reshape(2, 3).mean(axis=1)
         accel, gyro = np.sqrt(2.0 * self.interval * noise).tolist()
         cutoff = min(BEYOND * self.band, 0.5 / self.truth.recording.interval)
-        colours = self.colours[0], self.colours[1]
         return known_noise(
-            self.densities, (accel, gyro), colours, interval=self.interval, cutoff=cutoff
+            self.densities, (accel, gyro), self.colours, interval=self.interval, cutoff=cutoff
         )
 
     def residual(self, state: State) -> FloatArray:

@@ -22,7 +22,7 @@ def white(n: int, seed: int = 1) -> np.ndarray:
 
 
 def rate_of(angle: np.ndarray) -> np.ndarray:
-    """Return rates that the trapezoidal rule makes of steps of the angles."""
+    """Return the rates of angles (n, 3), as differences of neighbours on both sides say."""
     return np.gradient(angle, STEP, axis=0)
 
 
