@@ -34,7 +34,7 @@ from calib.rotation import (
     rate_increments,
     skew,
 )
-from calib.types import BoolArray, FloatArray, IntArray
+from calib.types import FloatArray, IntArray
 
 
 class Closures(NamedTuple):
@@ -160,15 +160,6 @@ class Spans:
         out[:, 2] = -out.sum(axis=1)
         return out
 
-    @cached_property
-    def half(self) -> tuple[BoolArray, Spans]:
-        """Every second point, and the ends of turns: which points, and their spans."""
-        place = np.arange(len(self.time)) - self.start[self.turn]
-        kept = place % 2 == 0
-        kept[self.last] = True
-        fewer = np.append(0, np.cumsum(kept)[self.last])
-        return kept, Spans(self.time[kept], fewer)
-
 
 def turned_frames(spans: Spans, rate: FloatArray) -> FloatArray:
     """Return the frame at each point seen from that at the start of its turn, (n, 3, 3)."""
@@ -203,12 +194,6 @@ def follow_turns(spans: Spans, force: FloatArray, rate: FloatArray) -> Ended:
     gained = 0.5 * spans.step[:, None] * (turned + np.roll(turned, 1, 0))
     passed = np.cumsum(gained - spans.bend @ turned, axis=0)
     return Ended(mat, passed - passed[spans.start][spans.turn])
-
-
-def integrate_half(spans: Spans, force: FloatArray, rate: FloatArray) -> Ended:
-    """Return the same from every second sample: how far off that is, samples do not resolve."""
-    kept, fewer = spans.half
-    return integrate_turns(fewer, force[kept], rate[kept])
 
 
 def close_turns(

@@ -22,7 +22,6 @@ from calib.mismatch.rows.closure import (
     Spans,
     close_turns,
     follow_turns,
-    integrate_half,
     integrate_turns,
     open_ends,
 )
@@ -168,10 +167,7 @@ class _Closures:
         size = ROBUST * np.median(np.abs(left / scale), axis=0)
         scatter = np.repeat([size[:2].mean(), size[2:].mean()], (2, 3))
         self._scatter = np.zeros((len(grid.first), 5))
-        half = open_ends(
-            integrate_half(spans, *signals), *ups, spans.duration, gravity=twin.gravity
-        )
-        jolts = unresolved(closed, half - left, *signals, noise[points], spans)
+        jolts = unresolved(closed, *signals, noise[points], spans)
         white, leaned = _white(closed, noise[points], spans), _leaned(grid, twin, noise)
         for ends, pose in ((closed.before, grid.before), (closed.after, grid.after)):
             white += np.square(ends).sum(axis=2) * leaned[pose[turns], None]

@@ -25,8 +25,6 @@ from calib.mismatch.rows.closure import (
     across,
     close_turns,
     covariance_of_turns,
-    integrate_half,
-    open_ends,
 )
 from calib.mismatch.rows.grid import Grid
 from calib.mismatch.rows.lean import Lean
@@ -132,9 +130,6 @@ def build_rows(grid: Grid, twin: Twin, noise: FloatArray, *, spread: float | Non
     points, spans = grid.turns
     dense = int((layout.kind != Kind.CONTRAST).sum())
     signals = state.force[points], state.rate[points]
-    ups = twin.up[grid.before[layout.turns]], twin.up[grid.after[layout.turns]]
-    half = integrate_half(spans, *signals)
-    left = open_ends(half, *ups, spans.duration, gravity=twin.gravity) - closed.residual
     each = np.zeros(layout.number)
     for c, f in enumerate(linear.functional):
         each += f.power(2) @ noise[:, c]
@@ -163,17 +158,7 @@ def build_rows(grid: Grid, twin: Twin, noise: FloatArray, *, spread: float | Non
         beside = np.stack((grid.before[layout.turns], grid.after[layout.turns]))
         parts = closed.before, closed.after
         components += (lean_of_turns(lean, layout.ends, beside, parts),)
-    components += tuple(
-        sampling_components(
-            closed,
-            left,
-            *signals,
-            noise[points],
-            spans,
-            layout.ends,
-            np.diag(white)[layout.ends],
-        )
-    )
+    components += tuple(sampling_components(closed, *signals, noise[points], spans, layout.ends))
     blur = mean_over_interval(grid, state)
     spilt = sum(f[:dense] @ blur[:, c] for c, f in enumerate(linear.functional))
     white += MEANS * np.outer(spilt, spilt)

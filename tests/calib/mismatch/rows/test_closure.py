@@ -6,9 +6,7 @@ from calib.mismatch.rows.closure import (
     Closures,
     Spans,
     close_turns,
-    integrate_half,
     integrate_turns,
-    open_ends,
 )
 from calib.rotation import mat_from_rotvec
 from calib.types import FloatArray
@@ -101,24 +99,6 @@ def test_what_errors_of_the_signals_do_is_what_the_weights_say() -> None:
     np.testing.assert_allclose(
         moved.residual[0] - still.residual[0], expected, rtol=1e-3, atol=1e-10
     )
-
-
-def test_half_of_the_samples_tell_which_turns_are_too_fast_for_them() -> None:
-    errors, changes = [], []
-    for duration in (1.0, 0.5, 0.25):
-        time, force, rate, up = turn(0.02 / duration, 2.0)
-        # The same turn in less time: faster, and of fewer samples.
-        time, rate = duration * time, rate / duration
-        spans = Spans(time, np.array([0, len(time)]))
-        half = integrate_half(spans, force, rate)
-        np.testing.assert_allclose(half.frame[0] @ up[-1], up[0], atol=0.05)
-        closed = close(time, force, rate, up)
-        errors.append(np.linalg.norm(closed.residual[0, 2:]))
-        fewer = open_ends(half, up[:1], up[-1:], spans.duration, gravity=G)
-        changes.append(np.linalg.norm((fewer - closed.residual)[0, 2:]))
-    assert errors[0] < errors[1] < errors[2]
-    assert changes[0] < changes[1] < changes[2]
-    assert all(e < c for e, c in zip(errors, changes, strict=True))
 
 
 def test_a_trembling_turn_closes_where_samples_are_uneven() -> None:

@@ -102,7 +102,8 @@ def test_where_and_how_many_are_found_among_the_jolts_of_a_hand() -> None:
             assert abs(loss.number - 2) <= 3.0 * loss.spread[1]
             late = np.hypot(whole.interval, loss.spread[0])
             assert abs(loss.moment - whole.time[at]) < 3.0 * late
-    assert found >= 3
+    # A third of them at least: a turn in which a jolt hides it says nothing.
+    assert found >= 2
 
 
 def test_a_loss_stands_out_of_a_misaligned_gyroscope() -> None:
