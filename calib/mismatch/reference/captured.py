@@ -11,7 +11,6 @@ is the noisier the more of gravity is across an axis.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -139,9 +138,36 @@ def coning(angle: float, cutoff: float) -> float:
     return float(2.0 * np.pi * angle**2 * np.sqrt(LEFT * cutoff**3))
 
 
-def mean_covariance(
-    functional: list[sparse.csr_matrix], state: State, known: Known, steady: Steady | None = None
-) -> FloatArray:
+class Felt(NamedTuple):
+    """What k rows are of n points of each channel, and what they feel of a captured motion there.
+
+    Sparse (k, n) matrices: six of ``channels``, and three of the angles (``turned``) and positions
+    (``carried``) of the body.
+    """
+
+    channels: list[sparse.csr_matrix]
+    turned: tuple[sparse.csr_matrix, ...]
+    carried: tuple[sparse.csr_matrix, ...]
+
+    @classmethod
+    def of(cls, functional: list[sparse.csr_matrix], state: State, interval: float) -> Felt:
+        """Return what rows feel whose `functional` is that of the motion at points so far apart."""
+        slope, bend = _derivatives(state.time, interval)
+        crossed = np.concatenate((skew(state.force), skew(state.rate)), axis=1)
+        turned = (
+            functional[3 + k] @ slope
+            + sum(rows @ sparse.diags(crossed[:, c, k]) for c, rows in enumerate(functional))
+            for k in range(3)
+        )
+        mat = np.zeros((len(state.time), 3, 3)) if state.mat_ns is None else state.mat_ns
+        carried = (
+            sum(functional[c] @ sparse.diags(mat[:, k, c]) for c in range(3)) @ bend
+            for k in range(3)
+        )
+        return cls(functional, tuple(turned), tuple(carried))
+
+
+def mean_covariance(felt: Felt, known: Known, steady: Steady | None = None) -> FloatArray:
     """Return the covariance (k, k) of rows that are slow beside the samples.
 
     One angle moves all channels: what it turns gravity by across is not seen along gravity, however
@@ -149,49 +175,38 @@ def mean_covariance(
 
     Parameters
     ----------
-    functional : six sparse (k, n) matrices
-        What the rows are of each channel.
-    state : State
-        The motion at the n points.
+    felt : Felt
     known : Known
         Whatever else there is comes on top.
     steady : Steady, optional
         What orientations at rest are taken as.
     """
     step = known.interval
-    out = sparse.csr_matrix((functional[0].shape[0],) * 2)
-    for c, rows in enumerate(functional):
+    out = sparse.csr_matrix((felt.channels[0].shape[0],) * 2)
+    for c, rows in enumerate(felt.channels):
         # Per point a variance is half a density over the interval.
         density = known.accel if c < 3 else np.hypot(known.gyro, known.coning)
         out += rows @ rows.T * (density**2 / (2.0 * step))
-    turned, carried = _of_motion(functional, state, step)
-    for felt in carried if known.position else ():
-        out += felt @ felt.T * (known.position**2 / (2.0 * step))
-    for felt in turned:
+    for rows in felt.carried if known.position else ():
+        out += rows @ rows.T * (known.position**2 / (2.0 * step))
+    for rows in felt.turned:
         if steady is None:
-            out += felt @ felt.T * (known.angle**2 / (2.0 * step))
+            out += rows @ rows.T * (known.angle**2 / (2.0 * step))
             continue
-        own = felt @ sparse.diags(np.where(steady.inside, steady.sway, known.angle))
-        slow = felt @ steady.lines * steady.noise
+        own = rows @ sparse.diags(np.where(steady.inside, steady.sway, known.angle))
+        slow = rows @ steady.lines * steady.noise
         out += (own @ own.T + slow @ slow.T) / (2.0 * step)
     return np.asarray(out.toarray())
 
 
-def moved_by(
-    functional: list[sparse.csr_matrix], state: State, known: Known, angle: FloatArray
-) -> FloatArray:
+def moved_by(felt: Felt, angle: FloatArray) -> FloatArray:
     """Return what rows (k,) see of a truth whose orientations are turned by (n, 3) angles."""
-    turned, _ = _of_motion(functional, state, known.interval)
-    parts = [felt @ own for felt, own in zip(turned, angle.T, strict=True)]
+    parts = [rows @ own for rows, own in zip(felt.turned, angle.T, strict=True)]
     return np.asarray(np.sum(parts, axis=0))
 
 
 def wobble(
-    functional: list[sparse.csr_matrix],
-    state: State,
-    known: Known,
-    nodes: FloatArray,
-    steady: Steady | None = None,
+    felt: Felt, time: FloatArray, known: Known, nodes: FloatArray, steady: Steady | None = None
 ) -> Component:
     """Return what angles err by slowly, as a component of (k,) rows: straight from node to node.
 
@@ -201,21 +216,24 @@ def wobble(
 
     Parameters
     ----------
+    felt : Felt
+    time : (n,) array, s
+        Of its points.
+    known : Known
     nodes : (s,) array, s
         Between them an angle errs by what is between its errors there.
     steady : Steady, optional
         What orientations at rest are taken as.
     """
-    hats = _between(state.time, nodes)
+    hats = _between(time, nodes)
     if steady is not None:
         outside = sparse.diags(1.0 * ~steady.inside)
         hats = outside @ hats + steady.lines @ (steady.lines.T @ hats)
-    turned, _ = _of_motion(functional, state, known.interval)
-    felt = sparse.hstack([each @ hats for each in turned], format="csr")
+    response = sparse.hstack([rows @ hats for rows in felt.turned], format="csr")
     length = float(np.median(np.diff(nodes)))
     expected = WANDERS * max(known.angle**2 / (2.0 * length), LEAST_ANGLE**2)
-    index, kernel = np.arange(felt.shape[0]), np.eye(3 * len(nodes))
-    return Component("angles slow", index, felt, kernel, expected, WIDE)
+    index, kernel = np.arange(response.shape[0]), np.eye(3 * len(nodes))
+    return Component("angles slow", index, response, kernel, expected, WIDE)
 
 
 def _between(time: FloatArray, nodes: FloatArray) -> sparse.csr_matrix:
@@ -226,24 +244,6 @@ def _between(time: FloatArray, nodes: FloatArray) -> sparse.csr_matrix:
     index = np.stack((before, before + 1), axis=1).ravel()
     values = np.stack((1.0 - share, share), axis=1).ravel()
     return sparse.csr_matrix((values, index, 2 * np.arange(n + 1)), shape=(n, len(nodes)))
-
-
-def _of_motion(
-    functional: list[sparse.csr_matrix], state: State, step: float
-) -> tuple[Iterator[sparse.csr_matrix], Iterator[sparse.csr_matrix]]:
-    """Return what rows (k, n) of all channels feel of each angle, and of each position."""
-    slope, bend = _derivatives(state.time, step)
-    crossed = np.concatenate((skew(state.force), skew(state.rate)), axis=1)
-    turned = (
-        functional[3 + k] @ slope
-        + sum(rows @ sparse.diags(crossed[:, c, k]) for c, rows in enumerate(functional))
-        for k in range(3)
-    )
-    mat = np.zeros((len(state.time), 3, 3)) if state.mat_ns is None else state.mat_ns
-    carried = (
-        sum(functional[c] @ sparse.diags(mat[:, k, c]) for c in range(3)) @ bend for k in range(3)
-    )
-    return turned, carried
 
 
 def _derivatives(time: FloatArray, step: float) -> tuple[sparse.csr_matrix, sparse.csr_matrix]:

@@ -19,7 +19,7 @@ from calib.mismatch.noise.sensornoise import (
     drift_components,
     flicker_covariance,
 )
-from calib.mismatch.reference.captured import Known, mean_covariance, moved_by, wobble
+from calib.mismatch.reference.captured import Felt, Known, mean_covariance, moved_by, wobble
 from calib.mismatch.reference.shapes import Shapes
 from calib.mismatch.reference.steadied import Steady
 from calib.mismatch.rows.rows import UNKNOWN, Component, Kind, Rows
@@ -94,13 +94,13 @@ def make_rows(
     )
     if known is not None:
         share = np.maximum(1.0 - LIKE_REST * quiet / shapes.noise, 0.0)
-        averaging = [f[:dense] for f in samples]
-        matrix = mean_covariance(averaging, state, known, steady)
+        felt = Felt.of([f[:dense] for f in samples], state, known.interval)
+        matrix = mean_covariance(felt, known, steady)
         matrix += np.diag(means * share[segment[:dense], channel[:dense]])
         nodes = np.append(interval[:, 0], interval[-1, 1])
-        slow = (wobble(averaging, state, known, nodes, steady),)
+        slow = (wobble(felt, state.time, known, nodes, steady),)
         if steady is not None:
-            residual[:dense] -= moved_by(averaging, state, known, steady.moved)
+            residual[:dense] -= moved_by(felt, steady.moved)
         density = np.square(np.repeat(known[:2], 3))
     rows = Rows(
         residual=residual,

@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 from calib.effects.base import State
 from calib.mismatch.reference.band import zero_phase
 from calib.mismatch.reference.captured import (
+    Felt,
     Known,
     coning,
     mean_covariance,
@@ -74,7 +75,8 @@ def test_means_err_as_angles_say():
     state = State(STEP * np.arange(n), force, rate)
     functional, mean = averages(8, n)
     known = Known(2e-3, 1e-4, 3e-4, STEP)
-    expected = mean_covariance(functional, state, known)
+    felt = Felt.of(functional, state, STEP)
+    expected = mean_covariance(felt, known)
     sigma = np.array(known[:3]) / np.sqrt(2.0 * STEP)
     trials = np.empty((1000, 48))
     for row in trials:
@@ -103,9 +105,8 @@ def test_a_position_moves_the_mean_force_of_all_axes_and_comes_back():
     state = State(STEP * np.arange(n), force, rate, mat_ns=mat)
     functional, mean = averages(8, n)
     known = Known(1e-9, 1e-9, 1e-9, STEP, position=1e-5)
-    expected = mean_covariance(functional, state, known)[np.arange(48) % 6 < 3][
-        :, np.arange(48) % 6 < 3
-    ]
+    felt = Felt.of(functional, state, STEP)
+    expected = mean_covariance(felt, known)[np.arange(48) % 6 < 3][:, np.arange(48) % 6 < 3]
     trials = np.empty((1000, 24))
     for row in trials:
         position = rng.normal(0.0, known.position / np.sqrt(2.0 * STEP), (n, 3))
@@ -129,6 +130,7 @@ def test_where_a_rest_is_steady_means_err_as_its_lines_do():
     state = State(time, force, rate)
     functional, mean = averages(12, n)
     known = Known(5e-4, 1e-6, 3e-4, STEP)
+    felt = Felt.of(functional, state, STEP)
     sigma = np.array(known[:3]) / np.sqrt(2.0 * STEP)
     rests = np.array([[1, 198], [402, 599]])
     still = np.repeat([True, False, True], 24)
@@ -140,15 +142,15 @@ def test_where_a_rest_is_steady_means_err_as_its_lines_do():
         steady = steadied(time, rate - left[:, 3:], rests, angle=3e-4, interval=STEP, band=8.0)
         assert steady is not None
         left += rng.normal(size=(n, 6)) * np.repeat(sigma[:2], 3)
-        row[:] = (mean @ left).ravel() - moved_by(functional, state, known, steady.moved)
-        expected += mean_covariance(functional, state, known, steady) / len(trials)
+        row[:] = (mean @ left).ravel() - moved_by(felt, steady.moved)
+        expected += mean_covariance(felt, known, steady) / len(trials)
     scale = np.sqrt(np.diag(expected))
     ratio = np.sqrt(np.mean(np.square(trials), axis=0)) / scale
     # Up to the edge of its band only, noise of the same density is less.
     assert (ratio < 1.25).all()
     assert (ratio[still] > 0.3).all()
     # Two rests are all that there is to tell whether the body sways.
-    raw = np.sqrt(np.diag(mean_covariance(functional, state, known)))
+    raw = np.sqrt(np.diag(mean_covariance(felt, known)))
     assert (scale[still & gyro] < 0.6 * raw[still & gyro]).all()
 
 
@@ -178,14 +180,16 @@ def test_angles_that_wander_are_felt_as_they_are_and_come_back():
     state = State(STEP * np.arange(n), force, rate)
     functional, mean = averages(8, n)
     nodes = STEP * WINDOW * np.arange(9.0)
-    found = wobble(functional, state, Known(2e-3, 1e-4, 3e-4, STEP), nodes)
+    felt = Felt.of(functional, state, STEP)
+    found = wobble(felt, state.time, Known(2e-3, 1e-4, 3e-4, STEP), nodes)
     error = rng.normal(0.0, 1e-4, (9, 3))
     angle = np.stack([np.interp(state.time, nodes, own) for own in error.T], axis=1)
-    felt = (mean @ seen_wrong(mat, rate, angle)).ravel()
-    np.testing.assert_allclose(-(found.response @ error.T.ravel()), felt, atol=2e-6)
+    seen = (mean @ seen_wrong(mat, rate, angle)).ravel()
+    np.testing.assert_allclose(-(found.response @ error.T.ravel()), seen, atol=2e-6)
     # At rest the mean rates of all windows add up to what the first and last angle differ by.
     still = replace(state, rate=0.0 * rate)
-    at_rest = wobble(functional, still, Known(2e-3, 1e-4, 3e-4, STEP), nodes)
+    felt = Felt.of(functional, still, STEP)
+    at_rest = wobble(felt, still.time, Known(2e-3, 1e-4, 3e-4, STEP), nodes)
     total = np.ones(8) @ at_rest.matrix[3::6, 3::6] @ np.ones(8)
     assert total < 3.0 / (WINDOW * STEP) ** 2
     assert total < 0.25 * np.trace(at_rest.matrix[3::6, 3::6])
