@@ -49,6 +49,9 @@ from _independent_generator import (
     read_out,
     write_csv,
 )
+from _independent_generator import (
+    PARTS as SENSORS,
+)
 from _independent_oracle import Oracle
 from _independent_reference import REFERENCES
 
@@ -70,6 +73,8 @@ STRESS: dict[str, dict[str, object]] = {
     "shaken": {"shaken": True},
     "late": {"late": 5e-4},
     "real": {"misaligned": True, "earth": True},
+    "few_samples": {"rate": 25.0, "averaged": False},
+    "quiet": {"rate": 50.0, "averaged": False, "part": SENSORS[-1]},
 }
 
 

@@ -32,6 +32,7 @@ from calib.mismatch.samples.spectrum import LOUDER_THERE, look_at_spectrum
 from calib.mismatch.samples.thin import Thinned, thin
 from calib.mismatch.samples.within import look_within
 from calib.mismatch.search.explain import changes, explain, verdict
+from calib.mismatch.search.jolted import jolted
 from calib.mismatch.search.search import Outcome, search
 from calib.mismatch.twin.selfmode import SelfProblem
 from calib.model import SensorModel
@@ -155,6 +156,7 @@ def _diagnose(thinned: Thinned, *, gravity: float, model: SensorModel | None) ->
         skip += ("time", *(k for k in effects() if k.endswith(_CLOCKED)))
     if few_turns:
         skip += tuple(k for k, e in effects().items() if _in_motion(e))
+    problem.jolted = jolted(problem.rows(), skip=skip)
     outcome = search(problem, skip=skip)
     names = problem.twin.names
     directions = distinct_directions(poses.accel)

@@ -149,6 +149,9 @@ def effect_columns(
                     start, stop = rows.interval[rows.segment].T
                     inside = (shape["moment"] >= start) & (shape["moment"] <= stop)
                     values[(rows.kind >= Kind.ATTITUDE) & ~inside] = 0.0
+            if "vibration" in effect.reads and rows.unresolved:
+                # What trembling hands do between samples goes with how much they do.
+                values[rows.kind >= Kind.ATTITUDE] = 0.0
             if np.abs(values).max() > 0:
                 out[name] = values
     return out

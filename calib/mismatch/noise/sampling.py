@@ -17,7 +17,7 @@ from scipy import sparse
 
 from calib.mismatch.noise.sensornoise import SPREAD
 from calib.mismatch.rows.closure import Closures, Spans, covariance_of_turns
-from calib.mismatch.rows.rows import Component
+from calib.mismatch.rows.rows import SAMPLING, UNKNOWN, Component
 from calib.types import FloatArray, IntArray
 
 STEP, CORNER, BEND = 1 / 10, 1 / 58, 1 / 282
@@ -33,23 +33,32 @@ REACH = 6
 """Neighbours on either side that foretell a sample: so many that a tremor of a quarter of the
 sample rate counts a hundredth of what jumps from sample to sample."""
 
-UNFORETOLD = comb(4 * REACH, 2 * REACH) / comb(2 * REACH, REACH) ** 2
-"""Variance of white noise in `unforetold`, relative to its own."""
+BENT = {"rate": 1 / 20000, "force": 1 / 2000}
+"""The same as `EXPECTED`, for one neighbour on either side, of turns that take few samples: all
+that hands do then varies from sample to sample, and how briskly they do is all that tells how much
+is missed. Of a swing of a third of the sample rate the rule loses a few percent."""
+
+
+def power_of_noise(reach: int) -> float:
+    """Return the variance of white noise in `unforetold`, relative to its own."""
+    return comb(4 * reach, 2 * reach) / comb(2 * reach, reach) ** 2
+
 
 _SPEED = slice(2, 5)
+_KINDS = ((REACH, "", EXPECTED, SPREAD), (1, " bent", BENT, UNKNOWN))
 
 
-def unforetold(values: FloatArray, spans: Spans) -> FloatArray:
-    """Return by how much points (n, k) are off what `REACH` neighbours on either side foretell.
+def unforetold(values: FloatArray, spans: Spans, reach: int = REACH) -> FloatArray:
+    """Return by how much points (n, k) are off what `reach` neighbours on either side foretell.
 
     A polynomial through them, that is by the difference of the order of twice as many, in which the
     point itself counts one. Beyond its ends, a turn is at rest.
     """
     out = np.zeros_like(values)
     place, turn = np.arange(len(values)), spans.turn
-    for k in range(-REACH, REACH + 1):
+    for k in range(-reach, reach + 1):
         near = np.clip(place + k, spans.start[turn], spans.last[turn])
-        out += (-1) ** k * comb(2 * REACH, REACH + k) / comb(2 * REACH, REACH) * values[near]
+        out += (-1) ** k * comb(2 * reach, reach + k) / comb(2 * reach, reach) * values[near]
     return out
 
 
@@ -76,16 +85,17 @@ def sampling_components(
     if not len(rows):
         return []
     out = []
-    parts = _jolts(closed, force, rate, noise, spans)
-    for (signal, part), own in zip(parts.items(), (slice(0, 5), _SPEED), strict=True):
-        index = rows[:, own]
-        turns, size = index.shape
-        each = np.zeros((turns, size, turns, size))
-        each[np.arange(turns), :, np.arange(turns)] = part[:, own, own]
-        index, matrix = index.ravel(), each.reshape(turns * size, -1)
-        response = sparse.identity(len(matrix), format="csr")
-        label, expected = f"{signal} by sampling", EXPECTED[signal]
-        out.append(Component(label, index, response, matrix, expected, SPREAD))
+    for reach, label, expected, spread in _KINDS:
+        parts = _jolts(closed, force, rate, noise, spans, reach)
+        for (signal, part), own in zip(parts.items(), (slice(0, 5), _SPEED), strict=True):
+            index = rows[:, own]
+            turns, size = index.shape
+            each = np.zeros((turns, size, turns, size))
+            each[np.arange(turns), :, np.arange(turns)] = part[:, own, own]
+            index, matrix = index.ravel(), each.reshape(turns * size, -1)
+            response = sparse.identity(len(matrix), format="csr")
+            name = f"{signal}{label}{SAMPLING}"
+            out.append(Component(name, index, response, matrix, expected[signal], spread))
     return out
 
 
@@ -93,24 +103,32 @@ def unresolved(
     closed: Closures, force: FloatArray, rate: FloatArray, noise: FloatArray, spans: Spans
 ) -> FloatArray:
     """Return the variance (k, 5) of closures by jolts, as `sampling_components` expect it."""
-    parts = _jolts(closed, force, rate, noise, spans)
+    parts = _jolts(closed, force, rate, noise, spans, REACH)
     return np.asarray(sum(EXPECTED[s] * np.einsum("kii->ki", part) for s, part in parts.items()))
 
 
 def _jolts(
-    closed: Closures, force: FloatArray, rate: FloatArray, noise: FloatArray, spans: Spans
+    closed: Closures,
+    force: FloatArray,
+    rate: FloatArray,
+    noise: FloatArray,
+    spans: Spans,
+    reach: int,
 ) -> dict[str, FloatArray]:
     """Return covariances (k, 5, 5) of closures whose points err by what they are off, by signal."""
     return {
-        "rate": _added(rate, closed.gyro_weights, noise[:, 3:], spans),
-        "force": _added(force, closed.accel_weights, noise[:, :3], spans),
+        "rate": _added(rate, closed.gyro_weights, noise[:, 3:], spans, reach),
+        "force": _added(force, closed.accel_weights, noise[:, :3], spans, reach),
     }
 
 
-def _added(values: FloatArray, weights: FloatArray, noise: FloatArray, spans: Spans) -> FloatArray:
+def _added(
+    values: FloatArray, weights: FloatArray, noise: FloatArray, spans: Spans, reach: int
+) -> FloatArray:
     """Return the covariance (k, 5, 5) of closures by what (n, 3) values are off, noise apart."""
-    square = np.square(unforetold(values, spans))
+    square = np.square(unforetold(values, spans, reach))
     total = np.add.reduceat(square, spans.start)
-    share = 1.0 - np.add.reduceat(UNFORETOLD * noise, spans.start) / np.maximum(total, 1e-300)
+    loud = power_of_noise(reach) * np.add.reduceat(noise, spans.start)
+    share = 1.0 - loud / np.maximum(total, 1e-300)
     square *= np.maximum(share, 0.0)[spans.turn]
     return covariance_of_turns(weights, square, spans)

@@ -38,6 +38,9 @@ class Kind(IntEnum):
 UNKNOWN = 2.5
 """Spread of the level of noise that nobody knows beforehand."""
 
+SAMPLING = " by sampling"
+"""How the names of components end of what samples do not resolve."""
+
 _FOUND = ("arrow", "confined", "kept", "together", "turns")
 """What rows find out once, and not from their residual."""
 
@@ -160,6 +163,8 @@ class Rows:
         What the sensor's channels make of the state: one, or beside a truth their scale factors.
     clustered : bool
         Whether what the rows of one segment err by may go together, as a truth's own noise does.
+    unresolved : bool
+        Whether a good part of what turns err by is what their samples do not resolve.
     """
 
     residual: FloatArray
@@ -186,6 +191,7 @@ class Rows:
     lean: Lean | None = None
     gain: FloatArray = field(default_factory=lambda: np.ones(len(CHANNELS)))
     clustered: bool = False
+    unresolved: bool = False
 
     @property
     def n_dense(self) -> int:
@@ -306,6 +312,20 @@ class Rows:
             restless=self.restless[keep] if self.restless.size else self.restless,
             plain=self.plain[keep] if self.plain.size else self.plain,
         )
+
+    def jolted(self, factors: FloatArray) -> Rows:
+        """Return the rows, `unresolved`, with a factor on what samples miss of each segment, (s,).
+
+        It multiplies the variance.
+        """
+        size = np.sqrt(factors)
+        own = (
+            replace(c, response=sparse.diags(size[self.segment[c.index]]) @ c.response)
+            if c.name.endswith(SAMPLING)
+            else c
+            for c in self.components
+        )
+        return replace(self, components=tuple(own), unresolved=True)
 
     def judging(self, slug: str) -> Rows:
         """Return the rows as they are without an effect, to judge what it is worth.

@@ -56,6 +56,8 @@ class SelfProblem:
         self.further: tuple[str, ...] = ()
         """Parameters of the given model's further terms that the last rows are fitted with."""
         self.drop: BoolArray | None = None
+        self.jolted: FloatArray | None = None
+        """By how much more than is expected samples miss of each segment, as a factor."""
         self.coarse: Mapping[int, Rounding] = {}
         """Channels whose counts are coarse: at rest they stick to one, so that the
         bias of a gyro that is seen there is not that of turns, and means are off in each pose."""
@@ -106,6 +108,7 @@ class SelfProblem:
         # At the edge of a count a drift seems several times as large, and elsewhere nothing.
         stuck = [c for c, rounding in self.coarse.items() if not rounding.hidden]
         out |= (rows.kind == Kind.CONTRAST) & np.isin(rows.channel, stuck)
+        rows = rows if self.jolted is None else rows.jolted(self.jolted)
         return rows.without(out) if out.any() else rows
 
     def _moves(self, state: State, channel: int) -> BoolArray:

@@ -8,11 +8,12 @@ from scipy.special import beta
 from calib.mismatch.noise.noise import estimate_levels, expected_levels, make_whitener
 from calib.mismatch.noise.sampling import (
     BEND,
+    BENT,
     CORNER,
     EXPECTED,
     REACH,
     STEP,
-    UNFORETOLD,
+    power_of_noise,
     sampling_components,
     unforetold,
     unresolved,
@@ -54,7 +55,7 @@ def test_what_is_smooth_is_foretold_and_of_noise_a_known_share_is_not() -> None:
     assert slow < 0.01 * fast
     noise = np.random.default_rng(1).normal(size=(20000, 3))
     left = unforetold(noise, Spans(np.arange(20000.0), np.array([0, 20000])))
-    assert np.square(left).mean() == pytest.approx(UNFORETOLD, rel=0.05)
+    assert np.square(left).mean() == pytest.approx(power_of_noise(REACH), rel=0.05)
 
 
 @pytest.mark.parametrize(("order", "share"), [(0, STEP), (1, CORNER), (2, BEND)])
@@ -80,10 +81,11 @@ def test_an_integral_errs_by_a_known_share_of_what_is_not_foretold(
 def test_of_a_turn_that_its_samples_resolve_nothing_is_added() -> None:
     time, force, rate, up = turn(0.01, 2.0)
     found = components(time, force, rate, up)
-    assert [c.name for c in found] == ["rate by sampling", "force by sampling"]
-    assert [c.expected for c in found] == [EXPECTED["rate"], EXPECTED["force"]]
+    names = ["rate by sampling", "force by sampling", "rate bent by sampling"]
+    assert [c.name for c in found] == [*names, "force bent by sampling"]
+    assert [c.expected for c in found] == [*EXPECTED.values(), *BENT.values()]
     # Where it begins, its rate bends: a velocity of some µm/s, and an angle of half a µrad.
-    rate, force = (np.sqrt(c.expected * c.variance) for c in found)
+    rate, force = (np.sqrt(c.expected * c.variance) for c in found[:2])
     assert rate[:2].max() < 6e-7
     assert rate[2:].max() < 6e-6
     assert force.max() < 2e-7

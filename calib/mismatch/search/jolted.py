@@ -1,0 +1,110 @@
+"""Turns of which samples miss more than of most.
+
+What samples do not resolve of a turn is known from what varies from sample to sample to a factor of
+a few: where between two of them a push begins, nobody saw. So errors of turns that consist of
+little else have the tails of Student's t, and not those of normal ones: their variance is what is
+expected, times a factor of the turn's own from an inverse gamma distribution. The factor that is
+the most probable goes into the covariance. Where white noise is most of
+what a turn errs by, such factors change nothing.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from calib.effects import effects
+from calib.mismatch.hypotheses.answers import physics
+from calib.mismatch.hypotheses.families import add_catalogue
+from calib.mismatch.hypotheses.score import Stack
+from calib.mismatch.noise.contrast import contrast_variance
+from calib.mismatch.noise.noise import covariance, expected_levels, find_levels, make_whitener
+from calib.mismatch.rows.rows import SAMPLING, Rows
+from calib.types import FloatArray
+
+FREEDOM = 4.0
+"""Degrees of freedom of the tails: about as many pushes are in a turn."""
+
+FACTORS = np.geomspace(1.0, 32.0, 11)
+"""Factors that are tried. Beyond these, something else is wrong with a turn."""
+
+MATTERS = 0.1
+"""Share of the variance of most turns' angles or velocities that samples do not resolve, from which
+it matters how that is distributed."""
+
+STRONG = ("bandwidth", "gyro_misalignment", "time_offset")
+"""Effects that may be more in some turns than all else that they err by. Of others, samples that
+resolve so little show what many turns say together; and with as many columns in the mean as turns
+have rows, none would seem worse than others."""
+
+ROUNDS = 2
+"""How often levels and factors are found, each beside the other."""
+
+ROUNDED = 1e-3
+"""Share of a variance that is left of it at least where what is fitted takes it up."""
+
+
+def jolted(rows: Rows, *, skip: tuple[str, ...]) -> FloatArray | None:
+    """Return the factor of each segment's unresolved variance, (s,); None where it is too little.
+
+    Parameters
+    ----------
+    rows : Rows
+    skip : tuple of str
+        Effects that are not tried.
+    """
+    index = rows.turns.index
+    if not len(index) or _share(rows, expected_levels(rows)) < MATTERS:
+        return None
+    stack = Stack(len(rows.residual))
+    add_catalogue(stack, rows, skip=(*skip, *(slug for slug in effects() if slug not in STRONG)))
+    mean = np.hstack((rows.baseline, rows.nuisance, physics(stack)))
+    factors = np.ones(len(rows.interval))
+    for _ in range(ROUNDS):
+        now = rows.jolted(factors)
+        levels = find_levels(now, mean, expected_levels(now)).values
+        if _share(now, levels) < MATTERS:
+            return None
+        factors[rows.segment[index[:, 0]]] = _most_probable(rows, now, levels, mean)
+    return factors
+
+
+def _share(rows: Rows, levels: FloatArray) -> float:
+    """Return the share of the variance of most turns, of angles or velocities, by sampling."""
+    own = rows.variance(np.where(_by_sampling(rows), levels, 0.0)) - np.diag(rows.white)
+    share = (own / rows.variance(levels))[rows.turns.index]
+    return float(max(np.median(share[:, :2]), np.median(share[:, 2:])))
+
+
+def _most_probable(rows: Rows, now: Rows, levels: FloatArray, mean: FloatArray) -> FloatArray:
+    """Return the factors of all turns, (k,), from what `now`, with some factors, leaves of them."""
+    n, index = rows.n_dense, rows.turns.index
+    whole = covariance(now, levels)
+    whitener = make_whitener(now, levels, contrast_variance(now), mean, coupled=False)
+    # With V = L L' of the dense rows, L is V times the transposed inverse of L.
+    reach = whole @ whitener.factor.solve_transposed(whitener.basis[:n])
+    left = now.residual[:n] - reach @ (whitener.basis.T @ whitener.whiten(now.residual))
+    fitted = reach[index] @ reach[index].transpose(0, 2, 1)
+    rest, unresolved = _blocks(whole, rows), np.zeros((len(index), 5, 5))
+    for level, one, other in zip(levels, rows.components, now.components, strict=True):
+        if one.name.endswith(SAMPLING):
+            every = np.zeros((2, n, n))
+            for out, c in zip(every, (one, other), strict=True):
+                out[np.ix_(c.index, c.index)] = level * c.matrix
+            unresolved += _blocks(every[0], rows)
+            rest -= _blocks(every[1], rows)
+    seen = rest - (1.0 - ROUNDED) * fitted + FACTORS[:, None, None, None] * unresolved
+    off = left[index]
+    square = np.einsum("ki,fki->fk", off, np.linalg.solve(seen, off[None, :, :, None])[..., 0])
+    prior = -0.5 * FREEDOM * (np.log(FACTORS) + 1.0 / FACTORS)
+    value = prior[:, None] - 0.5 * (np.linalg.slogdet(seen)[1] + square)
+    return np.asarray(FACTORS[np.argmax(value, axis=0)])
+
+
+def _by_sampling(rows: Rows) -> FloatArray:
+    return np.array([c.name.endswith(SAMPLING) for c in rows.components])
+
+
+def _blocks(matrix: FloatArray, rows: Rows) -> FloatArray:
+    """Return what a matrix of the dense rows has of each turn by itself, (k, 5, 5)."""
+    index = rows.turns.index
+    return np.asarray(matrix[index[:, :, None], index[:, None]])
