@@ -32,12 +32,13 @@ MATTERS = 0.1
 it matters how that is distributed."""
 
 STRONG = ("bandwidth", "gyro_misalignment", "time_offset")
-"""Effects that may be more in some turns than all else that they err by. Of others, samples that
-resolve so little show what many turns say together; and with as many columns in the mean as turns
-have rows, none would seem worse than others."""
+"""Effects that may be more in some turns than all else that they err by: turns are judged beside
+them if that is the more probable. Of others, samples that resolve so little show what many turns
+say together; and with as many columns in the mean as turns have rows, none would seem worse than
+others."""
 
-ROUNDS = 2
-"""How often levels and factors are found, each beside the other."""
+ROUNDS = 4
+"""How often levels and factors are found, each beside the other, at most."""
 
 ROUNDED = 1e-3
 """Share of a variance that is left of it at least where what is fitted takes it up."""
@@ -57,15 +58,40 @@ def jolted(rows: Rows, *, skip: tuple[str, ...]) -> FloatArray | None:
         return None
     stack = Stack(len(rows.residual))
     add_catalogue(stack, rows, skip=(*skip, *(slug for slug in effects() if slug not in STRONG)))
-    mean = np.hstack((rows.baseline, rows.nuisance, physics(stack)))
-    factors = np.ones(len(rows.interval))
+    plain = np.hstack((rows.baseline, rows.nuisance))
+    means = [plain, np.hstack((plain, physics(stack)))] if len(stack) else [plain]
+    found = [_beside(rows, mean) for mean in means]
+    factors, _ = max(found, key=lambda one: one[1])
+    return factors
+
+
+def _beside(rows: Rows, mean: FloatArray) -> tuple[FloatArray | None, float]:
+    """Return factors, and how probable they and the mean make the rows, as a logarithm."""
+    segments = rows.segment[rows.turns.index[:, 0]]
+    factors, matters = np.ones(len(rows.interval)), True
     for _ in range(ROUNDS):
         now = rows.jolted(factors)
         levels = find_levels(now, mean, expected_levels(now)).values
-        if _share(now, levels) < MATTERS:
-            return None
-        factors[rows.segment[index[:, 0]]] = _most_probable(rows, now, levels, mean)
-    return factors
+        matters = _share(now, levels) >= MATTERS
+        if not matters:
+            break
+        before = factors[segments]
+        factors[segments] = _most_probable(rows, now, levels, mean)
+        if np.array_equal(before, factors[segments]):
+            break
+    now = rows.jolted(factors)
+    levels = find_levels(now, mean, expected_levels(now)).values
+    whitener = make_whitener(now, levels, contrast_variance(now), mean)
+    left = np.square(whitener.project(rows.residual)).sum()
+    number = whitener.basis.shape[1] * np.log(len(rows.residual))
+    value = -0.5 * (now.arrow.factorise(levels).log_det + left + number)
+    value += float(_log_prior(factors[segments]).sum())
+    return factors if matters else None, value
+
+
+def _log_prior(factors: FloatArray) -> FloatArray:
+    """Return the logarithm of the density of factors, but for a constant."""
+    return -0.5 * FREEDOM * (np.log(factors) + 1.0 / factors)
 
 
 def _share(rows: Rows, levels: FloatArray) -> float:
@@ -95,8 +121,7 @@ def _most_probable(rows: Rows, now: Rows, levels: FloatArray, mean: FloatArray) 
     seen = rest - (1.0 - ROUNDED) * fitted + FACTORS[:, None, None, None] * unresolved
     off = left[index]
     square = np.einsum("ki,fki->fk", off, np.linalg.solve(seen, off[None, :, :, None])[..., 0])
-    prior = -0.5 * FREEDOM * (np.log(FACTORS) + 1.0 / FACTORS)
-    value = prior[:, None] - 0.5 * (np.linalg.slogdet(seen)[1] + square)
+    value = _log_prior(FACTORS)[:, None] - 0.5 * (np.linalg.slogdet(seen)[1] + square)
     return np.asarray(FACTORS[np.argmax(value, axis=0)])
 
 
