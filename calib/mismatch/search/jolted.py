@@ -4,8 +4,8 @@ What samples do not resolve of a turn is known from what varies from sample to s
 a few: where between two of them a push begins, nobody saw. So errors of turns that consist of
 little else have the tails of Student's t, and not those of normal ones: their variance is what is
 expected, times a factor of the turn's own from an inverse gamma distribution. The factor that is
-the most probable goes into the covariance. Where white noise is most of
-what a turn errs by, such factors change nothing.
+the most probable goes into the covariance. Where white noise is most of what a turn errs by, such
+factors change nothing.
 """
 
 from __future__ import annotations
@@ -110,14 +110,10 @@ def _most_probable(rows: Rows, now: Rows, levels: FloatArray, mean: FloatArray) 
     reach = whole @ whitener.factor.solve_transposed(whitener.basis[:n])
     left = now.residual[:n] - reach @ (whitener.basis.T @ whitener.whiten(now.residual))
     fitted = reach[index] @ reach[index].transpose(0, 2, 1)
-    rest, unresolved = _blocks(whole, rows), np.zeros((len(index), 5, 5))
-    for level, one, other in zip(levels, rows.components, now.components, strict=True):
-        if one.name.endswith(SAMPLING):
-            every = np.zeros((2, n, n))
-            for out, c in zip(every, (one, other), strict=True):
-                out[np.ix_(c.index, c.index)] = level * c.matrix
-            unresolved += _blocks(every[0], rows)
-            rest -= _blocks(every[1], rows)
+    # Without components by sampling the covariance is what a level of zero leaves of it.
+    others = covariance(rows, np.where(_by_sampling(rows), 0.0, levels))
+    rest = _blocks(others, rows)
+    unresolved = _blocks(covariance(rows, levels), rows) - rest
     seen = rest - (1.0 - ROUNDED) * fitted + FACTORS[:, None, None, None] * unresolved
     off = left[index]
     square = np.einsum("ki,fki->fk", off, np.linalg.solve(seen, off[None, :, :, None])[..., 0])

@@ -131,7 +131,7 @@ def test_pulses_are_placed_with_those_that_hardly_show(pulses):
     parts = pulses.parts(found.channels)[:, :, 0]
     overlaps = [pulses.placed(found, parts, seed)[1] for seed in range(10)]
     # With full confidence in normal disturbances: 0.72, and 0.33 at worst.
-    assert np.mean(overlaps) > 0.75
+    assert np.mean(overlaps) > 0.77
     assert min(overlaps) > 0.42
 
 
