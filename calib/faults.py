@@ -121,6 +121,11 @@ def size_of(channel: int, size: FloatArray) -> str:
     )
 
 
+BOTH_WAYS = 0.8
+"""What a range has one way at least, relative to the other: a calibration has moved its ends, by
+far less. Without noise, what turns one way only is at rest where it turns the least."""
+
+
 def find_wild(values: FloatArray) -> BoolArray:
     """Return which values (n, 6) no sensor measures, alone among others that one could, (n, 6).
 
@@ -150,9 +155,10 @@ def find_clipping(
     """Return the samples of one channel at which the sensor, or its logger, was at its limit.
 
     With a known full scale: what reaches it. Otherwise a plateau: the extreme value of the
-    recording, held for longer than chance explains; or held for three samples, or met in two peaks,
-    and left by a step that no smooth peak makes: `STEEP` times the noise or the resolution, and if
-    it is one peak, more than a parabola falls that noise leaves level for so long.
+    recording, held for longer than chance explains; or held for three samples and left by a step
+    that no smooth peak makes, `STEEP` times the noise or the resolution, and more than a parabola
+    falls that noise leaves level for so long; or met in two peaks, each of which would be higher by
+    as much, going by what is beside it. A machine turns by like peaks time and again.
     """
     if full_scale is not None:
         limit = 0.9995 * full_scale
@@ -161,7 +167,12 @@ def find_clipping(
         at = np.flatnonzero(np.abs(channel) >= limit)
         if at.size:
             return at
-    found = [_plateaus(sign * channel, max(noise, lsb or 0.0)) for sign in (1.0, -1.0)]
+    most = float(np.abs(channel).max())
+    found = [
+        _plateaus(sign * channel, max(noise, lsb or 0.0))
+        for sign in (1.0, -1.0)
+        if (sign * channel).max() >= BOTH_WAYS * most
+    ]
     return np.sort(np.concatenate(found))
 
 
@@ -178,12 +189,27 @@ def _plateaus(channel: FloatArray, scale: float) -> IntArray:
         return np.flatnonzero(top)
     drop = 2 * channel.max() - channel[start - 1] - channel[np.minimum(stop, len(channel) - 1)]
     length = stop - start
-    steep = drop > STEEP * scale
+    cut = _missing(channel, start, stop) > STEEP * scale
     smooth = 2.0 * LEVEL * np.square((length + 1) / np.maximum(length - 1, 1))
     alone = (length >= 3) & (drop > np.maximum(STEEP, smooth) * scale)
-    if not (alone.any() or (steep.sum() >= 2 and length[steep].sum() >= 4)):
+    if not (alone.any() or (cut.sum() >= 2 and length[cut].sum() >= 4)):
         return np.zeros(0, np.int64)
     return np.flatnonzero(top)
+
+
+def _missing(channel: FloatArray, start: IntArray, stop: IntArray) -> FloatArray:
+    """Return how much higher parabolas through two samples on either side are than plateaus.
+
+    On average over each, which is over samples ``[start, stop)``.
+    """
+    last, length = len(channel) - 1, stop - start
+    near, far = 0.5 * (length + 1), 0.5 * (length + 3)
+    by, off = (
+        0.5 * (channel[np.maximum(start - k, 0)] + channel[np.minimum(stop - 1 + k, last)])
+        for k in (1, 2)
+    )
+    bend = (off - by) / (np.square(far) - np.square(near))
+    return np.asarray(by + bend * ((np.square(length) - 1) / 12 - np.square(near)) - channel[start])
 
 
 def _released(channel: FloatArray, stop: int, scale: float) -> bool:

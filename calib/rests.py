@@ -39,6 +39,11 @@ DRIFT = 0.003
 """How far a gyroscope's rate at rest moves from pose to pose and within a minute, rad/s."""
 GROUP = 20
 """Stretches of 1 s that share one estimate of the gyroscope's bias."""
+POSES, APART = 3, 0.1
+"""Poses through which a bias is seen to have stepped, and the angle between two, rad. They are most
+of what is between the first of them and the last."""
+STEPS = 8
+"""Times that it steps, at most."""
 ONSET = 4.0
 """Rate at which a turn is seen to begin, in standard deviations of a block on one axis."""
 RISE = 4.0
@@ -52,6 +57,9 @@ LONG_REST = 30
 """Blocks from which on a rest cannot be the end of a swing."""
 LONGEST_RISE = 40
 """Blocks by which an end may move inwards."""
+NEAR = 20, 600
+"""Blocks of a rest, at least and at most, that tell its rate at one end: its half there, but for
+these. A bias may step in a rest, and over minutes it drifts."""
 
 
 def refine(
@@ -108,7 +116,7 @@ def refine(
             segments = _split(segments, partial(_rate_moved, off, scale=scale, level=level))
         segments = _join(blocks, off, segments, (n_force, n_rate), units)
         found += [(*segment, ONSET * n_rate) for segment in segments]
-    return _trim(off, found, least, units)
+    return _trim(blocks.gyro, off, found, least, units)
 
 
 def _rate_at_rest(
@@ -117,24 +125,52 @@ def _rate_at_rest(
     """Return the gyroscope's bias at each block, (n, 3): where most rates are, following drift.
 
     Stretches of about 1 s of the segments give a median each. The bias is where they lie densest:
-    rests share one rate, slow turns do not. From there it is followed through its drift.
+    rests share one rate, slow turns do not. From there it is followed through its drift. What is
+    off that and shares another rate through several poses is at rest too: the bias has stepped, as
+    nothing turns a sensor in its own frame as before from pose to pose.
     """
     width = max(WIDTH, round(1.0 / blocks.duration))
-    middle, rates = [], []
+    pieces, rates, forces = [], [], []
     for a, b in segments:
         edges = np.linspace(a, b, max(1, (b - a) // width) + 1).astype(int).tolist()
         for first, last in pairwise(edges):
-            middle.append(0.5 * (first + last - 1))
+            pieces.append((first, last))
             rates.append(np.median(blocks.gyro[first:last], axis=0))
-    rate, at = np.array(rates), np.array(middle)
+            forces.append(np.median(blocks.accel[first:last], axis=0))
+    rate, piece = np.array(rates), np.array(pieces)
+    at = 0.5 * (piece[:, 0] + piece[:, 1] - 1)
+    up = np.array(forces)
+    up /= np.maximum(np.linalg.norm(up, axis=1), 1e-300)[:, None]
+    near = NORM * noise
+    reach = near if units.rate is None else max(near, DRIFT / units.rate)
+    bias, left = np.empty((len(blocks), 3)), np.arange(len(rate))
+    first, last = 0, len(blocks)
+    for _ in range(STEPS + 1):
+        when, smooth = _followed(at[left], rate[left], near, reach)
+        place = np.arange(first, last)
+        bias[first:last] = np.column_stack([np.interp(place, when, own) for own in smooth.T])
+        left = np.flatnonzero(np.linalg.norm(rate - bias[at.astype(int)], axis=1) > reach)
+        if not len(left):
+            break
+        when, smooth = _followed(at[left], rate[left], near, reach)
+        path = np.column_stack([np.interp(at[left], when, own) for own in smooth.T])
+        left = left[np.linalg.norm(rate[left] - path, axis=1) <= reach]
+        turned = np.einsum("ij,ij->i", up[left[1:]], up[left[:-1]]) < np.cos(APART)
+        if 1 + turned.sum() < POSES or 2 * len(left) <= left[-1] - left[0] + 1:
+            break
+        first, last = piece[left[0], 0], piece[left[-1], 1]
+    return bias
+
+
+def _followed(
+    at: FloatArray, rate: FloatArray, near: float, reach: float
+) -> tuple[FloatArray, FloatArray]:
+    """Return when, and what, a bias was that is followed from where rates (n, 3) lie densest."""
     few = rate[:: max(1, len(rate) // 500)]
     apart = few[:, None] - few
     square = np.einsum("ijk,ijk->ij", apart, apart)
-    density = (square < (NORM * noise) ** 2).sum(axis=1)
+    density = (square < near**2).sum(axis=1)
     densest = int(np.argmin(np.linalg.norm(rate - few[np.argmax(density)], axis=1)))
-    reach = NORM * noise
-    if units.rate is not None:
-        reach = max(reach, DRIFT / units.rate)
     # From the densest place outwards, in groups, each within reach of the one before it.
     groups = [slice(k, k + GROUP) for k in range(0, len(rate), GROUP)]
     centre = densest // GROUP
@@ -145,19 +181,17 @@ def _rate_at_rest(
             time, own = at[groups[g]], rate[groups[g]]
             # A sensor that warms up leaves faster and faster, back in time.
             off = own - bias - slope * np.clip(time - since, -far, far)[:, None]
-            near = np.linalg.norm(off, axis=1) <= reach
-            if not near.any():
+            mine = np.linalg.norm(off, axis=1) <= reach
+            if not mine.any():
                 continue
-            time, own, since = time[near], own[near], float(time[near].mean())
+            time, own, since = time[mine], own[mine], float(time[mine].mean())
             bias, slope = np.median(own, axis=0), np.zeros(3)
             if len(time) >= GROUP // 2:
                 slope, far = np.polyfit(time - since, own, 1)[0], 2.0 * float(np.ptp(time))
             ends = time[[0, -1]]
             known[g] = ends, bias + slope * (ends - since)[:, None]
     when = np.concatenate([known[g][0] for g in sorted(known)])
-    smooth = np.concatenate([known[g][1] for g in sorted(known)])
-    index = np.arange(len(blocks))
-    return np.column_stack([np.interp(index, when, smooth[:, k]) for k in range(3)])
+    return when, np.concatenate([known[g][1] for g in sorted(known)])
 
 
 def _scatter(values: FloatArray, step: float) -> float:
@@ -239,7 +273,11 @@ def _join(
 
 
 def _trim(
-    off: FloatArray, segments: list[tuple[int, int, float]], least: int, units: Units
+    gyro: FloatArray,
+    off: FloatArray,
+    segments: list[tuple[int, int, float]],
+    least: int,
+    units: Units,
 ) -> list[tuple[int, int]]:
     """Return the segments with their ends moved to where the turns beside them began."""
     found = []
@@ -247,10 +285,13 @@ def _trim(
     for k, (a, b, level) in enumerate(segments):
         if b - a < least or _swings(off[a:b], units):
             continue
-        rate = off[edges[2 * k] : edges[2 * k + 3]] - np.median(off[a:b], axis=0)
-        size = np.linalg.norm(rate, axis=1)
+        rate = gyro[edges[2 * k] : edges[2 * k + 3]]
         into, out = a - edges[2 * k], edges[2 * k + 3] - b
+        near = min(max((b - a) // 2, NEAR[0]), NEAR[1], b - a)
+        first, last = (np.median(gyro[i : i + near], axis=0) for i in (a, b - near))
+        size = np.linalg.norm(rate - first, axis=1)
         begin, early = _rise(size[::-1], out + b - a, level, (b - a) // 2)
+        size = np.linalg.norm(rate - last, axis=1)
         end, late = _rise(size, into + b - a, level, (b - a) // 2)
         spare = b - a - begin - end - SHORTEST
         if spare >= 0:

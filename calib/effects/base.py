@@ -141,6 +141,8 @@ class State:
     witnessed : Signals or None
         Force and rate as nearly as truth and recording together tell, where the truth has noise of
         its own: derivatives are made of these.
+    length : (n,) array, s, or None
+        Time about each over which it is a mean; 0, and None, for what is a sample.
     """
 
     time: FloatArray
@@ -158,6 +160,15 @@ class State:
     gravity: float = G
     known_gradient: FloatArray | None = None
     witnessed: Signals | None = None
+    length: FloatArray | None = None
+
+    def since(self, moment: float | FloatArray) -> FloatArray:
+        """Return the share of each time, (n,), that is after a moment: 0 or 1 for samples."""
+        after = self.time >= moment
+        if self.length is None:
+            return after.astype(float)
+        share = (self.time - moment) / np.where(self.length > 0, self.length, 1.0) + 0.5
+        return np.where(self.length > 0, np.clip(share, 0.0, 1.0), after)
 
     def derivative(self, values: FloatArray) -> FloatArray:
         """Return the time derivative of (n, ...) values, of their cubic spline through all times.

@@ -50,7 +50,7 @@ class DroppedSamples(TransformEffect):
         Integrated over a turn it is minus the rate at the moment times the interval: the angle
         that was lost.
         """
-        later = _interval(state.time) * (state.time >= shape["moment"])[:, None]
+        later = _interval(state.time) * state.since(shape["moment"])[:, None]
         return {
             "count": {
                 **triad_column("accel", later * state.force_dot),

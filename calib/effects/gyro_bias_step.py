@@ -28,7 +28,7 @@ class GyroBiasStep(Effect):
 
     def columns(self, state: State, shape: Mapping[str, float]) -> dict[str, Column]:
         """Return 0 before the moment and 1 from then on, on each axis."""
-        return axis_columns("gyro", "b", (state.time >= shape["moment"]).astype(float))
+        return axis_columns("gyro", "b", state.since(shape["moment"]))
 
 
 EFFECT = GyroBiasStep()

@@ -11,7 +11,15 @@ from calib.calibration import Quantity
 from calib.effects import effects
 from calib.effects.base import Effect, State, TransformEffect
 from calib.mismatch.findings.aliases import find_aliases
-from calib.mismatch.findings.diagnosis import Diagnosis, Finding, Verdict, claimed, summarise
+from calib.mismatch.findings.diagnosis import (
+    Diagnosis,
+    Finding,
+    Unexplained,
+    Verdict,
+    claimed,
+    summarise,
+)
+from calib.mismatch.findings.misclosed import misclosed
 from calib.mismatch.hypotheses.places import gathered, joined
 from calib.mismatch.noise.rounded import Rounding, look_at_counts
 from calib.mismatch.realigned import coarse_delay, mostly_prompt, with_all
@@ -178,11 +186,13 @@ def _diagnose(thinned: Thinned, *, gravity: float, model: SensorModel | None) ->
     if any(f.effect.endswith(_SHAKEN) for f in findings):
         # What shook the sensor is the cause of the noise, too.
         noisy = tuple(item for item in noisy if item.follows != LOUDER_THERE)
+    noisy = _without_steps(noisy, findings)
     if directions == 1 and _across_gravity(findings, poses):
         missing += (
             "another pose: in one, what the sensor lies on may lean where its accelerometer seems "
             "to drift",
         )
+    noisy = (*noisy, *misclosed(outcome.rows, outcome.levels))
     unexplained = [*seen.unexplained, *gathered(joined([*unexplained, *noisy]))]
     # What such counts leave follows where between two of them a signal is, and so whatever it does.
     unexplained = [u for u in unexplained if u in seen.unexplained or not _on(u.channels, unhidden)]
@@ -206,6 +216,26 @@ def _diagnose(thinned: Thinned, *, gravity: float, model: SensorModel | None) ->
         summary=_summary(thinned, poses),
         aliases=aliases,
     )
+
+
+def _without_steps(
+    noisy: Sequence[Unexplained], findings: Sequence[Finding]
+) -> tuple[Unexplained, ...]:
+    """Return what is odd about the samples of rests without those in which a bias steps.
+
+    Samples on both sides of a step have a spectrum, and a variance, of their own.
+    """
+    out = []
+    for item in noisy:
+        moments = [
+            f.parameters["moment"].value
+            for f in findings
+            if f.effect.endswith("_bias_step") and set(f.channels) & set(item.channels)
+        ]
+        left = tuple((a, b) for a, b in item.intervals if not any(a <= t <= b for t in moments))
+        if left:
+            out.append(replace(item, intervals=left))
+    return tuple(out)
 
 
 def _coarse(

@@ -159,6 +159,20 @@ def test_the_top_of_a_brisk_turn_is_no_clipping() -> None:
     assert clipped > 310
 
 
+@pytest.mark.parametrize("noise", [0.0, 0.3, 1.0, 2.0])
+@pytest.mark.parametrize("shift", [0.0, 0.5, 0.2])
+def test_the_tops_of_a_machines_turns_are_no_clipping(noise: float, shift: float) -> None:
+    """A table turns by the same peak time and again, at the same samples."""
+    time = np.arange(-30.0, 30.0) + shift
+    for seed in range(20):
+        peak = 500.0 - 0.5 * RNG(seed).uniform(3.0, 40.0) * np.square(time)
+        turns = np.tile(np.maximum(peak, 0.0), 30)
+        turns = np.round(turns + noise * RNG(seed).normal(size=turns.shape))
+        assert not find_clipping(turns, full_scale=None, lsb=1.0, noise=noise).size
+        cut = np.minimum(turns, 400.0)
+        assert find_clipping(cut, full_scale=None, lsb=1.0, noise=noise).size
+
+
 def test_a_dead_and_a_stuck_channel() -> None:
     finding = the_finding(changed(2, slice(None), lambda v: v * 0))
     assert (finding.kind, finding.channels) == ("stuck", ("accel.z",))

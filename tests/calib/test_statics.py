@@ -223,3 +223,35 @@ def test_a_gyroscope_that_warms_up_loses_no_rest(seed: int) -> None:
     assert len(poses) == len(cold) == 21
     # A part of the first rest, in which the rate changes most, may be left out.
     assert np.abs(poses.start[1:] - cold.start[1:]).max() < 50
+
+
+@pytest.mark.parametrize("moment", [25.0, 25.8, 29.0, 60.0])
+@pytest.mark.parametrize("size", [0.001, 0.01, 0.05])
+def test_a_bias_that_steps_loses_no_rest(size: float, moment: float) -> None:
+    """By less than it may drift, or by more than it ever does: a slow turn has no rate of its own
+    through several poses. Within a rest and in a turn, in the middle and at an end."""
+    made, _ = recording(*TURNS * 4, noise=0.3)
+    bias = size * (made.time > moment)[:, None] * np.array([0.6, -0.8, 0.0])
+    stepped = Recording(made.time, made.accel, made.gyro + bias, "device")
+    poses, same = find_poses(stepped), find_poses(made)
+    assert len(poses) == len(same) == 17
+    assert np.abs(poses.start - same.start).max() <= 50
+    assert np.abs(poses.stop - same.stop).max() <= 50
+
+
+def test_a_bias_that_steps_back_loses_no_rest() -> None:
+    made, _ = recording(*TURNS * 4, noise=0.3)
+    there = (made.time > 30.0) & (made.time < 65.0)
+    bias = there[:, None] * np.array([0.0, 0.02, 0.01])
+    poses = find_poses(Recording(made.time, made.accel, made.gyro + bias, "device"))
+    assert len(poses) == 17
+
+
+def test_a_rate_that_only_two_poses_share_is_a_slow_turn() -> None:
+    """A sensor that is turned about its own axis, slowly, and from one more pose again."""
+    made, _ = recording(*TURNS * 4, noise=0.3)
+    poses = find_poses(made)
+    gyro = made.gyro.copy()
+    for k in (7, 8):
+        gyro[poses.start[k] : poses.stop[k], 2] += 0.02
+    assert len(find_poses(Recording(made.time, made.accel, gyro, "device"))) == 15

@@ -17,7 +17,7 @@ from scipy import sparse
 
 from calib.mismatch.noise.sensornoise import SPREAD
 from calib.mismatch.rows.closure import Closures, Spans, covariance_of_turns
-from calib.mismatch.rows.rows import SAMPLING, UNKNOWN, Component
+from calib.mismatch.rows.rows import SAMPLING, Component
 from calib.types import FloatArray, IntArray
 
 STEP, CORNER, BEND = 1 / 10, 1 / 58, 1 / 282
@@ -45,7 +45,7 @@ def power_of_noise(reach: int) -> float:
 
 
 _SPEED = slice(2, 5)
-_KINDS = ((REACH, "", EXPECTED, SPREAD), (1, " bent", BENT, UNKNOWN))
+_KINDS = ((REACH, "", EXPECTED), (1, " bent", BENT))
 
 
 def unforetold(values: FloatArray, spans: Spans, reach: int = REACH) -> FloatArray:
@@ -85,7 +85,7 @@ def sampling_components(
     if not len(rows):
         return []
     out = []
-    for reach, label, expected, spread in _KINDS:
+    for reach, label, expected in _KINDS:
         parts = _jolts(closed, force, rate, noise, spans, reach)
         for (signal, part), own in zip(parts.items(), (slice(0, 5), _SPEED), strict=True):
             index = rows[:, own]
@@ -95,7 +95,7 @@ def sampling_components(
             index, matrix = index.ravel(), each.reshape(turns * size, -1)
             response = sparse.identity(len(matrix), format="csr")
             name = f"{signal}{label}{SAMPLING}"
-            out.append(Component(name, index, response, matrix, expected[signal], spread))
+            out.append(Component(name, index, response, matrix, expected[signal], SPREAD))
     return out
 
 

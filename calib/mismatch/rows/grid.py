@@ -64,6 +64,8 @@ class Grid:
         Measured means.
     count : (n,) array of int
         Samples in each point.
+    length : (n,) array, s
+        Time over which it is their mean; 0 for one sample.
     vibration : (n, 3) array, (m/s²)²
         Short-time variance of the specific force; that of quiet rests where nothing shakes.
     since_turn, turning : (n,) arrays
@@ -88,6 +90,7 @@ class Grid:
     gyro: FloatArray
     temperature: FloatArray | None
     count: IntArray
+    length: FloatArray
     vibration: FloatArray
     since_turn: FloatArray
     turning: BoolArray
@@ -287,6 +290,8 @@ def _fill(
     first, last, before, after = table.T
     accel = mean(recording.accel)
     time = mean(recording.time)
+    length = recording.time[bounds[:, 1] - 1] - recording.time[bounds[:, 0]]
+    length = length * count / np.maximum(count - 1, 1)
     temperature, slope = None, None
     if recording.temperature is not None:
         when = recording.time
@@ -313,6 +318,7 @@ def _fill(
         gyro=mean(recording.gyro),
         temperature=temperature,
         count=count,
+        length=length,
         vibration=mean(vibration),
         since_turn=since,
         turning=near < 0,

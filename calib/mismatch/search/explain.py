@@ -29,6 +29,7 @@ from calib.mismatch.noise.noise import make_whitener
 from calib.mismatch.rows.rows import Kind, Rows
 from calib.mismatch.search.accepted import Accepted, fitted
 from calib.mismatch.search.estimate import Estimate, pseudo_inverse
+from calib.mismatch.search.put_down import WORDS, put_down
 from calib.mismatch.search.ranking import chance
 from calib.mismatch.search.returned import THERE, returned
 from calib.mismatch.search.search import TIE, TWIN, Outcome
@@ -66,7 +67,7 @@ def explain(
     index = [*range(len(names)), *(further or {}).values()]
     shapes: list[tuple[int, str]] = []
     of_poses: list[Unexplained] = []
-    again = returned(fit, accepted)
+    again, first_rests = returned(fit, accepted), put_down(accepted)
 
     @cache
     def after() -> LeftOut:
@@ -84,6 +85,8 @@ def explain(
             # What warms up does so in time; without a thermometer, or with one that is stuck,
             # nobody can tell which it follows.
             rivals = (Rival(heat, 1.0), *rivals)
+        if i in first_rests:
+            continue
         if not a.candidate.physical:
             unexplained.append(_unexplained(rows, a, rivals))
             continue
@@ -113,6 +116,8 @@ def explain(
         sentence = effect.sentence
         if fit.forms.get(i, 0.0) > 1.0 - TIE:
             sentence = f"{sentence} {effect.in_words(a.candidate.shape)}".rstrip()
+        if i in first_rests.values():
+            sentence = f"{sentence} {WORDS}"
         absorbed, proof, before = _proof(outcome, fit, i, names, after)
         predicted = a.columns @ fit.step[part]
         if _only_levels(outcome, i, proof):

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 
 import numpy as np
 
 from calib.effects import get_effect
+from calib.effects.base import TransformEffect
 from calib.mismatch.hypotheses.candidates import Candidate
 from calib.mismatch.hypotheses.ends import place_window, tune_wave
-from calib.mismatch.hypotheses.families import candidate_columns, forms, neighbours
+from calib.mismatch.hypotheses.families import NEAR, candidate_columns, forms, neighbours
 from calib.mismatch.hypotheses.windows import THROUGHOUT, WINDOWED, window_columns
 from calib.mismatch.noise.noise import Whitener, make_whitener
 from calib.mismatch.rows.rows import Rows
@@ -87,6 +88,10 @@ def refined(
     if effect.from_moment:
         for shape in neighbours(effect, rows, best[0].shape, closer=True):
             try_shape(shape)
+        if not isinstance(effect, TransformEffect):
+            # Of samples it is one of them; a mean at rest tells how much of it came after.
+            length = float(np.ptp(rows.interval[rows.segment_at(best[0].shape["moment"])]))
+            _close_in(try_shape, best[0].shape, length / (NEAR - 1) ** 2)
     if candidate.present:
         # How strong it is is in its shape alone, whatever its form.
         sizes = [i for i in effect.shape if i.spacing == "log" and i.name in candidate.shape]
@@ -102,6 +107,20 @@ def _climb(gain: Callable[[dict[str, float]], float], shape: dict[str, float], n
     while step > 1e-4:
         up, down = here * (1 + step), here / (1 + step)
         new, at = max((gain({**shape, name: x}), x) for x in (up, down))
+        if new > value:
+            value, here = new, at
+        else:
+            step /= 3
+
+
+def _close_in(
+    gain: Callable[[dict[str, float]], float], shape: Mapping[str, float], step: float
+) -> None:
+    """Call `gain` with moments, closing in on where it is highest."""
+    least = 0.02 * step
+    here, value = shape["moment"], gain(dict(shape))
+    while step > least:
+        new, at = max((gain({**shape, "moment": x}), x) for x in (here - step, here + step))
         if new > value:
             value, here = new, at
         else:

@@ -16,7 +16,7 @@ from calib.mismatch.noise.noise import estimate_levels, find_levels, make_whiten
 from calib.mismatch.rows.rows import Rows
 from calib.mismatch.search.accepted import Accepted, contrast_noise, fitted
 from calib.mismatch.search.joint import solve
-from calib.mismatch.search.refine import likelihood_gain, refine_last
+from calib.mismatch.search.refine import likelihood_gain, refine_last, refined
 from calib.types import FloatArray
 
 REFINED = 3
@@ -109,7 +109,44 @@ def refit(
         accepted = [_renew(a, rows, reference=problem.reference) for a in accepted]
         rows, accepted, steps, off = _stepped(problem, rows, accepted, levels, contrast)
         straight = straight and steps == 1 and off < BENT
+    if rough and (moved := _moments_anew(problem, rows, accepted, levels, contrast)) is not None:
+        rows = put_back(problem, rows, moved)
+        accepted = [_renew(a, rows, reference=problem.reference) for a in moved]
+        levels = estimate_levels(rows, fitted(rows, accepted), levels).values
+        rows, accepted, steps, off = _stepped(problem, rows, accepted, levels, contrast)
+        straight = straight and steps == 1 and off < BENT
     return Refit(rows, accepted, levels, straight)
+
+
+def _moments_anew(
+    problem: Problem,
+    rows: Rows,
+    accepted: list[Accepted],
+    levels: FloatArray,
+    contrast: FloatArray,
+) -> list[Accepted] | None:
+    """Return the findings with steps of a bias where they are beside those that were found later.
+
+    What a turn lacks a moment in it makes up for: that of another cause, if it is the first that is
+    found. None if no step moves.
+    """
+    moved = list(accepted)
+    for i, a in enumerate(accepted):
+        effect = get_effect(a.candidate.name) if a.candidate.physical else None
+        if effect is None or not effect.from_moment or isinstance(effect, TransformEffect):
+            continue
+        whitener = make_whitener(
+            rows, levels, contrast, fitted(rows, accepted[:i] + accepted[i + 1 :])
+        )
+        left = rows.residual + a.columns @ (a.values / a.typical) * a.in_model
+        y = whitener.project(left)
+        candidate, columns = refined(
+            rows, a.candidate, a.columns, whitener, y, reference=problem.reference
+        )
+        gain = likelihood_gain(whitener.project(columns), y)
+        if gain > likelihood_gain(whitener.project(a.columns), y) + PLACED:
+            moved[i] = replace(a, candidate=candidate, columns=columns)
+    return None if all(a is b for a, b in zip(moved, accepted, strict=True)) else moved
 
 
 def _placed_anew(

@@ -75,6 +75,7 @@ def true_state(grid: Grid, twin: Twin, *, headed: bool = True) -> State:
         vibration=grid.vibration,
         temperature_slope=grid.temperature_slope,
         gravity=twin.gravity,
+        length=grid.length,
     )
     corrected = model.correct(measured)
     felt = any("mat_ns" in get_effect(term.effect).reads for term in model.terms)

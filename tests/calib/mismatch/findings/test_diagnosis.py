@@ -56,6 +56,22 @@ def test_two_effects_are_found_and_proven_and_become_a_calibration():
     assert {t.effect for t in again.model.terms} == set(truth)
 
 
+@pytest.mark.parametrize("moment", [30.03, 40.15, 44.0, 51.3])
+@pytest.mark.parametrize("size", [0.01, 0.05])
+def test_a_large_step_beside_a_misalignment_is_one_and_at_its_moment(size, moment):
+    """A turn that closes badly for another reason draws it away from there, at first."""
+    terms = (
+        Term("gyro_misalignment", {"mxy": 0.015, "mzx": -0.012}),
+        Term("gyro_bias_step", {"bx": 0.6 * size, "by": -0.8 * size, "moment": moment}),
+    )
+    found = diagnose_recording(recording(*terms, poses=18, rate=100.0), gravity=GRAVITY)
+    assert found.verdict == "explained"
+    assert sorted(f.effect for f in found.findings) == ["gyro_bias_step", "gyro_misalignment"]
+    step = next(f for f in found.findings if f.effect == "gyro_bias_step")
+    assert abs(step.parameters["moment"].value - moment) < 0.3
+    assert abs(step.parameters["bx"].value - 0.6 * size) < 4 * step.parameters["bx"].sigma
+
+
 def test_an_event_is_kept_apart_from_the_sensor():
     real = recording(Term("gyro_bias_step", {"by": 0.004, "moment": 45.0}), poses=18)
     found = diagnose_recording(real, gravity=GRAVITY)

@@ -36,3 +36,14 @@ def test_rows_that_feel_another_segment_are_told() -> None:
     rows = problem()[1].rows()
     object.__setattr__(rows, "segment", np.roll(rows.segment, 1))
     assert not rows.confined
+
+
+def test_a_mean_at_rest_has_the_part_of_a_step_that_came_within_it() -> None:
+    grid, rows = problem()[0], problem()[1].rows()
+    middle = int(np.flatnonzero(grid.count > 1)[40])
+    inside = grid.time[middle] + grid.length[middle] * np.linspace(-0.5, 0.5, 5)
+    shares = [rows.state.since(moment)[middle] for moment in inside]
+    np.testing.assert_allclose(shares, [1.0, 0.75, 0.5, 0.25, 0.0], atol=1e-9)
+    sample = int(np.flatnonzero(grid.count == 1)[40])
+    before, at = rows.state.since(grid.time[sample] + 1e-6), rows.state.since(grid.time[sample])
+    assert (before[sample], at[sample]) == (0.0, 1.0)

@@ -13,6 +13,7 @@ from calib.mismatch.search.joint import solve
 from calib.mismatch.search.ranking import make_stack
 from calib.mismatch.search.refit import refit
 from calib.mismatch.twin.selfmode import SelfProblem
+from calib.recording import CHANNELS
 from calib.statics import find_poses
 
 from ..bench import GRAVITY, problem, recording
@@ -81,4 +82,7 @@ def test_what_no_sensor_puts_out_has_a_diagnosis() -> None:
     accel, speed = real.accel.copy(), np.linalg.norm(real.gyro, axis=1)
     accel[:, 0] += 1000.0 * speed * (speed > 0.1)
     found = diagnose_recording(replace(real, accel=accel), gravity=GRAVITY)
-    assert found.verdict != "consistent"
+    assert found.verdict == "unexplained"
+    (left,) = found.unexplained
+    assert left.channels == CHANNELS[:3]
+    assert "velocity" in left.follows
