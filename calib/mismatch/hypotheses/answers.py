@@ -16,12 +16,20 @@ from calib.mismatch.hypotheses.candidates import Candidate
 from calib.mismatch.hypotheses.families import candidate_columns, neighbours
 from calib.mismatch.hypotheses.score import Stack
 from calib.mismatch.hypotheses.windows import WINDOWED, moved_window, nearby_windows, window_columns
+from calib.mismatch.noise.noise import Whitener
 from calib.mismatch.rows.rows import Rows
 from calib.types import FloatArray
 
 LEADERS = (4, 3)
 """How many of the best, of physics and of rivals, are scored at places nearer to their own, with
 noise levels of their own."""
+
+
+STRONG = 20.0
+"""Log B from which what is near may be too far."""
+
+CLOSE = 0.02
+"""Step of a shape that closes in on its peak that is too small to matter, relative to the first."""
 
 
 def grouped(stack: Stack, evidence: FloatArray) -> tuple[dict[str, Candidate], dict[str, float]]:
@@ -95,6 +103,60 @@ def nearby(rows: Rows, leader: Candidate) -> Stack:
             index = stack.columns.add(window_columns(rows, there))
             stack.add(replace(there, index=index, mixing=None, summed=False))
     return stack
+
+
+def evidence_at_peak(
+    rows: Rows, near: Stack, factors: FloatArray, whitener: Whitener, y: FloatArray
+) -> float:
+    """Return log B about the best of what is near, closing in on where it is highest.
+
+    Strong evidence is so narrow that all that is near may miss it. By Laplace's method the peak
+    counts by its width, which of a shape that explains much is about ``1 / sqrt(2 log B)`` of what
+    it may be. -inf of what has no one shape, and of what is not strong.
+
+    Parameters
+    ----------
+    rows : Rows
+    near : Stack
+        From `nearby`.
+    factors : (n,) array
+        log B of each.
+    whitener : Whitener
+    y : (m,) array
+        Whitened projected residual.
+    """
+    best = int(np.argmax(factors))
+    leader, value = near[best], float(factors[best])
+    if not leader.physical or value < STRONG:
+        return -np.inf
+    own = [i for i in get_effect(leader.name).shape if i.spacing != "integer"]
+    own = [i for i in own if i.name in leader.shape]
+    if len(own) != 1:
+        return -np.inf
+    name, log = own[0].name, own[0].spacing == "log"
+    here = leader.shape[name]
+    others = np.array([c.shape[name] for c in near])
+    others = np.log(others / here) if log else others - here
+    apart = np.abs(others[np.abs(others) > 1e-9 * np.abs(others).max()])
+    step = 0.5 * float(apart.min()) if len(apart) else 0.0
+    least = CLOSE * step
+    while step > least:
+        moves = [here * np.exp(d) if log else here + d for d in (-step, step)]
+        stack = Stack(len(rows.residual))
+        for moved in moves:
+            shape = {**leader.shape, name: float(moved)}
+            columns = candidate_columns(rows, leader, shape, reference=True)
+            if columns is not None:
+                stack.add(replace(leader, index=stack.columns.add(columns), shape=shape))
+        if not len(stack):
+            break
+        found = stack.log_bayes_factors(whitener, y)
+        if found.max() > value:
+            k = int(np.argmax(found))
+            value, here = float(found[k]), stack[k].shape[name]
+        else:
+            step /= 3
+    return value - 0.5 * float(np.log(2.0 * value))
 
 
 def evidence_near(rows: Rows, near: Stack, factors: FloatArray) -> float:

@@ -32,7 +32,7 @@ from calib.mismatch.search.estimate import Estimate, pseudo_inverse
 from calib.mismatch.search.put_down import WORDS, put_down
 from calib.mismatch.search.ranking import chance
 from calib.mismatch.search.returned import THERE, returned
-from calib.mismatch.search.search import TIE, TWIN, Outcome
+from calib.mismatch.search.search import SHOWN, TIE, TWIN, Outcome
 from calib.recording import CHANNELS, TRIADS
 from calib.types import BoolArray, FloatArray
 
@@ -232,9 +232,8 @@ def counted(q: Quantity) -> Quantity:
 
 
 def _rivals(a: Accepted) -> tuple[Rival, ...]:
-    own = a.posterior.get(a.candidate.group, 0.0)
-    if own <= 0:
-        return ()
+    # Of what has come to be less than is said, rivals are so much more probable, at least.
+    own = a.posterior.get(a.candidate.group, SHOWN)
     found = [
         Rival(name, value / own)
         for name, value in a.posterior.items()

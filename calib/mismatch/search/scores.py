@@ -10,7 +10,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from calib.mismatch.hypotheses.answers import evidence_near, nearby, physics, strongest_rivals
+from calib.mismatch.hypotheses.answers import (
+    STRONG,
+    evidence_at_peak,
+    evidence_near,
+    nearby,
+    physics,
+    strongest_rivals,
+)
 from calib.mismatch.hypotheses.bound import TOGETHER, factors_that_count
 from calib.mismatch.hypotheses.candidates import Candidate
 from calib.mismatch.hypotheses.factors import log_bayes_factor
@@ -157,15 +164,20 @@ class Scores:
         """
         rows, stack, base = self.rows, self.stack, self.base
         here, moved = leader, nearby(rows, leader)
-        own = stack.of(leader)
+        own, between = stack.of(leader), []
         if len(moved):
             whitener = self.whitener(base.values, self.contrast)
             y = whitener.project(rows.residual)
-            here = moved[int(np.argmax(moved.log_bayes_factors(whitener, y)))]
+            factors = moved.log_bayes_factors(whitener, y)
+            order = np.argsort(-factors)
+            here = moved[int(order[0])]
             own = moved.of(here)
             if here.may_be_shared:
                 own = likely_course(own, whitener.project(own), y)
-        with_own = np.hstack((self.mean, own))
+            if here.physical and factors[order[0]] > STRONG:
+                # What a shape that is a little off leaves of a strong effect is no drift.
+                between = [moved.of(moved[i]) for i in order[1:3].tolist()]
+        with_own = np.hstack((self.mean, own, *between))
         start = _swap(rows, base.values, every.values, leader.channels)
         found = estimate_levels(rows, with_own, start)
         outside, cost = self._suited(found.values, here, own)
@@ -175,8 +187,11 @@ class Scores:
         evidence = self.at(found.values, outside, null, code == names.index(leader.group))
         if len(moved):
             whitener = self.whitener(found.values, outside)
-            factors = moved.log_bayes_factors(whitener, whitener.project(rows.residual))
-            average = evidence_near(rows, moved, factors) + null - base.log_likelihood
+            y = whitener.project(rows.residual)
+            factors = moved.log_bayes_factors(whitener, y)
+            average = evidence_near(rows, moved, factors)
+            average = max(average, evidence_at_peak(rows, moved, factors, whitener, y))
+            average += null - base.log_likelihood
             i = stack.index(leader)
             evidence[i] = max(evidence[i], average + self.weight[i])
         return evidence, found.values
