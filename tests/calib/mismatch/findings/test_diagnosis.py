@@ -56,6 +56,17 @@ def test_two_effects_are_found_and_proven_and_become_a_calibration():
     assert {t.effect for t in again.model.terms} == set(truth)
 
 
+@pytest.mark.parametrize("tau", [110.0, 135.0])
+def test_a_large_warm_up_is_not_the_temperature_that_rises_as_fast(tau):
+    """Between two time constants that are tried it leaves more than a square of temperature does."""
+    size = {"kx": -0.35, "ky": 0.245, "kz": 0.315}
+    real = recording(Term("accel_warm_up", {**size, "tau": tau}), poses=40, seed=4)
+    (found,) = diagnose_recording(real, gravity=GRAVITY).findings
+    assert found.effect == "accel_warm_up"
+    assert abs(found.parameters["tau"].value - tau) < 3 * found.parameters["tau"].sigma
+    assert [r.effect for r in found.rivals] == ["accel_bias_temperature"]
+
+
 @pytest.mark.parametrize("moment", [30.03, 40.15, 44.0, 51.3])
 @pytest.mark.parametrize("size", [0.01, 0.05])
 def test_a_large_step_beside_a_misalignment_is_one_and_at_its_moment(size, moment):
