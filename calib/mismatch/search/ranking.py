@@ -132,7 +132,7 @@ def rank(
     base = scores.base
     evidence, counted = scores.first()
     best, groups = grouped(stack, evidence)
-    running = _running(groups)
+    running = _running(best, groups)
     every = base
     hidden: list[Hidden] = []
     if len(running) > 1:
@@ -180,10 +180,20 @@ def _with_fullest(stack: Stack, evidence: FloatArray, leader: Candidate) -> list
     return [leader, stack[max((i for i in own if own[i] == most), key=evidence.item)]]
 
 
-def _running(groups: Mapping[str, float]) -> list[str]:
-    """Return the groups that may be the answer: all, but where something is plainly left."""
+def _running(best: Mapping[str, Candidate], groups: Mapping[str, float]) -> list[str]:
+    """Return the groups that may be the answer: all, but where something is plainly left.
+
+    And physics that began at a moment and is plain by itself: at an end of a rest, half of it away
+    from where it is tried, it says but a part of what it will.
+    """
     top = max(groups.values())
-    return [g for g, v in groups.items() if top <= PLAIN or v >= top - AHEAD]
+    return [
+        g
+        for g, v in groups.items()
+        if top <= PLAIN
+        or v >= top - AHEAD
+        or (v >= PLAIN and best[g].physical and "moment" in best[g].shape)
+    ]
 
 
 def _drifting(scores: Scores, whitener: Whitener, candidates: list[Candidate]) -> frozenset[str]:
