@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from calib.effects.base import Term
+from calib.mismatch.hypotheses.candidates import Candidate
 from calib.mismatch.noise.noise import (
     NEAR,
     estimate_levels,
@@ -20,6 +21,7 @@ from calib.mismatch.search.ranking import (
     DRIFTING,
     PLAIN,
     _drifting,
+    _running,
     chance,
     make_stack,
     rank,
@@ -49,6 +51,15 @@ def test_what_a_drift_can_mimic_is_worth_less(stacked):
     assert alone.claims
     assert not mimicked.claims
     assert not replace(plain, groups={}).claims
+
+
+def test_a_plain_step_is_looked_at_closer_however_far_something_else_is_ahead():
+    scale = Candidate("scale", np.arange(1), 0.1, True, ("accel.x",), parameters=("kx",))
+    step, window = replace(scale, shape={"moment": 3.0}), replace(scale, physical=False)
+    best = {"step": step, "window": window, "scale": scale, "late": step}
+    groups = {"window": 200.0, "scale": 100.0, "step": 40.0, "late": 15.0}
+    assert set(_running(best, groups)) == {"window", "step"}
+    assert set(_running(best, {g: 0.1 * v for g, v in groups.items()})) == set(groups)
 
 
 def test_what_no_walk_would_hide_is_no_drift(stacked):
