@@ -269,6 +269,14 @@ class Rows:
             out[c.index] += level * c.variance
         return out
 
+    def missed(self, levels: FloatArray) -> FloatArray:
+        """Return the part of the variance of each dense row that samples do not resolve."""
+        out = np.zeros(self.n_dense)
+        for level, c in zip(levels, self.components, strict=True):
+            if c.name.endswith(SAMPLING):
+                out[c.index] += level * c.variance
+        return out
+
     def segment_at(self, moment: float) -> int:
         """Return the segment that a moment lies in, or behind; the first of one before it."""
         return max(int(np.searchsorted(self.interval[:, 0], moment, side="right")) - 1, 0)

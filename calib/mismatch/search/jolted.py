@@ -96,8 +96,7 @@ def _log_prior(factors: FloatArray) -> FloatArray:
 
 def _share(rows: Rows, levels: FloatArray) -> float:
     """Return the share of the variance of most turns, of angles or velocities, by sampling."""
-    own = rows.variance(np.where(_by_sampling(rows), levels, 0.0)) - np.diag(rows.white)
-    share = (own / rows.variance(levels))[rows.turns.index]
+    share = (rows.missed(levels) / rows.variance(levels))[rows.turns.index]
     return float(max(np.median(share[:, :2]), np.median(share[:, 2:])))
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from calib.effects import get_effect
 from calib.mismatch.noise.noise import Whitener, range_basis
-from calib.mismatch.rows.rows import SAMPLING, Rows
+from calib.mismatch.rows.rows import Rows
 from calib.mismatch.search.ranking import COUNTS, Ranking
 from calib.mismatch.search.refine import likelihood_gain
 from calib.types import FloatArray
@@ -54,10 +54,7 @@ def told_by_one_turn(
     y : (m,) array
         Whitened projected residual.
     """
-    unresolved = np.zeros(rows.n_dense)
-    for level, c in zip(levels, rows.components, strict=True):
-        if c.name.endswith(SAMPLING):
-            unresolved[c.index] += level * c.variance
+    unresolved = rows.missed(levels)
     if not unresolved.any():
         return False
     seen = whitener.project(columns)
