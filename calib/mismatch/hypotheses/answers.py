@@ -94,9 +94,7 @@ def nearby(rows: Rows, leader: Candidate) -> Stack:
     stack = Stack(len(rows.residual))
     if leader.physical and not leader.present:
         for shape in neighbours(get_effect(leader.name), rows, leader.shape):
-            columns = candidate_columns(rows, leader, shape, reference=True)
-            if columns is not None:
-                stack.add(replace(leader, index=stack.columns.add(columns), shape=shape))
+            _add_at(stack, rows, leader, shape)
     if leader.name in WINDOWED:
         for window in nearby_windows(rows, leader):
             there = moved_window(leader, *window)
@@ -105,34 +103,56 @@ def nearby(rows: Rows, leader: Candidate) -> Stack:
     return stack
 
 
-def evidence_at_peak(
-    rows: Rows, near: Stack, factors: FloatArray, whitener: Whitener, y: FloatArray
-) -> float:
-    """Return log B about the best of what is near, closing in on where it is highest.
+def evidence_near(rows: Rows, near: Stack, whitener: Whitener, y: FloatArray) -> float:
+    """Return log B of what is near as one candidate, each as probable as any other.
 
-    Strong evidence is so narrow that all that is near may miss it. By Laplace's method the peak
-    counts by its width, which of a shape that explains much is about ``1 / sqrt(2 log B)`` of what
-    it may be. -inf of what has no one shape, and of what is not strong.
+    A candidate with a moment stands for its rest or turn: of the moments they are those of the rest
+    or turn that says most. Strong evidence is so narrow that all that is near may miss it: there it
+    is that about its peak, if that is more.
 
     Parameters
     ----------
     rows : Rows
     near : Stack
         From `nearby`.
-    factors : (n,) array
-        log B of each.
     whitener : Whitener
     y : (m,) array
         Whitened projected residual.
     """
+    factors = near.log_bayes_factors(whitener, y)
+    average = _average(rows, near, factors)
     best = int(np.argmax(factors))
-    leader, value = near[best], float(factors[best])
-    if not leader.physical or value < STRONG:
-        return -np.inf
+    if not near[best].physical or factors[best] < STRONG:
+        return average
+    peak = _peak(rows, near, best, float(factors[best]), whitener, y)
+    if peak is None:
+        return average
+    # By Laplace's method a peak counts by its width, which of a shape that explains much is about
+    # this share of what it may be.
+    return max(average, peak - 0.5 * float(np.log(2.0 * peak)))
+
+
+def _average(rows: Rows, near: Stack, factors: FloatArray) -> float:
+    """Return log B averaged over what is near, of moments over the rest or turn that says most."""
+    moments = np.array([c.shape.get("moment", -np.inf) for c in near])
+    place = np.searchsorted(rows.interval[:, 0], moments, side="right")
+    return max(
+        float(logsumexp(factors[place == k]) - np.log((place == k).sum())) for k in np.unique(place)
+    )
+
+
+def _peak(
+    rows: Rows, near: Stack, best: int, value: float, whitener: Whitener, y: FloatArray
+) -> float | None:
+    """Return the highest log B about the best of what is near, closing in on it from its `value`.
+
+    None of what has not one shape or moment.
+    """
+    leader = near[best]
     own = [i for i in get_effect(leader.name).shape if i.spacing != "integer"]
     own = [i for i in own if i.name in leader.shape]
     if len(own) != 1:
-        return -np.inf
+        return None
     name, log = own[0].name, own[0].spacing == "log"
     here = leader.shape[name]
     others = np.array([c.shape[name] for c in near])
@@ -141,13 +161,10 @@ def evidence_at_peak(
     step = 0.5 * float(apart.min()) if len(apart) else 0.0
     least = CLOSE * step
     while step > least:
-        moves = [here * np.exp(d) if log else here + d for d in (-step, step)]
         stack = Stack(len(rows.residual))
-        for moved in moves:
-            shape = {**leader.shape, name: float(moved)}
-            columns = candidate_columns(rows, leader, shape, reference=True)
-            if columns is not None:
-                stack.add(replace(leader, index=stack.columns.add(columns), shape=shape))
+        for way in (-step, step):
+            moved = here * np.exp(way) if log else here + way
+            _add_at(stack, rows, leader, {**leader.shape, name: float(moved)})
         if not len(stack):
             break
         found = stack.log_bayes_factors(whitener, y)
@@ -156,25 +173,11 @@ def evidence_at_peak(
             value, here = float(found[k]), stack[k].shape[name]
         else:
             step /= 3
-    return value - 0.5 * float(np.log(2.0 * value))
+    return value
 
 
-def evidence_near(rows: Rows, near: Stack, factors: FloatArray) -> float:
-    """Return log B of what is near as one candidate, each as probable as any other.
-
-    A candidate with a moment stands for its rest or turn: of the moments they are those of the rest
-    or turn that says most.
-
-    Parameters
-    ----------
-    rows : Rows
-    near : Stack
-        From `nearby`.
-    factors : (n,) array
-        log B of each.
-    """
-    moments = np.array([c.shape.get("moment", -np.inf) for c in near])
-    place = np.searchsorted(rows.interval[:, 0], moments, side="right")
-    return max(
-        float(logsumexp(factors[place == k]) - np.log((place == k).sum())) for k in np.unique(place)
-    )
+def _add_at(stack: Stack, rows: Rows, leader: Candidate, shape: Mapping[str, float]) -> None:
+    """Add an effect's candidate at another shape, if it shows anything there."""
+    columns = candidate_columns(rows, leader, shape, reference=True)
+    if columns is not None:
+        stack.add(replace(leader, index=stack.columns.add(columns), shape=shape))

@@ -12,7 +12,6 @@ import numpy as np
 
 from calib.mismatch.hypotheses.answers import (
     STRONG,
-    evidence_at_peak,
     evidence_near,
     nearby,
     physics,
@@ -187,10 +186,7 @@ class Scores:
         evidence = self.at(found.values, outside, null, code == names.index(leader.group))
         if len(moved):
             whitener = self.whitener(found.values, outside)
-            y = whitener.project(rows.residual)
-            factors = moved.log_bayes_factors(whitener, y)
-            average = evidence_near(rows, moved, factors)
-            average = max(average, evidence_at_peak(rows, moved, factors, whitener, y))
+            average = evidence_near(rows, moved, whitener, whitener.project(rows.residual))
             average += null - base.log_likelihood
             i = stack.index(leader)
             evidence[i] = max(evidence[i], average + self.weight[i])

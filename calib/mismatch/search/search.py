@@ -11,13 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import logsumexp
 
-from calib.mismatch.hypotheses.answers import (
-    evidence_at_peak,
-    evidence_near,
-    grouped,
-    leading,
-    nearby,
-)
+from calib.mismatch.hypotheses.answers import evidence_near, grouped, leading, nearby
 from calib.mismatch.hypotheses.bound import factors_that_count
 from calib.mismatch.hypotheses.score import Stack
 from calib.mismatch.noise.noise import Levels, estimate_levels, expected_levels, make_whitener
@@ -196,10 +190,7 @@ def _posterior(
         near = nearby(rows, best[g])
         if len(near):
             i = stack.index(best[g])
-            factors = near.log_bayes_factors(whitener, y)
-            value = evidence_near(rows, near, factors)
-            value = max(value, evidence_at_peak(rows, near, factors, whitener, y))
-            evidence[i] = max(evidence[i], value + weight[i])
+            evidence[i] = max(evidence[i], evidence_near(rows, near, whitener, y) + weight[i])
     best, groups = grouped(stack, evidence)
     likely = {g: possible(stack, best[g], whitener, y) for g in groups}
     groups = {

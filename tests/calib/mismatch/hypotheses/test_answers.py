@@ -6,11 +6,17 @@ from scipy.special import logsumexp
 
 from calib.mismatch.hypotheses.answers import (
     LEADERS,
+    _add_at,
+    _average,
     evidence_near,
     grouped,
     leading,
     nearby,
 )
+from calib.mismatch.hypotheses.score import Stack
+from calib.mismatch.noise.contrast import contrast_variance
+from calib.mismatch.noise.noise import expected_levels, make_whitener
+from calib.mismatch.search.accepted import fitted
 from calib.mismatch.search.ranking import make_stack
 
 from ..bench import problem
@@ -72,7 +78,31 @@ def test_a_moment_counts_as_that_of_the_rest_or_turn_that_says_most(stacked):
     assert len(np.unique(place)) == 3
     for k in np.unique(place):
         factors = np.where(place == k, 5.0, -40.0)
-        assert evidence_near(rows, near, factors) == pytest.approx(5.0)
+        assert _average(rows, near, factors) == pytest.approx(5.0)
+
+
+@pytest.mark.parametrize("name", ["gyro_warm_up", "gyro_bias_step"])
+@pytest.mark.parametrize("size", [1.0, 300.0])
+def test_strong_evidence_counts_about_its_peak(stacked, name, size):
+    """At size 300 the peak is hundreds of times narrower than the places that are tried."""
+    rows, stack = stacked
+    own = [c for c in stack if c.name == name and c.is_single]
+    near = nearby(rows, own[len(own) // 2])
+    key = "tau" if name == "gyro_warm_up" else "moment"
+    between = 0.37 * near[1].shape[key] + 0.63 * near[2].shape[key]
+    there = Stack(len(rows.residual))
+    _add_at(there, rows, near[1], {**near[1].shape, key: between})
+    levels = expected_levels(rows)
+    whitener = make_whitener(rows, levels, contrast_variance(rows), fitted(rows, []))
+    (true,) = there
+    white = whitener.project(there.of(true))[:, 0]
+    y = size * 3.0 * white / np.linalg.norm(white)
+    most = there.log_bayes_factors(whitener, y)[0]
+    found = evidence_near(rows, near, whitener, y)
+    assert found <= most + 1.0
+    if size > 1.0:
+        assert found > most - 0.5 * np.log(2 * most) - 1e-3 * most
+        assert found > _average(rows, near, near.log_bayes_factors(whitener, y))
 
 
 def test_a_group_of_no_evidence_is_no_answer(stacked):
