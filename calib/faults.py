@@ -121,11 +121,6 @@ def size_of(channel: int, size: FloatArray) -> str:
     )
 
 
-BOTH_WAYS = 0.8
-"""What a range has one way at least, relative to the other: a calibration has moved its ends, by
-far less. Without noise, what turns one way only is at rest where it turns the least."""
-
-
 def find_wild(values: FloatArray) -> BoolArray:
     """Return which values (n, 6) no sensor measures, alone among others that one could, (n, 6).
 
@@ -147,6 +142,11 @@ STEEP = 10.0
 LEVEL = 3.0
 """How far a parabola may fall, in noise, over n samples that noise leaves equal. On both sides of
 them it is ``2 LEVEL ((n + 1) / (n - 1))²`` lower."""
+
+
+BOTH_WAYS = 0.8
+"""What a range has one way at least, relative to the other: a calibration has moved its ends, by
+far less. Without noise, what turns one way only is at rest where it turns the least."""
 
 
 def find_clipping(
