@@ -14,6 +14,7 @@ from scipy.special import logsumexp
 from calib.effects import get_effect
 from calib.mismatch.hypotheses.candidates import Candidate
 from calib.mismatch.hypotheses.families import candidate_columns, neighbours
+from calib.mismatch.hypotheses.peak import close_in
 from calib.mismatch.hypotheses.score import Stack
 from calib.mismatch.hypotheses.windows import WINDOWED, moved_window, nearby_windows, window_columns
 from calib.mismatch.noise.noise import Whitener
@@ -27,9 +28,6 @@ noise levels of their own."""
 
 STRONG = 20.0
 """Log B from which what is near may be too far."""
-
-CLOSE = 0.02
-"""Step of a shape that closes in on its peak that is too small to matter, relative to the first."""
 
 
 def grouped(stack: Stack, evidence: FloatArray) -> tuple[dict[str, Candidate], dict[str, float]]:
@@ -149,8 +147,8 @@ def _peak(
     None of what has not one shape or moment.
     """
     leader = near[best]
-    own = [i for i in get_effect(leader.name).shape if i.spacing != "integer"]
-    own = [i for i in own if i.name in leader.shape]
+    shape = [i for i in get_effect(leader.name).shape if i.name in leader.shape]
+    own = [i for i in shape if i.spacing != "integer"]
     if len(own) != 1:
         return None
     name, log = own[0].name, own[0].spacing == "log"
@@ -158,22 +156,15 @@ def _peak(
     others = np.array([c.shape[name] for c in near])
     others = np.log(others / here) if log else others - here
     apart = np.abs(others[np.abs(others) > 1e-9 * np.abs(others).max()])
-    step = 0.5 * float(apart.min()) if len(apart) else 0.0
-    least = CLOSE * step
-    while step > least:
-        stack = Stack(len(rows.residual))
-        for way in (-step, step):
-            moved = here * np.exp(way) if log else here + way
-            _add_at(stack, rows, leader, {**leader.shape, name: float(moved)})
-        if not len(stack):
-            break
-        found = stack.log_bayes_factors(whitener, y)
-        if found.max() > value:
-            k = int(np.argmax(found))
-            value, here = float(found[k]), stack[k].shape[name]
-        else:
-            step /= 3
-    return value
+    if not len(apart):
+        return value
+
+    def gain(off: float) -> float:
+        stack, moved = Stack(len(rows.residual)), here * np.exp(off) if log else here + off
+        _add_at(stack, rows, leader, {**leader.shape, name: float(moved)})
+        return float(stack.log_bayes_factors(whitener, y)[0]) if len(stack) else -np.inf
+
+    return close_in(gain, 0.0, value, 0.5 * float(apart.min()))
 
 
 def _add_at(stack: Stack, rows: Rows, leader: Candidate, shape: Mapping[str, float]) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +12,7 @@ from calib.effects.base import TransformEffect
 from calib.mismatch.hypotheses.candidates import Candidate
 from calib.mismatch.hypotheses.ends import place_window, tune_wave
 from calib.mismatch.hypotheses.families import NEAR, candidate_columns, forms, neighbours
+from calib.mismatch.hypotheses.peak import close_in
 from calib.mismatch.hypotheses.windows import THROUGHOUT, WINDOWED, window_columns
 from calib.mismatch.noise.noise import Whitener, make_whitener
 from calib.mismatch.rows.rows import Rows
@@ -90,8 +91,13 @@ def refined(
             try_shape(shape)
         if not isinstance(effect, TransformEffect):
             # Of samples it is one of them; a mean at rest tells how much of it came after.
-            length = float(np.ptp(rows.interval[rows.segment_at(best[0].shape["moment"])]))
-            _close_in(try_shape, best[0].shape, length / (NEAR - 1) ** 2)
+            placed = best[0].shape
+            length = float(np.ptp(rows.interval[rows.segment_at(placed["moment"])]))
+
+            def try_moment(moment: float) -> float:
+                return try_shape({**placed, "moment": moment})
+
+            close_in(try_moment, placed["moment"], value, length / (NEAR - 1) ** 2)
     if candidate.present:
         # How strong it is is in its shape alone, whatever its form.
         sizes = [i for i in effect.shape if i.spacing == "log" and i.name in candidate.shape]
@@ -107,20 +113,6 @@ def _climb(gain: Callable[[dict[str, float]], float], shape: dict[str, float], n
     while step > 1e-4:
         up, down = here * (1 + step), here / (1 + step)
         new, at = max((gain({**shape, name: x}), x) for x in (up, down))
-        if new > value:
-            value, here = new, at
-        else:
-            step /= 3
-
-
-def _close_in(
-    gain: Callable[[dict[str, float]], float], shape: Mapping[str, float], step: float
-) -> None:
-    """Call `gain` with moments, closing in on where it is highest."""
-    least = 0.02 * step
-    here, value = shape["moment"], gain(dict(shape))
-    while step > least:
-        new, at = max((gain({**shape, "moment": x}), x) for x in (here - step, here + step))
         if new > value:
             value, here = new, at
         else:
