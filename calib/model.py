@@ -119,10 +119,17 @@ class SensorModel:
         for term in self.terms:
             get_effect(term.effect).check(term.parameters)
 
-    def distort(self, state: State, noise: Signals | None = None) -> Signals:
+    @property
+    def is_prompt(self) -> bool:
+        """Whether a sample depends on what is sensed then and there: no delay, no low-pass."""
+        return not self._transforms("signal")
+
+    def distort(self, state: State, noise: Signals | None = None, *, every: int = 1) -> Signals:
         """Return what the sensor would measure in the true `state`.
 
-        ``noise`` is added to the finished signal before it is read out (clipped, rounded).
+        ``noise`` is added to the finished signal before it is read out (clipped, rounded). Samples
+        are taken at ``every`` so many of the state's times: what is late, or passed a low-pass, is
+        that of the motion, of which samples may tell less.
         """
         state = self.felt(replace(state, reference_temperature=self.reference_temperature))
         accel = self.accel.distort(state.force)
@@ -130,10 +137,12 @@ class SensorModel:
         signals = self._add(Signals(accel, gyro), state, sign=1.0, setup=False)
         for effect, parameters in self._transforms("signal"):
             signals = effect.transform(state.time, signals, parameters)
+        time = state.time[::every]
+        signals = Signals(signals.accel[::every], signals.gyro[::every])
         if noise is not None:
             signals = Signals(signals.accel + noise.accel, signals.gyro + noise.gyro)
         for effect, parameters in self._transforms("readout"):
-            signals = effect.transform(state.time, signals, parameters)
+            signals = effect.transform(time, signals, parameters)
         return signals
 
     @property

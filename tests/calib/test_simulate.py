@@ -341,3 +341,21 @@ def test_samples_that_a_clock_does_not_miss_are_not_made_up_at_the_end() -> None
     assert len(record(Term("dropped_samples", {"count": -3.0, "moment": moment})).time) == len(
         whole.time
     )
+
+
+@pytest.mark.parametrize("rate", [40.0, 100.0])
+def test_what_is_late_is_the_motion_however_few_samples_it_has(rate: float) -> None:
+    delay = 0.0065
+    motion = bench_protocol(np.random.default_rng(2), poses=4, pose_duration=(1.0, 2.0))
+    time = np.arange(0.5, motion.duration - 0.5, 1 / rate)
+    late, prompt = (
+        simulate(
+            motion, SensorModel(terms=terms), QUIET, rng=np.random.default_rng(0), time=at
+        ).gyro
+        for terms, at in (
+            ((Term("time_offset", {"gyro_delay": delay}),), time),
+            ((), time - delay),
+        )
+    )
+    inner = slice(20, -20)
+    np.testing.assert_allclose(late[inner], prompt[inner], atol=3e-4)

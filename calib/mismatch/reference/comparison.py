@@ -265,7 +265,8 @@ class ComparisonProblem:
         if self.colours is not None and state.mat_ns is not None:
             state = replace(state, witnessed=witnessed(state, left, self.colours))
         rate = state.rate
-        state = stilled(state, self.rests)
+        ramp = round(1.0 / (self.band * self.interval)) if self.band else 0
+        state = stilled(state, self.rests, ramp=ramp)
         # The sensor's errors act on what it feels where it is. Of a motion that is not resolved
         # that is not known: it would be noise, and the same in many columns.
         felt = state if self.unresolved else self.setup.model.felt(state)
@@ -347,7 +348,31 @@ class ComparisonProblem:
     def residual(self, state: State) -> FloatArray:
         """Return recording minus model, (n, 6)."""
         predicted = self.setup.model.distort(state)
-        return np.asarray(self.measured - np.hstack((predicted.accel, predicted.gyro)))
+        gyro = self._late_gyro(state) if self._gyro_delay() else predicted.gyro
+        return np.asarray(self.measured - np.hstack((predicted.accel, gyro)))
+
+    def _late_gyro(self, state: State) -> FloatArray:
+        """Return what a gyroscope that is late puts out: the motion before, as the truth has it.
+
+        A cubic between samples as few as these may be would lose some of it.
+        """
+        model, alignment, mat, _ = self.setup
+        before = self.truth.state(alignment.times(self.time - self._gyro_delay()))
+        given = before.angular_acceleration
+        moved = replace(
+            state,
+            force=before.force @ mat.T,
+            rate=before.rate @ mat.T,
+            angular_acceleration=None if given is None else given @ mat.T,
+        )
+        prompt = [
+            replace(t, parameters={k: v for k, v in t.parameters.items() if k != "gyro_delay"})
+            if t.effect == "time_offset"
+            else t
+            for t in model.terms
+        ]
+        terms = tuple(t for t in prompt if t.parameters)
+        return np.asarray(replace(model, terms=terms).distort(moved).gyro)
 
     def fit(self, *, iterations: int = 6) -> None:
         """Fit baseline and alignment by robust Gauss-Newton.

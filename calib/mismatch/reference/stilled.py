@@ -21,8 +21,11 @@ def resting(time: FloatArray, shaken: Recording, *, felt: float) -> BoolArray:
     return out
 
 
-def stilled(state: State, rests: IntArray) -> State:
-    """Return a state that is still in its (k, 2) rests, samples ``[first, last)``."""
+def stilled(state: State, rests: IntArray, *, ramp: int = 0) -> State:
+    """Return a state that is still in its (k, 2) rests, samples ``[first, last)``.
+
+    It comes to rest within `ramp` samples: a step is faster than what a band has.
+    """
     if not len(rests):
         return state
     force, rate = state.force.copy(), state.rate.copy()
@@ -31,7 +34,10 @@ def stilled(state: State, rests: IntArray) -> State:
     seen = state.witnessed and Signals(*(values.copy() for values in state.witnessed))
     for a, b in rests:
         if b > a:
-            force[a:b], rate[a:b] = force[a:b].mean(axis=0), rate[a:b].mean(axis=0)
+            end = np.minimum(np.arange(b - a), np.arange(b - a)[::-1]) + 1.0
+            still = 0.5 - 0.5 * np.cos(np.pi * np.minimum(end / (ramp + 1.0), 1.0))[:, None]
+            for values in (force, rate):
+                values[a:b] += still * (values[a:b].mean(axis=0) - values[a:b])
             turning[a:b], gradient[a:b] = 0.0, 0.0
             if mat is not None:
                 u, _, vt = np.linalg.svd(mat[a:b].mean(axis=0))

@@ -84,6 +84,8 @@ class Estimate:
         finding, where there are several.
     left : (m,) array
         Residual of the fit.
+    clusters : (p,) array, or None
+        How many windows tell of each, where it is they that say what the errors are.
     """
 
     step: FloatArray
@@ -93,6 +95,7 @@ class Estimate:
     beside: Mapping[tuple[int, str], FloatArray]
     forms: Mapping[int, float]
     left: FloatArray
+    clusters: FloatArray | None = None
 
     def joint(self, which: Sequence[tuple[int, str]]) -> FloatArray:
         """Return the covariance of all coefficients, and of some shapes after them.
@@ -187,8 +190,10 @@ def estimate(
             )
     size = np.sqrt(np.diag(total))
     unsure = _unsure(rows, accepted, levels, contrast, covariance)
+    clusters = None
     if rows.clustered:
-        unsure = unsure * _together(rows, accepted, levels, contrast)
+        together, clusters = _together(rows, accepted, levels, contrast)
+        unsure = unsure * together
     longer = unsure * np.maximum(reach / 3.0, size) / np.where(size > 0, size, 1.0)
     total *= np.outer(longer, longer)
     start = rows.baseline.shape[1] + rows.nuisance.shape[1]
@@ -200,7 +205,8 @@ def estimate(
         if (i, name) in beside:
             beside[i, name] *= wide * longer
     left = rows.residual - fitted(rows, accepted) @ best
-    return Estimate(best, total, tuple(int(k) for k in at), shapes, beside, of_form, left)
+    first = tuple(int(k) for k in at)
+    return Estimate(best, total, first, shapes, beside, of_form, left, clusters)
 
 
 def _unsure(
@@ -219,14 +225,21 @@ def _unsure(
 
 def _together(
     rows: Rows, accepted: tuple[Accepted, ...], levels: FloatArray, contrast: FloatArray
-) -> FloatArray:
+) -> tuple[FloatArray, FloatArray]:
     """Return how much wider errors are, as rows of one segment err together, than if none did.
+
+    Beside it how many segments tell of each.
 
     Of an estimate ``g' y`` of whitened rows y, which leaves the residuals r, the variance is the
     sum over segments of ``(g_k' r_k)²``; if rows erred apart, it were ``g' g``. What few segments
     tell of may look smaller so than it is: it counts where it is larger. What is known beforehand
     errs as it says. Residuals are those of all columns fitted at once: what is put aside moves the
     others by what `_fit` adds, and that is no noise.
+
+    References
+    ----------
+    .. [1] F. E. Satterthwaite, "An approximate distribution of estimates of variance components",
+       Biometrics Bulletin 2(6), 1946, p. 110: how many terms of a sum of squares count.
     """
     design, _, y = _weighed(rows, accepted, levels, contrast)
     aside = cut(rows, accepted)
@@ -239,7 +252,11 @@ def _together(
     np.add.at(sums, rows.segment, moved[:, :m].T)
     variance = np.square(sums).sum(axis=0) + np.square(influence[:, m:]).sum(axis=1)
     ratio = variance / np.where(plain > 0, plain, np.inf)
-    return np.asarray(np.sqrt(np.maximum(ratio, 1.0)))
+    tell = np.zeros_like(sums)
+    np.add.at(tell, rows.segment, np.square(influence[:, :m]).T)
+    all_of_them = np.square(tell.sum(axis=0))
+    count = all_of_them / np.maximum(np.square(tell).sum(axis=0), np.finfo(float).tiny)
+    return np.sqrt(np.maximum(ratio, 1.0)), np.maximum(count, 1.0)
 
 
 def wider(spread: FloatArray) -> FloatArray:

@@ -7,6 +7,7 @@ from dataclasses import replace
 from functools import cache
 
 import numpy as np
+from scipy.special import chdtrc, fdtrc
 
 from calib.calibration import Quantity, parameter_unit
 from calib.effects import effects, get_effect
@@ -44,6 +45,12 @@ COUNTED = 0.3
 
 CERTAIN = 1e-3
 """The same where it is known which: the probability of any other is less than a millionth."""
+
+UNSURE = 0.05
+"""P-value, all looks counted, above which a finding is not told from how windows scatter."""
+
+SOMETHING = 1e-3
+"""The same, were the windows many, up to which there is something in the few that tell."""
 
 FEW_POSES = float(np.log(100.0))
 """Held-out log-likelihood that a name must gain where poses are too few for one to be left out."""
@@ -127,6 +134,8 @@ def explain(
         if effect.kind == "event" and proof.gain <= 0:
             reason = "it happened once: no other pose or turn shows it"
         useless = proof.gain <= 0 or proof.after >= proof.before
+        few, any_number = _of_windows(fit, i, a, looks=len(outcome.tried))
+        p_value = max(chance(a.e_value), few)
         # Samples come whole: a part of one is something else that happened in this turn.
         broken = any(q.unit == "samples" and not _is_whole(q) for q in parameters.values())
         if broken:
@@ -145,6 +154,12 @@ def explain(
                 )
             )
             continue
+        if few > UNSURE and any_number > SOMETHING:
+            continue
+        if few > UNSURE:
+            left = _unexplained(rows, a, rivals)
+            unexplained.append(replace(left, follows=f"{effect.follows}, but in few windows only"))
+            continue
         findings.append(
             Finding(
                 effect=effect.slug,
@@ -154,7 +169,7 @@ def explain(
                 intervals=_intervals(rows, a),
                 regime=effect.follows,
                 parameters=parameters,
-                p_value=chance(a.e_value),
+                p_value=p_value,
                 absorbed_by=absorbed,
                 held_out=None if reason else proof,
                 held_out_reason=reason,
@@ -177,6 +192,23 @@ def explain(
     covariance = (fit.joint(shapes) * np.outer(scale, scale))[np.ix_(index, index)]
     unexplained += _of_poses(of_poses)
     return findings, joined(unexplained), (tuple(known), covariance)
+
+
+def _of_windows(fit: Estimate, which: int, a: Accepted, *, looks: int) -> tuple[float, float]:
+    """Return how rarely windows that scatter as they do give such coefficients, all looks counted.
+
+    Few windows tell by Snedecor's F; beside it what chi-squared says, as if they were many. Both
+    are 0 where the noise is known, and of an effect with a shape, whose size is that of a mixture.
+    """
+    if fit.clusters is None or a.candidate.shape or a.candidate.present:
+        return 0.0, 0.0
+    part = slice(fit.at[which], fit.at[which + 1])
+    step, covariance = fit.step[part], fit.covariance[part, part]
+    square = float(step @ np.linalg.pinv(covariance) @ step)
+    share = np.square(step) / np.maximum(np.diag(covariance), np.finfo(float).tiny)
+    clusters = float(share @ fit.clusters[part] / max(share.sum(), np.finfo(float).tiny))
+    few, many = fdtrc(len(step), clusters, square / len(step)), chdtrc(len(step), square)
+    return looks * float(few), looks * float(many)
 
 
 def _only_levels(outcome: Outcome, which: int, proof: HeldOut) -> bool:

@@ -10,7 +10,7 @@ leaves the rows, and the low-pass of the true signals.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,21 +20,22 @@ from calib.effects import get_effect
 from calib.effects.bandwidth import group_delay
 from calib.effects.base import TransformEffect
 from calib.mismatch.hypotheses.candidates import Candidate
-from calib.mismatch.hypotheses.families import candidate_columns, effect_columns
+from calib.mismatch.hypotheses.families import candidate_columns
 from calib.mismatch.hypotheses.score import Stack
 from calib.mismatch.noise.noise import Levels, Whitener, find_levels, make_whitener
 from calib.mismatch.rows.restored import STILL, whole_change
 from calib.mismatch.rows.rows import Rows
 from calib.mismatch.search.accepted import Accepted, contrast_noise, fitted
+from calib.mismatch.search.estimate import pseudo_inverse
 from calib.mismatch.search.refine import likelihood_gain
 from calib.mismatch.search.refit import BENT, Problem, Refit, put_back, refit, take_up
 from calib.types import FloatArray
 
 DELAY, LOW_PASS, CLOCK = "time_offset", "bandwidth", "time_offset.delay"
 
-CLOCK_MOVES = (0.0, -1.0)
-"""By how much of a delay the clocks' offset moves: they are aligned by what one of the triads
-shows, or the other, and that one stays."""
+CLOCK_STEPS, CLOCK_SETTLED = 2, 1e-5
+"""Steps of the clocks' offset beside a change, each to where columns lead, and one (s) that ends
+them: it is where one of the triads had it, or the other, or both, and one of them may be late."""
 
 DELAYS = np.geomspace(0.005, 0.32, 7)
 """s, either way. Steps lead from half a delay to all of it: turns take a second and more."""
@@ -45,6 +46,10 @@ STEPS, SETTLED = 8, 1e-3
 FITS, SAME = 6, 0.02
 """How often they are fitted, at most, each beside the baseline that the last one left; and by how
 much a cut-off may still move, relative to it: the rest is refined with everything else."""
+
+CLEAR, TILT = 36.0, 0.25
+"""Power by which a low-pass of a noisy truth differs from a delay at least, and the gain beyond it,
+in parts of that power, where it is one: half of it is expected, and minus half of a delay."""
 
 HALVED = 5
 """How often one is halved, at most, until it leads up."""
@@ -74,6 +79,13 @@ class Family:
         present = dict.fromkeys(self.candidate.parameters, 1.0)
         return {**present, **self.candidate.shape, self.size: size}
 
+    def late(self, size: float) -> float:
+        """Return by how much the gyroscope comes late beside the accelerometer, s."""
+        if self.is_delay:
+            return size
+        delay = group_delay(size, _order(self.candidate))
+        return delay if self.size.startswith("gyro") else -delay
+
 
 @dataclass(frozen=True, eq=False)
 class Whole:
@@ -93,23 +105,27 @@ class Whole:
     @property
     def late(self) -> float:
         """By how much the gyroscope comes late beside the accelerometer, s."""
-        if self.family.is_delay:
-            return self.size
-        delay = group_delay(self.size, _order(self.family.candidate))
-        return delay if self.family.size.startswith("gyro") else -delay
+        return self.family.late(self.size)
 
 
 class Judge:
     """Log-likelihoods of whole changes beside what was accepted, under the noise of some levels.
 
-    The ``problem`` stands where it has taken up what was accepted, and nothing else.
+    The ``problem`` stands where it has taken up what was accepted, and nothing else. The truth
+    beside it is ``noisy`` if low-passes of it were not tried.
     """
 
     def __init__(
-        self, problem: Problem, rows: Rows, accepted: list[Accepted], levels: FloatArray
+        self,
+        problem: Problem,
+        rows: Rows,
+        stack: Stack,
+        accepted: list[Accepted],
+        levels: FloatArray,
     ) -> None:
         self.problem, self.accepted = problem, accepted
-        self.clocks: dict[Family, float] = {}
+        tried = any(c.name == LOW_PASS for c in stack.physics.values())
+        self.noisy = problem.reference and not tried
         self.rows, self.mean = rows, fitted(rows, accepted)
         self.contrast = contrast_noise(rows, accepted)
         self.settle(levels)
@@ -140,11 +156,23 @@ class Judge:
         Beside a truth the noise of the best holds for all: shapes, which tell the most there, do
         not tell of levels.
         """
-        if self.problem.reference:
-            first = max(found, key=self._value)
-            self.settle(self.without(first).values)
-            return max(found, key=self._value)
-        return max(found, key=lambda whole: self.without(whole).log_likelihood)
+        if not self.problem.reference:
+            return max(found, key=lambda whole: self.without(whole).log_likelihood)
+        first = max(found, key=self._value)
+        self.settle(self.without(first).values)
+        delay, *low_passes = found
+        clear = [own for own in low_passes if not self.noisy or self.is_clear(own, delay)]
+        return max((delay, *clear), key=self._value)
+
+    def is_clear(self, low_pass: Whole, delay: Whole) -> bool:
+        """Whether the rows are nearer to a low-pass than to a delay by more than noise tilts them.
+
+        Of two changes that differ by the power P the likelihoods differ by P/2, either way. Noise
+        of the truth is in the low-pass as well, where it takes away what the differences lack.
+        """
+        power = self.power(low_pass.column - delay.column)
+        gain = self.gain(low_pass.column) - self.gain(delay.column)
+        return power > CLEAR and gain > TILT * power
 
     def _value(self, whole: Whole) -> float:
         """Return the log-likelihood that an explanation gains, two orders sharing what one has."""
@@ -153,12 +181,13 @@ class Judge:
     def best(self, family: Family, starts: Iterable[float]) -> Whole:
         """Return the member of a family that gains most, near the best of some sizes."""
         low, high = family.within
-        tried = [self._tried(family, float(np.clip(size, low, high))) for size in starts if size]
+        tried = [self._clocked(family, float(np.clip(size, low, high))) for size in starts if size]
         found, white = max(tried, key=lambda each: likelihood_gain(each[1], self.y, present=True))
         for _ in range(STEPS):
             # What is left is fitted by how the change goes on from here (Gauss-Newton).
             near = found.size * (1.0 + NEAR if found.size * (1.0 + NEAR) < high else 1.0 - NEAR)
-            slope = (self._tried(family, near)[1] - white)[:, 0] / (near - found.size)
+            moves = found.clock / found.late
+            slope = (self._tried(family, near, moves)[1] - white)[:, 0] / (near - found.size)
             power = float(slope @ slope)
             step = float(slope @ (self.y - white[:, 0])) / max(power, 1e-300)
             least = likelihood_gain(white, self.y, present=True)
@@ -166,7 +195,7 @@ class Judge:
                 size = float(np.clip(found.size + step, low, high))
                 if (size - found.size) ** 2 * power < SETTLED or not size:
                     return found
-                there = self._tried(family, size)
+                there = self._clocked(family, size, moves)
                 if likelihood_gain(there[1], self.y, present=True) > least:
                     break
                 # It led too far: a cut-off is bent.
@@ -176,12 +205,41 @@ class Judge:
             found, white = there
         return found
 
-    def _tried(self, family: Family, size: float) -> tuple[Whole, FloatArray]:
-        """Return a member of a family, and its whitened column (m, 1)."""
-        column, clock = (
-            self._beside_truth(family, size)
+    def _clocked(self, family: Family, size: float, moves: float = 0.0) -> tuple[Whole, FloatArray]:
+        """Return the same with the clocks' offset where the best of its steps leads."""
+        best = self._tried(family, size, moves)
+        if CLOCK not in self.rows.aligned:
+            return best
+        for _ in range(CLOCK_STEPS):
+            found = best[0]
+            moves = (found.clock + self._clock_beside(found.column)) / found.late
+            if abs(moves * found.late - found.clock) < CLOCK_SETTLED:
+                break
+            there = self._tried(family, size, moves)
+            if self.gain(there[0].column) <= self.gain(found.column):
+                break
+            best = there
+        return best
+
+    def _clock_beside(self, column: FloatArray) -> float:
+        """Return by how much the clocks' offset moves, s, as columns have it, beside a change."""
+        rows = self.rows
+        size = np.linalg.norm(self.mean, axis=0)
+        size[size == 0] = 1.0
+        white = self.whitener.whiten(np.column_stack((self.mean / size, rows.residual - column)))
+        which = rows.baseline.shape[1] + rows.aligned.index(CLOCK)
+        return float((pseudo_inverse(white[:, :-1])[which] @ white[:, -1]) / size[which])
+
+    def _tried(self, family: Family, size: float, moves: float) -> tuple[Whole, FloatArray]:
+        """Return a member of a family, and its whitened column (m, 1).
+
+        The clocks' offset is moved by ``moves`` times what the gyroscope comes late.
+        """
+        clock = moves * family.late(size)
+        column = (
+            self._beside_truth(family, size, clock)
             if self.problem.reference
-            else (self._of_turns(family, size), 0.0)
+            else self._of_turns(family, size)
         )
         return Whole(family, size, column, clock), self.whitener.project(column)[:, None]
 
@@ -192,23 +250,11 @@ class Judge:
         change = whole_change(effect, self.rows, family.parameters(size))
         return np.zeros(len(self.y)) if change is None else change
 
-    def _beside_truth(self, family: Family, size: float) -> tuple[FloatArray, float]:
+    def _beside_truth(self, family: Family, size: float, clock: float) -> FloatArray:
         """Return what it did to the differences between a recording and its truth, (m,).
 
-        Beside it how far the clocks' offset moves with it, s.
+        The clocks' offset is moved by `clock`, s.
         """
-        late = size if family.is_delay else group_delay(size, _order(family.candidate))
-        # What a low-pass of a few milliseconds moves is in the clocks' columns.
-        tried = CLOCK_MOVES if family.is_delay or self.problem.late else CLOCK_MOVES[:1]
-        if family in self.clocks:
-            tried = (self.clocks[family],)
-        found = {moves: self._moved(family, size, moves * late) for moves in tried}
-        best = max(found, key=lambda moves: self.gain(found[moves]))
-        self.clocks[family] = best
-        return found[best], best * late
-
-    def _moved(self, family: Family, size: float, clock: float) -> FloatArray:
-        """Return the same (m,) for clocks whose offset is moved by `clock`, s."""
         candidate, rows = family.candidate, self.rows
         taken = self.accepted
         if family.is_delay:
@@ -261,7 +307,7 @@ def whole_fit(
     far = bool(problem.late) and all(a.candidate.name not in (DELAY, LOW_PASS) for a in accepted)
     if not (far or _alone(new, accepted)):
         return None
-    judge = Judge(problem, rows, accepted, levels)
+    judge = Judge(problem, rows, stack, accepted, levels)
     found = _explanations(judge, stack, new.candidate)
     if not found:
         return None
@@ -270,7 +316,7 @@ def whole_fit(
         rows, own = _accepted(problem, rows, stack, accepted, new, best)
         fit = refit(problem, rows, [*accepted, own], levels, refine=False)
         rows, accepted, levels = fit.rows, fit.accepted[:-1], fit.levels
-        judge = Judge(problem, put_back(problem, rows, accepted), accepted, levels)
+        judge = Judge(problem, put_back(problem, rows, accepted), stack, accepted, levels)
         found = _anew(judge, found)
         put_back(problem, rows, fit.accepted)
         again = judge.most_likely(found)
@@ -330,20 +376,16 @@ def whole_odds(
     """Return a finding, if it is a delay or a low-pass, with the odds of the other in its place.
 
     One that is straight has them from its column. The other has a probability of ``least`` at least
-    if the power of what it does not mimic is below ``mimicked``. Beside a reference a low-pass that
-    was not tried, as both signals were limited, still has the odds of its column.
+    if the power of what it does not mimic is below ``mimicked``. Beside a truth with noise of its
+    own a low-pass is no more probable than a delay, unless it is clear.
     """
     own = accepted[which]
     others = [a for i, a in enumerate(accepted) if i != which]
-    if not any(c.name == LOW_PASS for c in stack.physics.values()):
-        return _untried_odds(
-            problem, rows, stack, own, others, levels, mimicked=mimicked, least=least
-        )
     if not _alone(own, others):
         return own
     before = put_back(problem, rows, others) if own.in_model else rows
-    judge = Judge(problem, before, others, levels)
-    found = _explanations(judge, stack, own.candidate)
+    judge = Judge(problem, before, stack, others, levels)
+    found = _explanations(judge, stack, own.candidate, least=0.0 if judge.noisy else BENT)
     if own.in_model:
         put_back(problem, rows, accepted)
     best: dict[str, Whole] = {}
@@ -354,6 +396,8 @@ def whole_odds(
     mine = best.pop(own.candidate.name)
     (other,) = best.values()
     share = _share(judge, mine.column, other.column, mimicked=mimicked, least=least)
+    if judge.noisy and mine.family.is_delay and not judge.is_clear(other, mine):
+        share = min(share, 0.5)
     return _shared(own, {mine.name: 1.0 - share, other.name: share})
 
 
@@ -371,39 +415,6 @@ def _shared(own: Accepted, odds: Mapping[str, float]) -> Accepted:
     return replace(own, posterior={**own.posterior, **{k: both * v for k, v in odds.items()}})
 
 
-def _untried_odds(
-    problem: Problem,
-    rows: Rows,
-    stack: Stack,
-    own: Accepted,
-    others: list[Accepted],
-    levels: FloatArray,
-    *,
-    mimicked: float,
-    least: float,
-) -> Accepted:
-    """Return a delay of one triad with the odds of low-passes of its size, if none was tried.
-
-    At most as likely: how amplitude falls with frequency, which would tell, both signals lack.
-    """
-    if own.candidate.parameters != ("gyro_delay",):
-        return own
-    (late,) = own.values
-    triad, effect = "gyro" if late > 0 else "accel", get_effect(LOW_PASS)
-    mine = own.columns @ (own.values / own.typical)
-    if own.in_model:
-        rows = rows.with_residual(rows.residual + mine)
-    judge = Judge(problem, rows, others, levels)
-    share = 0.0
-    for order in (1, 2):
-        shape = {f"{triad}_cutoff": group_delay(abs(late), order), "order": float(order)}
-        column = effect_columns(effect, rows, shape, reference=True).get(triad)
-        if column is not None:
-            here = _share(judge, mine, column, mimicked=mimicked, least=least)
-            share = max(share, min(here, 0.5))
-    return _shared(own, {DELAY: 1.0 - share, LOW_PASS: share}) if share else own
-
-
 def _alone(late: Accepted, others: list[Accepted]) -> bool:
     """Whether it has one triad come late, and no other does; a low-pass of both triads does not."""
     return (
@@ -418,8 +429,13 @@ def _typical(delayed: Candidate) -> float:
     return typical
 
 
-def _explanations(judge: Judge, stack: Stack, chosen: Candidate) -> list[Whole]:
-    """Return the best delay, and low-passes of each order; nothing where a delay is straight."""
+def _explanations(
+    judge: Judge, stack: Stack, chosen: Candidate, *, least: float = BENT
+) -> list[Whole]:
+    """Return the best delay, and low-passes of each order.
+
+    Nothing where a delay is straight: off a line by less than ``least``, in units of the noise.
+    """
     delays = (c for c in stack.physics.values() if c.parameters == ("gyro_delay",))
     delayed = next(delays, None)
     if delayed is None:
@@ -431,26 +447,42 @@ def _explanations(judge: Judge, stack: Stack, chosen: Candidate) -> list[Whole]:
     # Beside a truth it is roughly known, or near, and low-passes tell where it may be.
     far = [judge.problem.late] if judge.problem.reference else [*-DELAYS, *DELAYS]
     delay = judge.best(family, [*far, straight])
-    if judge.power(delay.column - delay.size * line) < BENT:
+    if judge.power(delay.column - delay.size * line) < least:
         return []
     triads = {"gyro" if delay.size > 0 else "accel"}
     if chosen.name == LOW_PASS:
         triads |= set(chosen.parameters)
+    found = [delay]
+    for family in _low_passes(judge, stack, delay, triads):
+        order = int(family.candidate.shape["order"])
+        starts = [group_delay(abs(delay.size), order), family.candidate.shape[family.size]]
+        found.append(judge.best(family, starts))
+    # Levels that had to make up for it leave sizes free that those beside the best do not.
+    first = max(found, key=lambda whole: judge.gain(whole.column))
+    judge.settle(judge.without(first).values)
+    return _anew(judge, found)
+
+
+def _low_passes(judge: Judge, stack: Stack, delay: Whole, triads: set[str]) -> Iterator[Family]:
+    """Yield the low-passes of each order on some triads that are to be tried beside a delay."""
+    within = {i.name: (i.low or 0.0, i.high or np.inf) for i in get_effect(LOW_PASS).shape}
     known = {
         (c.parameters[0], c.shape["order"]): c
         for c in stack.physics.values()
         if c.name == LOW_PASS and len(c.parameters) == 1 and c.parameters[0] in triads
     }
-    cutoff = {i.name: (i.low or 0.0, i.high or np.inf) for i in get_effect(LOW_PASS).shape}
-    found = [delay]
-    for (triad, order), c in known.items():
-        size = f"{triad}_cutoff"
-        starts = [group_delay(abs(delay.size), int(order)), c.shape[size]]
-        found.append(judge.best(Family(c, size, cutoff[size]), starts))
-    # Levels that had to make up for it leave sizes free that those beside the best do not.
-    first = max(found, key=lambda whole: judge.gain(whole.column))
-    judge.settle(judge.without(first).values)
-    return _anew(judge, found)
+    for order in (1, 2) if judge.noisy else ():
+        for triad in sorted(triads):
+            shape = {f"{triad}_cutoff": group_delay(abs(delay.size), order), "order": float(order)}
+            known[triad, float(order)] = replace(
+                delay.family.candidate,
+                name=LOW_PASS,
+                parameters=(triad,),
+                shape=shape,
+                present=True,
+            )
+    for (triad, _), candidate in known.items():
+        yield Family(candidate, f"{triad}_cutoff", within[f"{triad}_cutoff"])
 
 
 def _anew(judge: Judge, found: list[Whole]) -> list[Whole]:

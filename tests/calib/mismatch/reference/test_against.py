@@ -6,6 +6,7 @@ from functools import cache
 import numpy as np
 import pytest
 
+from calib.effects.bandwidth import group_delay
 from calib.effects.base import Term
 from calib.errors import NoCommonMotionError
 from calib.mismatch import diagnose_against, diagnose_reference
@@ -210,8 +211,11 @@ def test_a_scale_factor_hides_no_delay():
     other = simulate(long, SensorModel(), NoiseModel(), rng=rng, rate=100.0)
     found = diagnose_against(real, other, gravity=GRAVITY)
     (item,) = found.findings
-    assert item.effect == "time_offset"
-    assert item.parameters["gyro_delay"].value == pytest.approx(0.004, abs=1e-4)
+    # A low-pass of second order that comes as late is the same within noise.
+    assert {item.effect, *(r.effect for r in item.rivals)} == {"time_offset", "bandwidth"}
+    late = item.parameters.get("gyro_delay") or item.parameters["gyro_cutoff"]
+    delay = late.value if item.effect == "time_offset" else group_delay(late.value, 2)
+    assert delay == pytest.approx(0.004, abs=1e-4)
     assert not found.unexplained
 
 
@@ -244,6 +248,41 @@ def test_a_low_pass_of_one_triad_is_found_however_strong(triad, cutoff, order, s
     value = item.parameters[f"{triad}_cutoff"]
     assert abs(value.value - cutoff) < 3 * value.sigma
     assert not found.unexplained
+
+
+@cache
+def noisy_simulation(rate: float = 100.0, seed: int = 55) -> Recording:
+    rng, sampling = np.random.default_rng(seed), Sampling(clock_offset=SHOWN)
+    return simulate(motion(), SensorModel(), CONSUMER, rng=rng, rate=rate, sampling=sampling)
+
+
+@pytest.mark.parametrize("seed", [2, 3])
+@pytest.mark.parametrize("triad", ["gyro", "accel"])
+def test_a_low_pass_is_found_beside_a_simulation_as_noisy_as_the_recording(triad, seed):
+    """It was a delay, with things beside it that are not there."""
+    shape = {triad: 1.0, f"{triad}_cutoff": 12.0, "order": 1.0}
+    real = recorded(Term("bandwidth", shape), seed=seed)
+    found = diagnose_against(real, noisy_simulation(), gravity=GRAVITY)
+    (item,) = found.findings
+    assert item.effect == "bandwidth"
+    cutoff = item.parameters[f"{triad}_cutoff"]
+    assert abs(cutoff.value - 12.0) < 3 * cutoff.sigma
+    assert cutoff.sigma < 0.2
+    assert item.parameters["order"].value == 1
+    assert found.verdict == "explained"
+
+
+@pytest.mark.parametrize("delay", [0.012, -0.006, 0.001, -0.001])
+def test_a_delay_is_no_low_pass_of_a_noisy_simulation(delay):
+    real = recorded(Term("time_offset", {"gyro_delay": delay}), seed=2)
+    found = diagnose_against(real, noisy_simulation(), gravity=GRAVITY)
+    (item,) = found.findings
+    assert item.effect == "time_offset"
+    value = item.parameters["gyro_delay"]
+    assert abs(value.value - delay) < 3.5 * value.sigma
+    assert found.verdict == "explained"
+    # A short one may be that of a low-pass; ten milliseconds of one would be seen to damp.
+    assert [r.effect for r in item.rivals] == ["bandwidth"] * (abs(delay) < 0.002)
 
 
 def test_evidence_that_drift_can_mimic_counts_in_full_where_every_moment_shows_the_drift():

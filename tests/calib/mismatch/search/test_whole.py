@@ -1,8 +1,5 @@
 """A delay and a low-pass that come equally late, however late that is."""
 
-from dataclasses import replace
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
@@ -130,18 +127,3 @@ def test_a_low_pass_is_as_likely_as_a_short_delay(delay: float, tied: bool) -> N
     assert (min(found.posterior.values()) >= TIE["least"]) == tied
     # What was taken out of the rows stays so.
     np.testing.assert_allclose(self_mode.rows().residual, fit.rows.residual, atol=1e-12)
-
-
-@pytest.mark.parametrize("delay", [0.001, -0.001])
-def test_a_low_pass_that_is_not_tried_beside_a_reference_may_be_a_delay_all_the_same(
-    delay: float,
-) -> None:
-    _, rows, stack = problem("late", delay)
-    own = candidate(stack, "time_offset", "gyro_delay")
-    start = accept(stack, own, 100.0)
-    start = replace(start, values=np.array([delay]), posterior={"time_offset": 1.0})
-    beside, levels = SimpleNamespace(reference=True), expected_levels(rows)
-    stack = make_stack(rows, skip=("bandwidth",), reference=False)
-    found = whole_odds(beside, rows, stack, [start], 0, levels, **TIE)
-    assert found.posterior["bandwidth"] == pytest.approx(0.5, abs=0.2)
-    assert sum(found.posterior.values()) == pytest.approx(1.0)
