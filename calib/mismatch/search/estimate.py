@@ -66,6 +66,18 @@ RANK = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
+class Windows:
+    """What whole windows say of the errors of p coefficients.
+
+    ``wider`` (p,) is how much larger they are, or 1, than if rows erred apart; ``count`` (p,) how
+    many windows tell of each.
+    """
+
+    wider: FloatArray
+    count: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
 class Estimate:
     """The joint fit of everything: steps from where the rows stand, and their covariance.
 
@@ -84,8 +96,8 @@ class Estimate:
         finding, where there are several.
     left : (m,) array
         Residual of the fit.
-    clusters : (p,) array, or None
-        How many windows tell of each, where it is they that say what the errors are.
+    windows : Windows, or None
+        Where windows say what the errors are.
     """
 
     step: FloatArray
@@ -95,7 +107,7 @@ class Estimate:
     beside: Mapping[tuple[int, str], FloatArray]
     forms: Mapping[int, float]
     left: FloatArray
-    clusters: FloatArray | None = None
+    windows: Windows | None = None
 
     def joint(self, which: Sequence[tuple[int, str]]) -> FloatArray:
         """Return the covariance of all coefficients, and of some shapes after them.
@@ -190,10 +202,10 @@ def estimate(
             )
     size = np.sqrt(np.diag(total))
     unsure = _unsure(rows, accepted, levels, contrast, covariance)
-    clusters = None
+    windows = None
     if rows.clustered:
-        together, clusters = _together(rows, accepted, levels, contrast)
-        unsure = unsure * together
+        windows = _together(rows, accepted, levels, contrast)
+        unsure = unsure * windows.wider
     longer = unsure * np.maximum(reach / 3.0, size) / np.where(size > 0, size, 1.0)
     total *= np.outer(longer, longer)
     start = rows.baseline.shape[1] + rows.nuisance.shape[1]
@@ -206,7 +218,7 @@ def estimate(
             beside[i, name] *= wide * longer
     left = rows.residual - fitted(rows, accepted) @ best
     first = tuple(int(k) for k in at)
-    return Estimate(best, total, first, shapes, beside, of_form, left, clusters)
+    return Estimate(best, total, first, shapes, beside, of_form, left, windows)
 
 
 def _unsure(
@@ -225,10 +237,8 @@ def _unsure(
 
 def _together(
     rows: Rows, accepted: tuple[Accepted, ...], levels: FloatArray, contrast: FloatArray
-) -> tuple[FloatArray, FloatArray]:
+) -> Windows:
     """Return how much wider errors are, as rows of one segment err together, than if none did.
-
-    Beside it how many segments tell of each.
 
     Of an estimate ``g' y`` of whitened rows y, which leaves the residuals r, the variance is the
     sum over segments of ``(g_k' r_k)²``; if rows erred apart, it were ``g' g``. What few segments
@@ -256,7 +266,7 @@ def _together(
     np.add.at(tell, rows.segment, np.square(influence[:, :m]).T)
     all_of_them = np.square(tell.sum(axis=0))
     count = all_of_them / np.maximum(np.square(tell).sum(axis=0), np.finfo(float).tiny)
-    return np.sqrt(np.maximum(ratio, 1.0)), np.maximum(count, 1.0)
+    return Windows(np.sqrt(np.maximum(ratio, 1.0)), np.maximum(count, 1.0))
 
 
 def wider(spread: FloatArray) -> FloatArray:

@@ -49,6 +49,9 @@ CERTAIN = 1e-3
 UNSURE = 0.05
 """P-value, all looks counted, above which a finding is not told from how windows scatter."""
 
+LIKELY = 0.05
+"""How rarely windows may scatter as they do by chance, for the noise that is assumed to stand."""
+
 SOMETHING = 1e-3
 """The same, were the windows many, up to which there is something in the few that tell."""
 
@@ -197,18 +200,23 @@ def explain(
 def _of_windows(fit: Estimate, which: int, a: Accepted, *, looks: int) -> tuple[float, float]:
     """Return how rarely windows that scatter as they do give such coefficients, all looks counted.
 
-    Few windows tell by Snedecor's F; beside it what chi-squared says, as if they were many. Both
-    are 0 where the noise is known, and of an effect with a shape, whose size is that of a mixture.
+    Few windows tell by Snedecor's F, where they scatter by more than the noise that is assumed
+    lets them; beside it what chi-squared says, as if they were many. Both are 0 where no windows
+    are needed to know the noise, and of an effect with a shape, whose size is that of a mixture.
     """
-    if fit.clusters is None or a.candidate.shape or a.candidate.present:
+    if fit.windows is None or a.candidate.shape or a.candidate.present:
         return 0.0, 0.0
     part = slice(fit.at[which], fit.at[which + 1])
     step, covariance = fit.step[part], fit.covariance[part, part]
     square = float(step @ np.linalg.pinv(covariance) @ step)
     share = np.square(step) / np.maximum(np.diag(covariance), np.finfo(float).tiny)
-    clusters = float(share @ fit.clusters[part] / max(share.sum(), np.finfo(float).tiny))
-    few, many = fdtrc(len(step), clusters, square / len(step)), chdtrc(len(step), square)
-    return looks * float(few), looks * float(many)
+    share /= max(share.sum(), np.finfo(float).tiny)
+    count = float(share @ fit.windows.count[part])
+    more = float(share @ np.square(fit.windows.wider[part]))
+    many = looks * float(chdtrc(len(step), square))
+    if chdtrc(count, count * more) > LIKELY:
+        return many, many
+    return looks * float(fdtrc(len(step), count, square / len(step))), many
 
 
 def _only_levels(outcome: Outcome, which: int, proof: HeldOut) -> bool:

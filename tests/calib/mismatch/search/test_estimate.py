@@ -208,7 +208,8 @@ def test_what_errs_together_in_a_segment_is_in_the_errors(apart, together):
         common = together * rng.normal(size=segments)[rows.segment] * along
         drawn_rows = rows.with_residual(back @ (rng.normal(size=len(along)) + common))
         step, covariance = module._fit(drawn_rows, (found,), *noise)
-        wide, count = module._together(drawn_rows, (found,), *noise)
+        windows = module._together(drawn_rows, (found,), *noise)
+        wide, count = windows.wider, windows.count
         squares.append(step[-1] ** 2)
         plain.append(covariance[-1, -1])
         robust.append(covariance[-1, -1] * wide[-1] ** 2)
@@ -230,7 +231,7 @@ def test_only_rows_that_may_err_together_have_wider_errors(apart):
         there = replace(rows, clustered=clustered)
         fit = estimate(there, (found,), *noise, reference=False)
         sizes.append(np.sqrt(np.diag(fit.covariance)))
-    wide, _ = module._together(rows, (found,), *noise)
+    wide = module._together(rows, (found,), *noise).wider
     assert wide.max() > 1.05
     np.testing.assert_allclose(sizes[1], sizes[0] * wide, rtol=1e-9)
 
@@ -256,4 +257,4 @@ def test_what_is_put_aside_is_no_noise_of_segments(apart):
     _, covariance = module._fit(real, (found, smooth), *noise)
     _, alone = module._fit(real, (found,), *noise)
     assert covariance[start, start] > 100.0 * alone[start, start]
-    assert module._together(real, (found, smooth), *noise)[0][start] < 1.5
+    assert module._together(real, (found, smooth), *noise).wider[start] < 1.5

@@ -7,7 +7,7 @@ from calib.calibration import Quantity
 from calib.effects import get_effect
 from calib.mismatch.findings.diagnosis import Rival
 from calib.mismatch.search.accepted import accept
-from calib.mismatch.search.estimate import Estimate
+from calib.mismatch.search.estimate import Estimate, Windows
 from calib.mismatch.search.explain import (
     _OF_MOTION,
     _is_whole,
@@ -82,13 +82,14 @@ def test_few_windows_tell_less_than_many(stacked):
     _, stack = stacked
     found = accept(stack, candidate(stack, "gyro_scale_nonlinearity", ("kx",)), 100.0)
 
-    def estimate(z: float, clusters: float | None) -> Estimate:
-        count = None if clusters is None else np.full(1, clusters)
-        return Estimate(np.full(1, z), np.eye(1), (0, 1), {}, {}, {}, np.zeros(1), count)
+    def estimate(z: float, windows: Windows | None) -> Estimate:
+        return Estimate(np.full(1, z), np.eye(1), (0, 1), {}, {}, {}, np.zeros(1), windows)
 
-    few, many = _of_windows(estimate(3.0, 2.0), 0, found, looks=1)
+    two, alike = (Windows(np.full(1, wider), np.full(1, 2.0)) for wider in (3.0, 1.2))
+    few, many = _of_windows(estimate(3.0, two), 0, found, looks=1)
     # Student's t with two degrees of freedom, and a normal variable.
     assert few == pytest.approx(0.0955, abs=1e-4)
     assert many == pytest.approx(0.0027, abs=1e-4)
-    assert _of_windows(estimate(3.0, 2.0), 0, found, looks=7)[0] == pytest.approx(7 * few)
+    assert _of_windows(estimate(3.0, two), 0, found, looks=7)[0] == pytest.approx(7 * few)
+    assert _of_windows(estimate(3.0, alike), 0, found, looks=1) == (many, many)
     assert _of_windows(estimate(3.0, None), 0, found, looks=7) == (0.0, 0.0)
