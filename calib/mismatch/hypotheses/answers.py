@@ -101,7 +101,9 @@ def nearby(rows: Rows, leader: Candidate) -> Stack:
     return stack
 
 
-def evidence_near(rows: Rows, near: Stack, whitener: Whitener, y: FloatArray) -> float:
+def evidence_near(
+    rows: Rows, near: Stack, whitener: Whitener, y: FloatArray, *, strong: float = STRONG
+) -> float:
     """Return log B of what is near as one candidate, each as probable as any other.
 
     A candidate with a moment stands for its rest or turn: of the moments they are those of the rest
@@ -116,18 +118,20 @@ def evidence_near(rows: Rows, near: Stack, whitener: Whitener, y: FloatArray) ->
     whitener : Whitener
     y : (m,) array
         Whitened projected residual.
+    strong : float
+        Log B from which the peak is sought.
     """
     factors = near.log_bayes_factors(whitener, y)
     average = _average(rows, near, factors)
     best = int(np.argmax(factors))
-    if not near[best].physical or factors[best] < STRONG:
+    if not near[best].physical or factors[best] < strong:
         return average
     peak = _peak(rows, near, best, float(factors[best]), whitener, y)
     if peak is None:
         return average
     # By Laplace's method a peak counts by its width, which of a shape that explains much is about
     # this share of what it may be.
-    return max(average, peak - 0.5 * float(np.log(2.0 * peak)))
+    return max(average, peak - 0.5 * float(np.log(max(2.0 * peak, 1.0))))
 
 
 def _average(rows: Rows, near: Stack, factors: FloatArray) -> float:

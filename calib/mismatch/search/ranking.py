@@ -8,7 +8,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.special import logsumexp
 
-from calib.mismatch.hypotheses.answers import grouped, leading
+from calib.effects import get_effect
+from calib.effects.base import TransformEffect
+from calib.mismatch.hypotheses.answers import evidence_near, grouped, leading, nearby
 from calib.mismatch.hypotheses.candidates import Candidate
 from calib.mismatch.hypotheses.families import add_catalogue
 from calib.mismatch.hypotheses.rivals import add_rivals
@@ -133,6 +135,7 @@ def rank(
     evidence, counted = scores.first()
     best, groups = grouped(stack, evidence)
     running = _running(best, groups)
+    running += _at_moments(scores, best, groups, running)
     every = base
     hidden: list[Hidden] = []
     if len(running) > 1:
@@ -194,6 +197,34 @@ def _running(best: Mapping[str, Candidate], groups: Mapping[str, float]) -> list
         or v >= top - AHEAD
         or (v >= PLAIN and best[g].physical and "moment" in best[g].shape)
     ]
+
+
+def _at_moments(
+    scores: Scores, best: Mapping[str, Candidate], groups: Mapping[str, float], running: list[str]
+) -> list[str]:
+    """Return further groups that are in the running at a moment between those that were tried.
+
+    A bias that steps within a window, or a turn, is off by much of it on either side: where the
+    step is what raises the levels of the drift, that is most of what it says.
+    """
+    top = max(groups.values())
+    out = []
+    for g, v in groups.items():
+        leader = best[g]
+        if g in running or v <= np.log(CLAIM) - 7 or not leader.physical:
+            continue
+        effect = get_effect(leader.name)
+        if not effect.from_moment or isinstance(effect, TransformEffect):
+            continue
+        near = nearby(scores.rows, leader)
+        if not len(near):
+            continue
+        whitener = scores.whitener(scores.base.values, scores.contrast)
+        y = whitener.project(scores.rows.residual)
+        value = evidence_near(scores.rows, near, whitener, y, strong=0.0)
+        if value + np.log(leader.weight) >= min(PLAIN, top - AHEAD):
+            out.append(g)
+    return out
 
 
 def _drifting(scores: Scores, whitener: Whitener, candidates: list[Candidate]) -> frozenset[str]:
