@@ -71,6 +71,10 @@ class AccelSettling(Effect):
             there[state.turning] = float(form == WHOLE)
         return axis_columns("accel", "k", there)
 
+    def must_show(self, shape: Mapping[str, float]) -> Mapping[str, float] | None:
+        """Return what fades after turns: a bias while it turns, and no longer, settles nothing."""
+        return {**shape, "in_turns": NONE} if shape.get("in_turns", FADING) == WHOLE else None
+
     def in_words(self, shape: Mapping[str, float]) -> str:
         return _WORDS[int(shape.get("in_turns", FADING))]
 

@@ -322,6 +322,13 @@ class Effect(ABC):
         """Return how many samples before one its correction looks at, if more than `reach`."""
         return self.reach(parameters, interval=interval)
 
+    def must_show(self, shape: Mapping[str, float]) -> Mapping[str, float] | None:
+        """Return the shape of the part of it that has to show, if it has one that is no proof.
+
+        The rest may be there for reasons of its own.
+        """
+        return None
+
     def in_words(self, shape: Mapping[str, float]) -> str:
         """Return the sentence that states its form (the values of its integers); empty for none."""
         return ""

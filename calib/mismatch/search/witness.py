@@ -1,8 +1,9 @@
-"""Which turns tell of an effect: one alone, that its samples do not resolve, is no witness.
+"""What tells of an effect: one turn alone, that its samples do not resolve, is no witness.
 
 By how much samples miss a turn is known to a factor of two or so, and the worst turn of a recording
 can miss by several times what is expected of it. An effect whose column is large in that turn
-explains it as well as any jolt would. Another turn, or a rest, has to show it too.
+explains it as well as any jolt would. Another turn, or a rest, has to show it too. Nor is a part of
+an effect that other causes have as well: what is its own has to show (`Effect.must_show`).
 """
 
 from __future__ import annotations
@@ -10,6 +11,9 @@ from __future__ import annotations
 import numpy as np
 
 from calib.effects import get_effect
+from calib.mismatch.hypotheses.candidates import Candidate
+from calib.mismatch.hypotheses.families import candidate_columns
+from calib.mismatch.hypotheses.score import Stack
 from calib.mismatch.noise.noise import Whitener, range_basis
 from calib.mismatch.rows.rows import Rows
 from calib.mismatch.search.ranking import COUNTS, Ranking
@@ -20,8 +24,13 @@ ELSEWHERE = 0.25
 """Share of what an effect gains that rows outside of one turn must tell."""
 
 
+CLEAR = 3.0
+"""Log-likelihood that the part of an effect that is its own gains, if it shows: noise reaches that
+in 1 of 70."""
+
+
 def witnessed(rows: Rows, ranking: Ranking, whitener: Whitener, y: FloatArray) -> dict[str, float]:
-    """Return the groups of a ranking without effects that last and that one turn alone tells of."""
+    """Return the groups of a ranking without effects that last and that no witness tells of."""
     tried = [
         g
         for g, v in ranking.groups.items()
@@ -33,8 +42,36 @@ def witnessed(rows: Rows, ranking: Ranking, whitener: Whitener, y: FloatArray) -
         g
         for g in tried
         if told_by_one_turn(rows, ranking.stack.of(ranking.best[g]), ranking.levels, whitener, y)
+        or not shows_its_own(rows, ranking.stack, ranking.best[g], whitener, y)
     ]
     return {g: v for g, v in ranking.groups.items() if g not in alone}
+
+
+def shows_its_own(
+    rows: Rows, stack: Stack, candidate: Candidate, whitener: Whitener, y: FloatArray
+) -> bool:
+    """Whether rows tell of the part of an effect that is its own, beside the rest of it.
+
+    Parameters
+    ----------
+    rows : Rows
+    stack, candidate : Stack, Candidate
+    whitener : Whitener
+        With all that is fitted projected out.
+    y : (m,) array
+        Whitened projected residual.
+    """
+    shape = get_effect(candidate.name).must_show(candidate.shape)
+    if shape is None:
+        return True
+    whole = stack.of(candidate)
+    own = candidate_columns(rows, candidate, shape, reference=True)
+    if own is None:
+        return False
+    rest = range_basis(whitener.project(whole - own))
+    seen, left = whitener.project(own), y - rest @ (rest.T @ y)
+    gain = likelihood_gain(seen - rest @ (rest.T @ seen), left)
+    return gain > min(CLEAR, ELSEWHERE * likelihood_gain(whitener.project(whole), y))
 
 
 def told_by_one_turn(
