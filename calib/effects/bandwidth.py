@@ -26,7 +26,7 @@ from calib.effects.resampling import (
 )
 from calib.recording import CHANNELS
 from calib.spline import spline_slopes
-from calib.types import FloatArray
+from calib.types import ComplexArray, FloatArray
 
 GONE = 0.05
 """Share of a signal below which a low-pass has taken it away for good: a hand's tremor is ten to
@@ -71,23 +71,23 @@ class Bandwidth(TransformEffect):
         return SPLINE_REACH + seconds_of_samples(late, interval)
 
     def columns(self, state: State, shape: Mapping[str, float]) -> dict[str, Column]:
-        """Return what the low-pass takes away from each triad whose cut-off is given."""
+        """Return what the low-pass takes away from each triad whose cut-off is given.
+
+        Of signals that their samples resolve: no spline between them is as exact.
+        """
         order = int(shape.get("order", 1))
         both = shape.get("both_cutoff")
+        step = float(np.median(np.diff(state.time))) if len(state.time) > 1 else 1.0
         out: dict[str, Column] = {}
-        for triad, x, slopes in (
-            ("accel", state.force, state.force_dot),
-            ("gyro", state.rate, state.rate_slope),
-        ):
+        for triad, x in (("accel", state.force), ("gyro", state.rate)):
             cutoff = shape.get(f"{triad}_cutoff")
             if cutoff is not None:
-                late = low_pass(state.time, x, cutoff, order=order, slopes=slopes)
+                late = _Spectrum(x, step).passed(cutoff, order=order)
                 out[triad] = triad_column(triad, late - x)
         if both is not None:
-            # All axes at once: they have their splines at the same times.
             x = np.hstack((state.force, state.rate))
-            slopes = np.hstack((state.force_dot, state.rate_slope))
-            change = prompt_low_pass(state.time, x, both, order=order, slopes=slopes) - x
+            early = group_delay(both, order)
+            change = _Spectrum(x, step).passed(both, order=order, early=early) - x
             out["both"] = {
                 **triad_column("accel", change[:, :3]),
                 **triad_column("gyro", change[:, 3:]),
@@ -146,10 +146,9 @@ def prompt_low_pass(
     cutoff: float,
     *,
     order: int,
-    slopes: FloatArray | None = None,
 ) -> FloatArray:
     """Return (n, k) values through the low-pass, its delay at low frequency taken off."""
-    late = low_pass(time, values, cutoff, order=order, slopes=slopes)
+    late = low_pass(time, values, cutoff, order=order)
     return resample(time, late, time + group_delay(cutoff, order))
 
 
@@ -164,17 +163,12 @@ def low_pass(
     cutoff: float,
     *,
     order: int,
-    slopes: FloatArray | None = None,
 ) -> FloatArray:
-    """Return (n, k) values through the low-pass, which starts settled at the first of them.
-
-    ``slopes`` are those of their spline, where they are known.
-    """
+    """Return (n, k) values through the low-pass, which starts settled at the first of them."""
     if len(time) < 2:
         return values
     step = float(np.median(np.diff(time)))
-    if slopes is None:
-        slopes = spline_slopes(time, values) if len(time) > 3 else np.gradient(values, time, axis=0)
+    slopes = spline_slopes(time, values) if len(time) > 3 else np.gradient(values, time, axis=0)
     # One signal after the other in memory, as the solver has them.
     level, slope = (np.ascontiguousarray(x.T, np.float64) for x in (values, step * slopes))
     levels, ends, den = _discrete(2 * np.pi * cutoff, step, order)
@@ -263,6 +257,13 @@ class _Spectrum:
         self._frequency = np.fft.rfftfreq(2 * n, interval)
         self._values = np.fft.rfft(there_and_back)
 
+    def passed(self, cutoff: float, *, order: int, early: float = 0.0) -> FloatArray:
+        """Return the (n, k) values through a low-pass, its output moved to be `early` (s)."""
+        gain = _response(np.asarray(self._frequency), cutoff, order=order)
+        if early:
+            gain = gain * np.exp(2j * np.pi * self._frequency * early)
+        return np.fft.irfft(gain * self._values, self._length)[:, : self._number].T
+
     def restored(self, low_passes: Iterable[tuple[float, float]], *, order: int) -> FloatArray:
         """Return the (n, k) values as they were before low-passes.
 
@@ -271,13 +272,18 @@ class _Spectrum:
         """
         spectrum = self._values
         for cutoff, late in low_passes:
-            s = 1j * self._frequency / cutoff
-            passed = 1 / (1 + s) if order == 1 else 1 / (1 + np.sqrt(2) * s + s**2)
+            passed = _response(np.asarray(self._frequency), cutoff, order=order)
             if late:
                 passed *= np.exp(2j * np.pi * self._frequency * late)
             power = np.square(passed.real) + np.square(passed.imag)
             spectrum = (1 + GONE**2) * passed.conj() / (power + GONE**2) * spectrum
         return np.fft.irfft(spectrum, self._length)[:, : self._number].T
+
+
+def _response(frequency: FloatArray, cutoff: float, *, order: int) -> ComplexArray:
+    """Return what the low-pass makes of sinusoids."""
+    s = 1j * frequency / cutoff
+    return np.asarray(1 / (1 + s) if order == 1 else 1 / (1 + np.sqrt(2) * s + s**2))
 
 
 def _smooth_number(least: int) -> int:

@@ -24,7 +24,11 @@ SHORTEST, FEWEST = 1.0, 12
 """s and points of a window, at least."""
 
 SHAPES = 1200
-"""Rows that follow a shape within a window, at most: the strongest ones are kept."""
+"""Rows that follow a shape within a window, at most: those that tell most are kept."""
+
+ENOUGH = 20.0
+"""Standard errors to which a column counts at most, all windows together, in what shapes tell: what
+is plain without its weaker shapes leaves them to effects that hardly show."""
 
 VISIBLE = 0.1
 """A shape that effects of typical size reach by less than this, in standard errors, is no row."""
@@ -180,6 +184,9 @@ def find_shapes(
         counts = counts[2:] & counts[:-2] if counts.any() else ~counts[2:]
         rough = float(np.median(np.abs(np.diff(seen, n=2))[counts])) / 0.6745 / np.sqrt(6.0)
         rough = max(rough, 1e-9)
+        counted = np.ones(own.shape[1])
+        if scatter is None:
+            counted = _counted(own, size[:, c], first, last, rough)
         for s, (a, b) in enumerate(zip(first, last, strict=True)):
             if not judged[s, c]:
                 noise[s, c], free[s, c] = 0.0, 1.0
@@ -199,7 +206,8 @@ def find_shapes(
             many = independent[s, c]
             free[s, c] = max(many - 1 - shapes.shape[1], LEAST_FREE * many)
             noise[s, c] = float(rest @ rest) / free[s, c]
-            found += [(float(v), s, c, x) for v, x in zip(strength[keep], shapes.T, strict=True)]
+            tell = np.linalg.norm(shapes.T @ part * counted, axis=1)
+            found += [(float(v), s, c, x) for v, x in zip(tell, shapes.T, strict=True)]
             slow[c][s] = slow_left(rest, mean, shapes)
     noise = _levelled(noise, free, independent, blur.white, judged)
     strongest = sorted(found, key=lambda item: -item[0])[:SHAPES]
@@ -223,6 +231,18 @@ def find_shapes(
         scatter,
         None if blur.judged is None else judged[:, 0],
     )
+
+
+def _counted(
+    columns: FloatArray, size: FloatArray, first: IntArray, last: IntArray, rough: float
+) -> FloatArray:
+    """Return by how much each of (m, k) columns counts, (k,): all of them to `ENOUGH` at most."""
+    power = np.zeros(columns.shape[1])
+    for a, b in zip(first, last, strict=True):
+        mean = 1.0 / size[a:b]
+        mean /= np.linalg.norm(mean)
+        power += np.square(columns[a:b]).sum(axis=0) - np.square(mean @ columns[a:b])
+    return np.asarray(ENOUGH / np.maximum(np.sqrt(np.maximum(power, 0.0)) / rough, ENOUGH) / rough)
 
 
 def _sizes(scatter: Scatter | None, blur: Blur) -> FloatArray:
