@@ -173,6 +173,7 @@ def find_shapes(
     independent = blur.power * np.array(
         [seen_of[a:b].sum(axis=0) for a, b in zip(first, last, strict=True)]
     )
+    judged &= independent >= 1.0  # all of a window may say nothing
     found: list[tuple[float, int, int, FloatArray]] = []
     slow: list[dict[int, Slow]] = [{} for _ in CHANNELS]
     for c, name in enumerate(CHANNELS):

@@ -7,8 +7,10 @@ from calib.effects.base import State
 from calib.mismatch.hypotheses.candidates import Candidate
 from calib.mismatch.noise.contrast import contrast_variance
 from calib.mismatch.reference import shapes
+from calib.mismatch.reference import shapes as module
 from calib.mismatch.reference.band import limited, low_passed, widened, zero_phase
 from calib.mismatch.reference.colour import Blur, find_colour, gaussian, whitening
+from calib.mismatch.reference.scatter import NOTHING_SAID, silenced
 from calib.mismatch.reference.shapes import find_shapes
 from calib.mismatch.reference.truths import ENDS, RecordingTruth
 from calib.mismatch.reference.windowed import make_rows
@@ -212,3 +214,39 @@ def test_a_low_pass_bridges_a_gap_and_says_where_it_is_not_to_be_believed():
     assert bad.mean() < 0.15
     assert np.allclose(passed.accel[~bad], recording.accel[~bad], atol=1e-3)
     assert np.abs(passed.gyro - recording.gyro).max() < 1.0
+
+
+def test_a_window_that_says_nothing_has_no_say_in_the_noise():
+    rng = np.random.default_rng(1)
+    time = np.arange(0.0, 60.0, 0.05)
+    left = rng.normal(0, 0.1, (len(time), 6))
+    columns = [(name, np.sin(time)) for name in CHANNELS]
+    shapes = find_shapes(
+        time, left, columns, blur=gaussian(time, 0.0, 0.05), scatter=silenced(time < 5.0)
+    )
+    assert np.isfinite(shapes.noise).all()
+    np.testing.assert_allclose(shapes.noise[0] / shapes.noise[-1], NOTHING_SAID, rtol=1e-6)
+
+
+def test_rows_go_to_what_hardly_shows_and_not_to_what_is_plain_without_them(monkeypatch):
+    rng = np.random.default_rng(2)
+    time = np.arange(0.0, 60.0, 0.05)
+    left = rng.normal(0, 0.1, (len(time), 6))
+    strong = 50.0 * np.stack([np.sin((3 + k) * time) for k in range(6)])
+    weak = 0.05 * np.cos(1.7 * time)
+    columns = [(name, values) for name in CHANNELS for values in (*strong, weak)]
+    monkeypatch.setattr(module, "SHAPES", 900)
+    shapes = find_shapes(time, left, columns, blur=gaussian(time, 0.0, 0.05))
+    kept = 0.0
+    for s, vector in zip(shapes.segment, shapes.vectors, strict=True):
+        kept += float(weak[shapes.first[s] : shapes.last[s]] @ vector) ** 2
+    whole = sum(
+        float(np.var(weak[a:b]) * (b - a)) for a, b in zip(shapes.first, shapes.last, strict=True)
+    )
+    assert kept > 0.25 * whole
+    monkeypatch.setattr(module, "ENOUGH", 1e9)
+    plain = find_shapes(time, left, columns, blur=gaussian(time, 0.0, 0.05))
+    before = 0.0
+    for s, vector in zip(plain.segment, plain.vectors, strict=True):
+        before += float(weak[plain.first[s] : plain.last[s]] @ vector) ** 2
+    assert kept > before
