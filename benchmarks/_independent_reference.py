@@ -61,6 +61,16 @@ def simulation(rng: np.random.Generator, motion: Motion, path: Path) -> Referenc
     return Reference("--against")
 
 
+def noisy(rng: np.random.Generator, motion: Motion, path: Path) -> Reference:
+    """Write what a perfect sensor has but for noise, which is as loud as the part's, as CSV."""
+    time = _moments(rng, motion, (50.0, 100.0, 200.0))
+    own = replace(motion, setting=replace(motion.setting, rate=1 / (time[1] - time[0])))
+    output = _at(motion, np.hstack((motion.force, motion.rate)), time)
+    output = output + noise(rng, own, len(time))
+    write_csv(path, time + float(rng.choice([0.0, 1000.0, -37.2])), output, None, rng)
+    return Reference("--against")
+
+
 def captured(rng: np.random.Generator, motion: Motion, path: Path) -> Reference:
     """Write orientation and position of markers near the sensor, with noise, as CSV."""
     time = _moments(rng, motion, (60.0, 100.0, 120.0, 200.0, 240.0))
@@ -105,6 +115,7 @@ def _mounted(arm: np.ndarray) -> Reference:
 
 REFERENCES: dict[str, Callable[[np.random.Generator, Motion, Path], Reference]] = {
     "beside": simulation,
+    "noisy": noisy,
     "captured": captured,
     "imu": imu,
 }

@@ -7,8 +7,9 @@ size: that at which an oracle has non-centrality 45 (`_independent_oracle.py`), 
 three times what a data sheet calls typical.
 
 ``--parts beside`` judges effects, and clean recordings, ``--against`` a simulation of their motion
-that is perfect but for its rate, on a clock of its own; ``captured`` and ``imu`` do so with
-``--reference``: markers that are seen with noise, or another IMU, turned and some centimetres away.
+that is perfect but for its rate, on a clock of its own, ``noisy`` one that is as noisy as the
+recording; ``captured`` and ``imu`` do so with ``--reference``: markers that are
+seen with noise, or another IMU, turned and some centimetres away.
 
 A name counts if it is a finding, or a stated rival of one. A name is false if neither it nor its
 rivals are in the recording. Failing recordings are kept with ``--keep DIR``.

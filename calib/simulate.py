@@ -119,7 +119,7 @@ def simulate(
     if state.vibration is not None:
         shake = np.sqrt(state.vibration) * rng.normal(size=state.force.shape)
         random = Signals(random.accel + shake @ model.accel.matrix.T, random.gyro)
-    measured = _distorted(model, motion, state, random, start)
+    measured = _distorted(model, motion, true_time, state, random)
     accel = _read_out(measured.accel, device.accel_full_scale, device.accel_lsb)
     gyro = _read_out(measured.gyro, device.gyro_full_scale, device.gyro_lsb)
     temperature = state.temperature
@@ -182,10 +182,9 @@ def digital_twin(
 
 
 def _distorted(
-    model: SensorModel, motion: Motion, state: State, random: Signals, start: float
+    model: SensorModel, motion: Motion, time: FloatArray, state: State, random: Signals
 ) -> Signals:
-    """Return what the sensor measures at a state's times; its clock is ahead by `start` (s)."""
-    time = state.time - start
+    """Return what the sensor measures at true times, where its clock and the motion say `state`."""
     interval = float(np.median(np.diff(time))) if len(time) > 1 else np.inf
     every = int(np.ceil(FINE * interval - 1e-9)) if np.isfinite(interval) else 1
     if model.is_prompt or every == 1 or every * len(time) > MANY:
@@ -193,7 +192,8 @@ def _distorted(
     whole = np.arange(len(time), dtype=float)
     between = np.arange((len(time) - 1) * every + 1) / every
     fine = motion.state(np.interp(between, whole, time))
-    fine = replace(fine, time=fine.time + start, power_on=motion.power_on + start)
+    start = state.power_on - motion.power_on
+    fine = replace(fine, time=fine.time + start, power_on=state.power_on)
     return model.distort(fine, random, every=every)
 
 

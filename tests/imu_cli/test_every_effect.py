@@ -22,6 +22,8 @@ from imu_cli.app import app
 
 SECONDS, RATE = 60.0, 50.0
 SENSOR = [effect for effect in effects().values() if effect.kind == "sensor"]
+ROUNDING = 1e-12
+
 LEFT = 0.25
 """Of the error signal, at most, that `apply` leaves without noise: settling depends on the moments
 at which turns are seen to end."""
@@ -85,8 +87,10 @@ def test_a_calibration_with_an_effect_simulates_corrects_and_shows_it(
         # What was rounded away is gone, and stays as it is.
         np.testing.assert_allclose(after, before, rtol=1e-9)
         return
-    assert (after[before > 0] < LEFT * before[before > 0]).all()
-    assert not after[before == 0].any()
+    # Motion that is sampled more finely is the same but for rounding.
+    touched = before > ROUNDING
+    assert (after[touched] < LEFT * before[touched]).all()
+    assert (after[~touched] < ROUNDING).all()
 
 
 @pytest.mark.parametrize(
