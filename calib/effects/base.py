@@ -185,16 +185,11 @@ class State:
         return self.derivative(self.force)
 
     @cached_property
-    def rate_slope(self) -> FloatArray:
-        """Slopes of the spline through the rate, rad/s²: `rate_dot` may be known better."""
-        return self.derivative(self.rate)
-
-    @cached_property
     def rate_dot(self) -> FloatArray:
         """Angular acceleration, rad/s²."""
         if self.angular_acceleration is not None:
             return self.angular_acceleration
-        return self.rate_slope
+        return self.derivative(self.rate)
 
     @cached_property
     def gradient(self) -> FloatArray:
