@@ -273,6 +273,12 @@ def is_moment(item: ShapeParameter) -> bool:
     return item.unit == "s" and item.spacing == "linear" and item.low is None
 
 
+def is_step(candidate: Candidate) -> bool:
+    """Whether it is a bias that steps: what acts from a moment on, and is no loss of samples."""
+    effect = get_effect(candidate.name) if candidate.physical else None
+    return effect is not None and effect.from_moment and not isinstance(effect, TransformEffect)
+
+
 def around(rows: Rows, k: int) -> tuple[FloatArray, FloatArray]:
     """Return where segment `k` and those beside it begin, and where the next ones do.
 

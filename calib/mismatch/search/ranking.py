@@ -8,11 +8,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.special import logsumexp
 
-from calib.effects import get_effect
-from calib.effects.base import TransformEffect
 from calib.mismatch.hypotheses.answers import evidence_near, grouped, leading, nearby
 from calib.mismatch.hypotheses.candidates import Candidate
-from calib.mismatch.hypotheses.families import add_catalogue
+from calib.mismatch.hypotheses.families import add_catalogue, is_step
 from calib.mismatch.hypotheses.rivals import add_rivals
 from calib.mismatch.hypotheses.score import Stack
 from calib.mismatch.noise.noise import Levels, Whitener, make_whitener, range_basis
@@ -208,19 +206,21 @@ def _at_moments(
     step is what raises the levels of the drift, that is most of what it says.
     """
     top = max(groups.values())
-    out = []
-    for g, v in groups.items():
+    out: list[str] = []
+    tried = [
+        g
+        for g, v in groups.items()
+        if g not in running and v > np.log(CLAIM) - 7 and is_step(best[g])
+    ]
+    if not tried:
+        return out
+    whitener = scores.whitener(scores.base.values, scores.contrast)
+    y = whitener.project(scores.rows.residual)
+    for g in tried:
         leader = best[g]
-        if g in running or v <= np.log(CLAIM) - 7 or not leader.physical:
-            continue
-        effect = get_effect(leader.name)
-        if not effect.from_moment or isinstance(effect, TransformEffect):
-            continue
         near = nearby(scores.rows, leader)
         if not len(near):
             continue
-        whitener = scores.whitener(scores.base.values, scores.contrast)
-        y = whitener.project(scores.rows.residual)
         value = evidence_near(scores.rows, near, whitener, y, strong=0.0)
         if value + np.log(leader.weight) >= min(PLAIN, top - AHEAD):
             out.append(g)

@@ -11,7 +11,7 @@ import numpy as np
 from calib.effects import get_effect
 from calib.effects.base import PRESENCE, Term, TransformEffect
 from calib.mismatch.hypotheses.candidates import Candidate
-from calib.mismatch.hypotheses.families import candidate_columns, neighbours
+from calib.mismatch.hypotheses.families import candidate_columns, is_step, neighbours
 from calib.mismatch.noise.noise import estimate_levels, find_levels, make_whitener
 from calib.mismatch.rows.rows import Rows
 from calib.mismatch.search.accepted import Accepted, contrast_noise, fitted
@@ -132,8 +132,7 @@ def _moments_anew(
     """
     moved = list(accepted)
     for i, a in enumerate(accepted):
-        effect = get_effect(a.candidate.name) if a.candidate.physical else None
-        if effect is None or not effect.from_moment or isinstance(effect, TransformEffect):
+        if not is_step(a.candidate):
             continue
         whitener = make_whitener(
             rows, levels, contrast, fitted(rows, accepted[:i] + accepted[i + 1 :])

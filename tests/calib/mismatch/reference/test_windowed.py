@@ -7,7 +7,6 @@ from calib.effects.base import State
 from calib.mismatch.hypotheses.candidates import Candidate
 from calib.mismatch.noise.contrast import contrast_variance
 from calib.mismatch.reference import shapes
-from calib.mismatch.reference import shapes as module
 from calib.mismatch.reference.band import limited, low_passed, widened, zero_phase
 from calib.mismatch.reference.colour import Blur, find_colour, gaussian, whitening
 from calib.mismatch.reference.scatter import NOTHING_SAID, silenced
@@ -221,11 +220,11 @@ def test_a_window_that_says_nothing_has_no_say_in_the_noise():
     time = np.arange(0.0, 60.0, 0.05)
     left = rng.normal(0, 0.1, (len(time), 6))
     columns = [(name, np.sin(time)) for name in CHANNELS]
-    shapes = find_shapes(
+    found = find_shapes(
         time, left, columns, blur=gaussian(time, 0.0, 0.05), scatter=silenced(time < 5.0)
     )
-    assert np.isfinite(shapes.noise).all()
-    np.testing.assert_allclose(shapes.noise[0] / shapes.noise[-1], NOTHING_SAID, rtol=1e-6)
+    assert np.isfinite(found.noise).all()
+    np.testing.assert_allclose(found.noise[0] / found.noise[-1], NOTHING_SAID, rtol=1e-6)
 
 
 def test_rows_go_to_what_hardly_shows_and_not_to_what_is_plain_without_them(monkeypatch):
@@ -235,18 +234,20 @@ def test_rows_go_to_what_hardly_shows_and_not_to_what_is_plain_without_them(monk
     strong = 50.0 * np.stack([np.sin((3 + k) * time) for k in range(6)])
     weak = 0.05 * np.cos(1.7 * time)
     columns = [(name, values) for name in CHANNELS for values in (*strong, weak)]
-    monkeypatch.setattr(module, "SHAPES", 900)
-    shapes = find_shapes(time, left, columns, blur=gaussian(time, 0.0, 0.05))
-    kept = 0.0
-    for s, vector in zip(shapes.segment, shapes.vectors, strict=True):
-        kept += float(weak[shapes.first[s] : shapes.last[s]] @ vector) ** 2
+    blur = gaussian(time, 0.0, 0.05)
+
+    def kept() -> float:
+        found = find_shapes(time, left, columns, blur=blur)
+        windows = zip(found.first[found.segment], found.last[found.segment], strict=True)
+        parts = [weak[a:b] for a, b in windows]
+        return sum(float(x @ v) ** 2 for x, v in zip(parts, found.vectors, strict=True))
+
+    monkeypatch.setattr(shapes, "SHAPES", 900)
+    found = find_shapes(time, left, columns, blur=blur)
     whole = sum(
-        float(np.var(weak[a:b]) * (b - a)) for a, b in zip(shapes.first, shapes.last, strict=True)
+        float(np.var(weak[a:b]) * (b - a)) for a, b in zip(found.first, found.last, strict=True)
     )
-    assert kept > 0.25 * whole
-    monkeypatch.setattr(module, "ENOUGH", 1e9)
-    plain = find_shapes(time, left, columns, blur=gaussian(time, 0.0, 0.05))
-    before = 0.0
-    for s, vector in zip(plain.segment, plain.vectors, strict=True):
-        before += float(weak[plain.first[s] : plain.last[s]] @ vector) ** 2
-    assert kept > before
+    told = kept()
+    assert told > 0.25 * whole
+    monkeypatch.setattr(shapes, "ENOUGH", 1e9)
+    assert told > kept()
