@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Hashable, Iterator, Mapping
 from itertools import product
 
 import numpy as np
@@ -95,7 +95,7 @@ def _add(
     number = _added(stack, rows, [v for _, columns in found for v in columns.values()])
     for shape, columns in found:
         index = dict(zip(columns, number, strict=False))
-        for names, share in _subsets(tuple(columns), refining):
+        for names, share in _subsets(tuple(columns), channels, refining):
             touched: tuple[str, ...] = tuple(dict.fromkeys(c for n in names for c in channels[n]))
             stack.add(
                 Candidate(
@@ -191,12 +191,13 @@ def candidate_columns(
 
 
 def _subsets(
-    names: tuple[str, ...], refining: tuple[str, ...]
+    names: tuple[str, ...], channels: Mapping[str, tuple[str, ...]], refining: tuple[str, ...]
 ) -> Iterator[tuple[tuple[str, ...], float]]:
-    """Yield each parameter alone, those that differ only in axis together, and all together.
+    """Yield sets of parameters, and the share of each: one may be there, or all, or some.
 
-    Those that refine the others come with all of them only, and what few parameters explain as well
-    is not given to many: over a narrow span of temperature a cube has any size.
+    Some are those of one channel, and those that differ only in axis (a diagonal). Those that
+    refine the others come with all of them only, and what few parameters explain as well is not
+    given to many: over a narrow span of temperature a cube has any size.
     """
     every = names
     names = tuple(n for n in every if n not in refining)
@@ -205,10 +206,7 @@ def _subsets(
     if len(every) == 1:
         yield every, 1.0
         return
-    kinds: dict[str, list[str]] = {}
-    for name in names:
-        kinds.setdefault(re.sub(r"[xyz]+$", "", name), []).append(name)
-    groups = [tuple(v) for v in kinds.values() if 1 < len(v) < len(names)]
+    groups = _alike(names, {n: _kind(n) for n in names})
     if len(every) > len(names):
         for name in names:
             yield (name,), 1.0 / 3.0 / len(names)
@@ -216,12 +214,26 @@ def _subsets(
         for subset in nested:
             yield subset, 2.0 / 3.0 / len(subset) / sum(1.0 / len(s) for s in nested)
         return
+    groups += _alike(names, {n: channels[n] for n in names})
     parts: list[list[tuple[str, ...]]] = [[(n,) for n in names], [names]]
     if groups:
         parts.append(groups)
     for part in parts:
         for subset in part:
             yield subset, 1.0 / len(parts) / len(part)
+
+
+def _alike(names: tuple[str, ...], kind: Mapping[str, Hashable]) -> list[tuple[str, ...]]:
+    """Return the names of each kind, where they are some of all."""
+    kinds: dict[Hashable, list[str]] = {}
+    for name in names:
+        kinds.setdefault(kind[name], []).append(name)
+    return [tuple(v) for v in kinds.values() if 1 < len(v) < len(names)]
+
+
+def _kind(name: str) -> str:
+    """Return the name without its axis, which a diagonal has twice; one of two axes is its own."""
+    return re.sub(r"(?<![xyz])([xyz])\1?$", "", name)
 
 
 def _shapes(effect: Effect, rows: Rows) -> Iterator[Mapping[str, float]]:
