@@ -30,12 +30,12 @@ WITHIN = 0.7
 """How much levels of one group differ among each other: standard deviation of the logarithm of a
 level (a variance)."""
 
-SOONER, WALKS = 1.6, 1.0
-"""How much walks differ from jitter and flicker besides, all of a group, and each by itself: a bias
-walks further than it flickers after a hundred seconds to ten hours (where an Allan plot begins to
-rise), a factor of e^5.9 that is taken for four standard deviations, as a variance goes with it; and
-axes of one part have it in common. Without that a part that walks soon would have to be a chance
-for each of its axes, and an effect on all of them the simpler answer."""
+SOONER, WALKS = 1.0, 1.0
+"""How much walks differ from jitter and flicker besides, all of a group, and each by itself: the
+minutes to hours after which a bias walks further than it flickers (where an Allan plot begins to
+rise) differ from part to part by a factor of ten, and axes of one part have them in common. Without
+that a part that walks soon would have to be a chance for each of its axes, and an effect on all of
+them the simpler answer."""
 
 INDEPENDENT = 1e-5
 """Share of a column's length that those before it must leave for it to be clearly independent."""

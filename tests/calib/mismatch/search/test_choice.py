@@ -12,7 +12,7 @@ from calib.mismatch.noise.noise import (
 from calib.mismatch.search import choice
 from calib.mismatch.search.accepted import contrast_noise, fitted
 from calib.mismatch.search.choice import choose, possible
-from calib.mismatch.search.ranking import CLAIM, DRIFTING, Ranking, make_stack, rank
+from calib.mismatch.search.ranking import Ranking, make_stack, rank
 
 from ..bench import GRAVITY, problem
 from .stacked import candidate
@@ -45,13 +45,12 @@ def test_what_a_drift_can_mimic_is_not_passed_over_for_a_poorer_rival(stacked):
         found = ranked(stacked, {step: of_step, wave: of_wave}, frozenset({step.group}))
         return taken(rows, found)
 
-    enough = np.log(CLAIM / DRIFTING)
-    assert chosen(enough + 0.1, -4.0) is step
-    assert chosen(enough - 0.1, -4.0) is None
-    assert chosen(0.5, 1.0) is wave
+    assert chosen(3.8, -0.2) is step
+    assert chosen(1.5, -0.2) is None
+    assert chosen(1.5, 1.5) is wave
     assert chosen(6.0, 2.0) is step
     # Both together are enough, but neither is by itself.
-    assert chosen(0.9, 0.5) is None
+    assert chosen(1.9, 0.5) is None
 
 
 def test_a_name_that_is_less_probable_than_rivals_needs_the_claim_by_itself(stacked):
