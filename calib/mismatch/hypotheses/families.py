@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Hashable, Iterator, Mapping
+from collections.abc import Callable, Hashable, Iterator, Mapping
 from itertools import product
 
 import numpy as np
@@ -206,7 +206,7 @@ def _subsets(
     if len(every) == 1:
         yield every, 1.0
         return
-    groups = _alike(names, {n: _kind(n) for n in names})
+    groups = _alike(names, _kind)
     if len(every) > len(names):
         for name in names:
             yield (name,), 1.0 / 3.0 / len(names)
@@ -214,7 +214,7 @@ def _subsets(
         for subset in nested:
             yield subset, 2.0 / 3.0 / len(subset) / sum(1.0 / len(s) for s in nested)
         return
-    groups += _alike(names, {n: channels[n] for n in names})
+    groups += _alike(names, channels.__getitem__)
     parts: list[list[tuple[str, ...]]] = [[(n,) for n in names], [names]]
     if groups:
         parts.append(groups)
@@ -223,11 +223,11 @@ def _subsets(
             yield subset, 1.0 / len(parts) / len(part)
 
 
-def _alike(names: tuple[str, ...], kind: Mapping[str, Hashable]) -> list[tuple[str, ...]]:
+def _alike(names: tuple[str, ...], kind: Callable[[str], Hashable]) -> list[tuple[str, ...]]:
     """Return the names of each kind, where they are some of all."""
     kinds: dict[Hashable, list[str]] = {}
     for name in names:
-        kinds.setdefault(kind[name], []).append(name)
+        kinds.setdefault(kind(name), []).append(name)
     return [tuple(v) for v in kinds.values() if 1 < len(v) < len(names)]
 
 

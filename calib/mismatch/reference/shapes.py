@@ -185,9 +185,10 @@ def find_shapes(
         counts = counts[2:] & counts[:-2] if counts.any() else ~counts[2:]
         rough = float(np.median(np.abs(np.diff(seen, n=2))[counts])) / 0.6745 / np.sqrt(6.0)
         rough = max(rough, 1e-9)
-        counted = np.full(own.shape[1], 1.0 / rough)
         if scatter is None:
             counted = _counted(own, size[:, c], first, last, rough)
+        else:
+            counted = np.full(own.shape[1], 1.0 / rough)
         for s, (a, b) in enumerate(zip(first, last, strict=True)):
             if not judged[s, c]:
                 noise[s, c], free[s, c] = 0.0, 1.0

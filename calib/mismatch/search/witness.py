@@ -23,7 +23,6 @@ from calib.types import FloatArray
 ELSEWHERE = 0.25
 """Share of what an effect gains that rows outside of one turn must tell."""
 
-
 CLEAR = 3.0
 """Log-likelihood that the part of an effect that is its own gains, if it shows: noise reaches that
 in 1 of 70."""
