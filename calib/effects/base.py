@@ -293,6 +293,9 @@ class Effect(ABC):
     """Groups of baseline parameters that take up part of it when it is left out."""
     rivals: tuple[str, ...] = ()
     """Effects whose columns overlap with its own on common recordings."""
+    indivisible: bool = False
+    """Whether its parameters are those of one vector in a frame whose axes say nothing of the
+    sensor: they are there together, or not at all."""
     from_moment: bool = False
     """Whether its one shape is a moment, from which on it acts as it would from the start."""
     reads: tuple[str, ...] = ()

@@ -44,6 +44,7 @@ class EarthRate(Effect):
     sentence = "The gyro at rest senses the Earth's rotation."
     absorbed_by = ("gyro.bias",)
     rivals = ("gyro_g_sensitivity",)
+    indivisible = True
     reads = ("mat_ns",)
 
     def typical(self, *, span: tuple[float, float]) -> dict[str, float]:

@@ -95,7 +95,9 @@ def _add(
     number = _added(stack, rows, [v for _, columns in found for v in columns.values()])
     for shape, columns in found:
         index = dict(zip(columns, number, strict=False))
-        for names, share in _subsets(tuple(columns), channels, refining):
+        every = tuple(columns)
+        subsets = [(every, 1.0)] if effect.indivisible else _subsets(every, channels, refining)
+        for names, share in subsets:
             touched: tuple[str, ...] = tuple(dict.fromkeys(c for n in names for c in channels[n]))
             stack.add(
                 Candidate(

@@ -60,6 +60,11 @@ def test_a_vector_is_tried_axis_by_axis_and_whole(catalogue):
     )
 
 
+def test_the_earth_turns_about_all_axes_of_a_frame_of_unknown_heading_or_not_at_all(catalogue):
+    """One of them alone would be noise that happens to lie along it: of no latitude's size."""
+    assert sets_of(catalogue, "earth_rate") == {("east", "north", "up"): 1.0}
+
+
 def test_what_refines_comes_with_all_that_it_refines(catalogue):
     for names in sets_of(catalogue, "gyro_bias_temperature"):
         assert not {"cx", "cy", "cz"} & set(names) or len(names) == 9
