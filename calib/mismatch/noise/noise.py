@@ -30,7 +30,7 @@ WITHIN = 0.7
 """How much levels of one group differ among each other: standard deviation of the logarithm of a
 level (a variance)."""
 
-SOONER, WALKS = 1.0, 1.0
+SOONER, WALKS = 1.3, 1.0
 """How much walks differ from jitter and flicker besides, all of a group, and each by itself: the
 minutes to hours after which a bias walks further than it flickers (where an Allan plot begins to
 rise) differ from part to part by a factor of ten, and axes of one part have them in common. Without

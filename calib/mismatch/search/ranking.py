@@ -26,12 +26,12 @@ CLAIM = 2.5
 recordings that reach it by 40 %, but only evidence that is all or nothing attains that: of
 normal errors under as many looks as here, ``benchmarks/evidence.py`` counts 1 in 200."""
 
-DRIFTING = 1 / 5
+DRIFTING = 1 / 2
 """What evidence counts where a drift can mimic it and rests alone show that: it stands or falls
 with the slow end of the noise, of which a recording's rests show a few modes only. So it has to
-reach 12.5. Nominal parts that are clean reach that less often than all else reaches the claim;
-those that walk many times as far do so by more than a discount could keep off (``concealed.py
---parts clean drifting``). Beside a truth every moment shows it."""
+reach 5. Nominal parts that are clean reach that less often than all else reaches the claim; those
+that walk many times as far do so by more than a discount could keep off (``concealed.py --parts
+clean drifting``). Beside a truth every moment shows it."""
 
 COUNTS = 0.05
 """E-value from which a group counts in what is left altogether."""

@@ -46,11 +46,11 @@ def test_what_a_drift_can_mimic_is_not_passed_over_for_a_poorer_rival(stacked):
         return taken(rows, found)
 
     assert chosen(3.8, -0.2) is step
-    assert chosen(1.5, -0.2) is None
-    assert chosen(1.5, 1.5) is wave
+    assert chosen(1.2, -0.2) is None
+    assert chosen(0.5, 1.0) is wave
     assert chosen(6.0, 2.0) is step
     # Both together are enough, but neither is by itself.
-    assert chosen(1.9, 0.5) is None
+    assert chosen(1.1, 0.6) is None
 
 
 def test_a_name_that_is_less_probable_than_rivals_needs_the_claim_by_itself(stacked):
