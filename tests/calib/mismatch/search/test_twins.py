@@ -73,7 +73,9 @@ def test_what_a_known_rival_mimics_wholly_is_a_tie_however_many_parameters_it_ha
     y = 12.0 * white[:, -1] / np.linalg.norm(white[:, -1])
     if north:
         y = y + 12.0 * white[:, 1] / np.linalg.norm(white[:, 1])
-    found = Accepted(candidate, columns, np.ones(columns.shape[1]), np.zeros(columns.shape[1]), False, 100.0)
+    found = Accepted(
+        candidate, columns, np.ones(columns.shape[1]), np.zeros(columns.shape[1]), False, 100.0
+    )
     evidence = stack.log_bayes_factors(whitener, y)
     names = twins(rows, stack, found, evidence, whitener, y, reference=False)
     assert ("gyro_g_sensitivity" in names) is (not north)
