@@ -102,7 +102,7 @@ def _most_probable(
         def beside(first: Candidate) -> Ranking:
             taken = accept(ranking.stack, first, 1.0)
             levels = ranking.levels_with(first)
-            return rank(rows, ranking.stack, [*accepted, taken], levels)
+            return rank(rows, ranking.stack, [*accepted, taken], levels, every=ranking.every)
 
         second = beside(best[top])
         left = {g: v for g, v in second.groups.items() if second.best[g].physical}

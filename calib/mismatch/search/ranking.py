@@ -72,6 +72,8 @@ class Ranking:
     pair: tuple[float, Candidate] | None = None
     beside: Mapping[str, FloatArray] = field(default_factory=dict)
     """Levels with the best of a group in the mean, of those groups for which they were found."""
+    every: FloatArray | None = None
+    """The same with all physics in the mean, where they were wanted."""
 
     def levels_with(self, candidate: Candidate) -> FloatArray:
         """Return levels to start from where a candidate is fitted too."""
@@ -119,6 +121,7 @@ def rank(
     start: FloatArray,
     *,
     base: Levels | None = None,
+    every: FloatArray | None = None,
 ) -> Ranking:
     """Score every candidate under the noise that it implies.
 
@@ -128,7 +131,8 @@ def rank(
     likelihood of the null, and that cost is in the evidence: drift and effect compete on equal
     terms. So does what the null needs to take an effect for noise: levels that are just so.
 
-    ``base`` are the levels with what was accepted in the mean, from `start`, if they are known.
+    ``base`` are the levels with what was accepted in the mean, from `start`, if they are known, and
+    ``every`` those with all physics in it, of an earlier ranking.
     """
     scores = Scores.of(rows, stack, accepted, start, base)
     base = scores.base
@@ -136,7 +140,7 @@ def rank(
     best, groups = grouped(stack, evidence)
     running = _running(best, groups)
     running += _at_moments(scores, best, groups, running)
-    every = base
+    wide: Levels | None = None
     hidden: list[Hidden] = []
     if len(running) > 1:
         names, code = stack.groups()
@@ -145,7 +149,7 @@ def rank(
             # The strongest rivals are taken of every channel.
             rest = scores.at(base.values, scores.contrast, base.log_likelihood, ~counted)
             evidence = np.maximum(evidence, rest)
-        evidence, every, hidden = scores.with_drift_of_all(evidence, which)
+        evidence, wide, hidden = scores.with_drift_of_all(evidence, which, every)
         best, groups = grouped(stack, evidence)
     beside = {}
     for name in leading(best, {g: groups[g] for g in running}):
@@ -156,7 +160,7 @@ def rank(
             continue  # all of it is fitted: no drift makes it show
         most = -np.inf
         for leader in leaders:
-            scored, levels = scores.with_own_drift(leader, every)
+            scored, levels = scores.with_own_drift(leader, wide or base)
             evidence = np.maximum(evidence, scored)
             if scored.max() > most:
                 most, beside[name] = float(scored.max()), levels
@@ -164,7 +168,17 @@ def rank(
     whitener = scores.whitener(base.values, scores.contrast)
     telling = [best[g] for g, v in groups.items() if v > np.log(COUNTS)]
     drifting = _drifting(scores, whitener, telling)
-    ranking = Ranking(stack, evidence, best, groups, base.values, whitener, drifting, beside=beside)
+    ranking = Ranking(
+        stack,
+        evidence,
+        best,
+        groups,
+        base.values,
+        whitener,
+        drifting,
+        beside=beside,
+        every=every if wide is None else wide.values,
+    )
     if accepted or ranking.claims:
         return ranking
     return replace(ranking, pair=_pair(scores, hidden))

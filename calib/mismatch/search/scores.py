@@ -118,17 +118,21 @@ class Scores:
         return level_likelihood(self.rows, self.basis, levels)
 
     def with_drift_of_all(
-        self, evidence: FloatArray, running: BoolArray
+        self, evidence: FloatArray, running: BoolArray, known: FloatArray | None = None
     ) -> tuple[FloatArray, Levels, list[Hidden]]:
         """Return the evidence where physics, or rivals, take up the drift of their channels.
 
         Of those candidates that are marked as running.
 
-        Beside it the levels with all physics in the mean, and the evidence for physics there.
+        Beside it the levels with all physics in the mean, and the evidence for physics there. They
+        are hardly others than before what was accepted since, if they are `known`: that is physics.
         """
         rows, stack, base = self.rows, self.stack, self.base
         wide = np.hstack((self.mean, physics(stack)))
-        every = find_levels(rows, wide, base.values)
+        if known is None:
+            every = find_levels(rows, wide, base.values)
+        else:
+            every = estimate_levels(rows, wide, known)
         rivals = strongest_rivals(stack, evidence - self.weight)
         alone = [stack.of(c) for c in rivals.values() if len(c.channels) == 1]
         free = estimate_levels(rows, np.hstack((self.mean, *alone)), every.values)

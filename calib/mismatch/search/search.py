@@ -74,13 +74,13 @@ def search(problem: Problem, *, skip: tuple[str, ...] = ()) -> Outcome:
     stack, seen = make_stack(rows, skip=skip, reference=problem.reference), fitted(rows, [])
     ranking = rank(rows, stack, accepted, expected_levels(rows))
     if not ranking.claims and ranking.pair is not None:
-        value, first = ranking.pair
+        (value, first), every = ranking.pair, ranking.every
         accepted.append(accept(stack, first, float(DRIFTING * np.exp(value))))
         rows, accepted, levels, straight = refit(problem, rows, accepted, ranking.levels)
         if not (straight and unmoved(seen, rows)):
             del stack, ranking
             stack, seen = make_stack(rows, skip=skip, reference=problem.reference), fitted(rows, [])
-        ranking = rank(rows, stack, accepted, levels)
+        ranking = rank(rows, stack, accepted, levels, every=every)
     for _ in range(ROUNDS):
         if not ranking.claims:
             break
@@ -104,10 +104,11 @@ def search(problem: Problem, *, skip: tuple[str, ...] = ()) -> Outcome:
                 rows = put_back(problem, rows, accepted)
             rows, accepted, levels, again = refit(problem, rows, accepted, levels)
             straight, base = straight and again, None
+        every = ranking.every
         if not (straight and unmoved(seen, rows)):
             del stack, ranking  # their columns are most of the memory that is used
             stack, seen = make_stack(rows, skip=skip, reference=problem.reference), fitted(rows, [])
-        ranking = rank(rows, stack, accepted, levels, base=base)
+        ranking = rank(rows, stack, accepted, levels, base=base, every=every)
     contrast = contrast_noise(rows, accepted)
     # The ranking took the better of two maxima: its own is left to be approached more closely.
     levels = estimate_levels(rows, fitted(rows, accepted), ranking.levels).values

@@ -53,6 +53,16 @@ def test_what_a_drift_can_mimic_is_worth_less(stacked):
     assert not replace(plain, groups={}).claims
 
 
+def test_levels_with_all_physics_are_where_they_were_before(stacked):
+    rows, stack = stacked
+    first = rank(rows, stack, [], expected_levels(rows))
+    again = rank(rows, stack, [], expected_levels(rows), every=first.every)
+    assert again.every == pytest.approx(first.every, rel=0.2)
+    near = first.evidence > -5.0
+    assert near.any()
+    assert again.evidence[near] == pytest.approx(first.evidence[near], abs=0.1)
+
+
 def test_a_plain_step_is_looked_at_closer_however_far_something_else_is_ahead():
     scale = Candidate("scale", np.arange(1), 0.1, True, ("accel.x",), parameters=("kx",))
     step, window = replace(scale, shape={"moment": 3.0}), replace(scale, physical=False)
