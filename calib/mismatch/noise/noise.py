@@ -30,12 +30,12 @@ WITHIN = 0.7
 """How much levels of one group differ among each other: standard deviation of the logarithm of a
 level (a variance)."""
 
-SOONER, WALKS = 1.3, 1.0
-"""How much walks differ from jitter and flicker besides, all of a group, and each by itself: the
-minutes to hours after which a bias walks further than it flickers (where an Allan plot begins to
-rise) differ from part to part by a factor of ten, and axes of one part have them in common. Without
-that a part that walks soon would have to be a chance for each of its axes, and an effect on all of
-them the simpler answer."""
+SOONER = 1.3
+"""How much walks differ from jitter and flicker besides, all of a group together: the minutes to
+hours after which a bias walks further than it flickers (where an Allan plot begins to rise) differ
+from part to part by a factor of ten, and axes of one part have them in common. Without that a part
+that walks soon would have to be a chance for each of its axes, and an effect on all of them the
+simpler answer."""
 
 INDEPENDENT = 1e-5
 """Share of a column's length that those before it must leave for it to be clearly independent."""
@@ -94,8 +94,7 @@ def prior_precision(rows: Rows) -> FloatArray:
     """Return the precision of the logarithms of the levels.
 
     Each is uncertain by its ``spread``; components of one group (the drift of one triad) share most
-    of that, and differ among each other by `WITHIN` only. Walks share `SOONER` as well, and differ
-    by `WALKS`.
+    of that, and differ among each other by `WITHIN` only. Walks share `SOONER` as well.
     """
     spread = np.array([c.spread for c in rows.components])
     group = np.array([c.group for c in rows.components])
@@ -103,7 +102,7 @@ def prior_precision(rows: Rows) -> FloatArray:
     shared = np.where(same, np.outer(spread, spread) - WITHIN**2, 0.0)
     walks = np.array([c.name.endswith(" walk") for c in rows.components])
     shared += np.where(same & walks & walks[:, None], SOONER**2, 0.0)
-    own = np.where(group != "", np.where(walks, WALKS, WITHIN) ** 2, np.square(spread))
+    own = np.where(group != "", WITHIN**2, np.square(spread))
     return np.asarray(np.linalg.inv(shared + np.diag(own)))
 
 

@@ -73,7 +73,7 @@ def test_a_second_cause_outbids_a_rival_unless_it_is_there_beside_the_rival(stac
     second = candidate(stack, "gyro_g_sensitivity", ("gxx",))
 
     def chosen(beside_rival):
-        def again(rows, stack, accepted, start):
+        def again(rows, stack, accepted, start, **_):
             alone = accepted[-1].candidate is effect
             return ranked(stacked, {second: 28.0 if alone else beside_rival})
 
