@@ -181,9 +181,10 @@ def test_an_effect_is_found_when_injected_silent_when_absent_and_not_blamed_on_a
     rows, stack, clean, whitener = clean_rank
     assert clean.groups[effect.slug] < np.log(CLAIM)
     assert clean.total < np.log(CLAIM)
-    single = [c for c in stack if c.name == effect.slug and len(c.index) == 1]
-    # The middle shape of the first parameter.
-    first = [c for c in single if c.parameters == single[0].parameters]
+    every = [c for c in stack if c.name == effect.slug]
+    few = min(every, key=lambda c: len(c.index)).parameters
+    # The middle shape of the first parameter, or of all that come together only.
+    first = [c for c in every if c.parameters == few]
     own = first[len(first) // 2]
     column = stack.of(own) @ np.ones(len(own.index))
     size = np.sqrt(400.0 / np.square(whitener.project(column)).sum())
