@@ -124,8 +124,9 @@ class Scores:
 
         Of those candidates that are marked as running.
 
-        Beside it the levels with all physics in the mean, and the evidence for physics there. They
-        are hardly others than before what was accepted since, if they are `known`: that is physics.
+        Beside it the levels with all physics in the mean, and the evidence for physics there. Their
+        search starts from those of an earlier ranking, if they are `known`: physics that was
+        accepted since was in the mean already.
         """
         rows, stack, base = self.rows, self.stack, self.base
         wide = np.hstack((self.mean, physics(stack)))
