@@ -16,7 +16,8 @@ from calib.types import FloatArray
 from drivers.formats.assemble import Assembler
 from drivers.formats.base import Format, ReadOptions, Source
 from drivers.formats.columns import column_values, no_samples, stack_columns
-from drivers.formats.profile import Column, Profile, TriadColumns, shipped_profiles
+from drivers.formats.header import EXAMPLE, profile_of_header
+from drivers.formats.profile import Column, Profile, TimeColumn, TriadColumns, shipped_profiles
 from drivers.formats.text import TextTable, decode_head
 
 DELIMITERS = (",", ";", "\t", " ")
@@ -31,7 +32,7 @@ class Foreign(Format):
     binary = False
 
     def sniff(self, head: bytes) -> bool:
-        """Recognise the logs for which a profile ships."""
+        """Recognise the logs for which a profile ships, and headers that name their units."""
         text = decode_head(head)
         return text is not None and find_profile(text) is not None
 
@@ -50,9 +51,16 @@ FORMAT = Foreign()
 
 
 def find_profile(text: str) -> Profile | None:
-    """Return the one shipped profile that recognises the start of a file, if there is one."""
+    """Return the one shipped profile that recognises the start of a file, or that of its header."""
     found = [profile for profile in shipped_profiles().values() if profile.recognises(text)]
-    return found[0] if len(found) == 1 else None
+    if len(found) == 1:
+        return found[0]
+    lines = [line for line in text.splitlines() if line.strip() and not line.startswith("#")][:2]
+    if len(lines) < 2:
+        return None
+    delimiter = _guess_delimiter(lines[0])
+    names, first = (list(map(_unquoted, split_line(line, delimiter))) for line in lines)
+    return profile_of_header(names, first)
 
 
 class TextLog:
@@ -81,7 +89,7 @@ class TextLog:
         fields = split_line(lines[at], delimiter)
         self._names = [str(number + 1) for number in range(len(fields))]
         if profile.header:
-            self._names = [name.strip().strip('"') for name in fields]
+            self._names = list(map(_unquoted, fields))
             at += 1
         self._stamp = self._heat = None
         if profile.time is not None and profile.time.column is not None:
@@ -177,9 +185,11 @@ def text_assembler(source: Source, log: TextLog, options: ReadOptions) -> Assemb
 
 
 class Timekeeper:
-    """Seconds of each row since the first, running on from batch to batch.
+    """Seconds of each row, running on from batch to batch.
 
-    `zero` is the stamp that counts as 0, if it is not the first one.
+    They are those of the file, so that what is said of a time is found there; of dates, and of what
+    counts from an epoch, those since the first row. `zero` is the stamp that counts as 0, if it is
+    known.
     """
 
     def __init__(self, profile: Profile, zero: Any = None) -> None:
@@ -199,16 +209,17 @@ class Timekeeper:
         if time.factor is None:
             stamps = np.asarray(column.to_numpy(zero_copy_only=False), "datetime64[ns]")
             missing = np.isnat(stamps)
-            seconds = self._since_zero(stamps.astype(np.int64), 1e-9)
+            seconds = self._since_zero(stamps.astype(np.int64), time)
             return np.where(missing, np.nan, seconds)
         if not pa.types.is_integer(column.type) or column.null_count:
             column = column.cast(pa.float64())
         stamps = np.asarray(column.to_numpy(zero_copy_only=False))
-        return self._since_zero(self._unwrapped(stamps, time.wraps), time.factor)
+        return self._since_zero(self._unwrapped(stamps, time.wraps), time)
 
-    def _since_zero(self, stamps: Any, factor: float) -> FloatArray:
+    def _since_zero(self, stamps: Any, time: TimeColumn) -> FloatArray:
         if self.zero is None and len(stamps):
-            self.zero = stamps[0]
+            self.zero = time.zero(stamps[0])
+        factor = 1e-9 if time.factor is None else time.factor
         return np.asarray(stamps - self.zero, np.float64) * factor
 
     def _unwrapped(self, stamps: Any, wraps: int | None) -> Any:
@@ -223,6 +234,10 @@ class Timekeeper:
 def split_line(line: str, delimiter: str) -> list[str]:
     """Return the fields of a line; a space stands for any run of blanks."""
     return line.split() if delimiter == " " else line.rstrip("\r\n").split(delimiter)
+
+
+def _unquoted(field: str) -> str:
+    return field.strip().strip('"')
 
 
 def _guess_delimiter(line: str) -> str:
@@ -253,8 +268,9 @@ def _unknown(source: Source, text: str) -> str:
         )
     what = f"{count} columns of numbers without names" if numbers else f"the header {first[:80]!r}"
     which = f"--profile {' or '.join(fits)} if it is such a log, or " if numbers else ""
+    units = "" if numbers else f"name the units there ({EXAMPLE}), or use "
     return (
-        f"{source.path}: cannot tell columns and units from {what}. Say what they are: {which}"
-        "--profile FILE.toml with your own (columns, units and rate in a few lines; see Import "
-        "profiles in docs/pages/recordings.md)"
+        f"{source.path}: cannot tell columns and units from {what}. Say what they are: {units}"
+        f"{which}--profile FILE.toml with your own (columns, units and rate in a few lines; see "
+        "Import profiles in docs/pages/recordings.md)"
     )

@@ -108,7 +108,7 @@ def _read(file: Any, source: Source, profile: Profile, options: ReadOptions) -> 
     for at in range(0, n, width):
         part = slice(at, min(at + width, n))
         if stamps is not None and time is not None and time.factor is not None:
-            seconds: FloatArray = (stamps[part] - stamps[0]) * time.factor
+            seconds: FloatArray = (stamps[part] - time.zero(stamps[0])) * time.factor
         else:
             assert rate is not None
             seconds = np.arange(part.start, part.stop) / rate

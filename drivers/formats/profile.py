@@ -79,6 +79,8 @@ TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "ns": 1e-9}
 TEMPERATURE_UNITS = {"degC": (1.0, 0.0), "°C": (1.0, 0.0), "K": (1.0, -273.15)}
 TEMPERATURE_UNITS["degF"] = (5 / 9, -32 * 5 / 9)
 Column = str | int
+EPOCH = 1e8
+"""s, three years: stamps beyond it count from some epoch, not since something was switched on."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,11 +102,19 @@ class TriadColumns:
 
 @dataclass(frozen=True)
 class TimeColumn:
-    """``seconds = (stamp - first stamp) * factor``; None stands for a date and time of day."""
+    """``seconds = (stamp - zero) * factor``; None stands for a date and time of day."""
 
     column: Column | None
     factor: float | None
     wraps: int | None = None
+
+    def zero(self, first: Any) -> Any:
+        """Return the stamp that is 0 s, the first one given: that of dates, and since an epoch.
+
+        Others are told as the file has them, so that what is said of a time is found there.
+        """
+        dated = self.factor is None or abs(first) * self.factor > EPOCH
+        return first if dated else first - first
 
 
 @dataclass(frozen=True)
@@ -204,9 +214,21 @@ def parse_profile(text: str, *, name: str) -> Profile:
         If it is no TOML, a key is unknown, missing or has a wrong value.
     """
     try:
-        top = _Table(tomllib.loads(text), f"import profile {name}")
+        values = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise RecordingFormatError(f"import profile {name} is no TOML: {error}") from error
+    return make_profile(values, name=name)
+
+
+def make_profile(values: Mapping[str, Any], *, name: str) -> Profile:
+    """Check what a profile's TOML says and return the profile.
+
+    Raises
+    ------
+    RecordingFormatError
+        If a key is unknown, missing or has a wrong value.
+    """
+    top = _Table(values, f"import profile {name}")
     layout, device, recognise = top.table("text"), top.table("device"), top.table("recognise")
     accel = _triad(top.table("accel"), ACCEL_UNITS)
     gyro = _triad(top.table("gyro"), GYRO_UNITS)
