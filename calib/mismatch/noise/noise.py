@@ -30,10 +30,10 @@ WITHIN = 0.7
 """How much levels of one group differ among each other: standard deviation of the logarithm of a
 level (a variance)."""
 
-SOONER = 1.3
+SOONER = 1.0
 """How much walks differ from jitter and flicker besides, all of a group together: the minutes to
 hours after which a bias walks further than it flickers (where an Allan plot begins to rise) differ
-from part to part by a factor of ten, and axes of one part have them in common. Without that a part
+from part to part, and axes of one part have them in common. Without that a part
 that walks soon would have to be a chance for each of its axes, and an effect on all of them the
 simpler answer."""
 

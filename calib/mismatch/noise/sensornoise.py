@@ -24,12 +24,19 @@ minutes at rest a few slow modes are all that shows of drift, and effects go wit
 on drift is part of the physics. Jitter, flicker and walk of the axes of one triad share their
 scale, so that what is seen from pose to pose says what to expect over minutes."""
 
+RISES = 400.0
+"""s after which a bias is expected to have walked further than it flickers, where an Allan plot
+begins to rise: from 100 s to half an hour, in parts of this kind."""
+
 SPREAD = 1.4
 """Standard deviation of the logarithm of a level (a variance) of drift, or of what sampling adds: a
 factor of 2 in size."""
 
 DRIFT_TIME = 600.0
 """s."""
+
+FLOOR = 2 * np.log(2) / np.pi
+"""Allan variance of 1/f noise, per square of its bias instability (IEEE Std 952, annex C)."""
 
 LEAN = "lean"
 
@@ -210,7 +217,8 @@ def drift_components(
         for label, kernel, share in (
             ("jitter", np.eye(len(flicker)), 0.1),
             ("flicker", flicker, 1.0),
-            ("walk", walk, 1.0),
+            # The Allan variance of a walk is a third of its own after as long.
+            ("walk", walk, 3 * FLOOR * DRIFT_TIME / RISES),
         )
     ]
 

@@ -16,7 +16,7 @@ from calib.mismatch.noise.noise import Whitener
 from calib.mismatch.rows.rows import Rows
 from calib.mismatch.search.accepted import Accepted, accept, again
 from calib.mismatch.search.estimate import pseudo_inverse
-from calib.mismatch.search.ranking import CLAIM, DRIFTING, Ranking, rank
+from calib.mismatch.search.ranking import CLAIM, Ranking, rank
 from calib.mismatch.search.witness import witnessed
 from calib.types import FloatArray
 
@@ -62,20 +62,11 @@ def choose(rows: Rows, ranking: Ranking, accepted: list[Accepted]) -> Choice | N
     ranking = replace(ranking, groups=groups)
     if not ranking.claims:
         return None
-    if ranking.total < np.log(CLAIM / DRIFTING):
-        # Not enough for what a drift can mimic by itself.
-        groups = ranking.discounted
-        others = [v for g, v in groups.items() if g not in ranking.drifting]
-        if max(groups, key=lambda g: groups[g]) not in ranking.drifting and (
-            logsumexp(others) < np.log(CLAIM)
-        ):
-            # Nor does it lend its weight to a name that is less probable.
-            return None
     chosen = _most_probable(rows, ranking, groups, accepted)
     if chosen is None:
         return None
     alike = [v for g, v in groups.items() if set(best[g].channels) & set(chosen.channels)]
-    return Choice(chosen, ranking.worth) if logsumexp(alike) >= np.log(CLAIM) else None
+    return Choice(chosen, ranking.total) if logsumexp(alike) >= np.log(CLAIM) else None
 
 
 def _most_probable(

@@ -13,12 +13,10 @@ from calib.mismatch.hypotheses.candidates import Candidate
 from calib.mismatch.hypotheses.families import add_catalogue, is_step
 from calib.mismatch.hypotheses.rivals import add_rivals
 from calib.mismatch.hypotheses.score import Stack
-from calib.mismatch.noise.noise import Levels, Whitener, make_whitener, range_basis
-from calib.mismatch.noise.sensornoise import LEAN
+from calib.mismatch.noise.noise import Levels, Whitener, make_whitener
 from calib.mismatch.rows.rows import Rows
 from calib.mismatch.search.accepted import Accepted, again
 from calib.mismatch.search.scores import Hidden, Scores
-from calib.recording import CHANNELS
 from calib.types import FloatArray
 
 CLAIM = 2.5
@@ -26,23 +24,8 @@ CLAIM = 2.5
 recordings that reach it by 40 %, but only evidence that is all or nothing attains that: of
 normal errors under as many looks as here, ``benchmarks/evidence.py`` counts 1 in 200."""
 
-DRIFTING = 1 / 2
-"""What evidence counts where a drift can mimic it and rests alone show that: it stands or falls
-with the slow end of the noise, of which a recording's rests show a few modes only. So it has to
-reach 5. Nominal parts that are clean reach that less often than all else reaches the claim; those
-that walk many times as far do so by more than a discount could keep off (``concealed.py --parts
-clean drifting``). Beside a truth every moment shows it."""
-
 COUNTS = 0.05
 """E-value from which a group counts in what is left altogether."""
-
-SLOW_MODES = 8
-"""Half waves over the recording in the fastest drift that is meant by that."""
-
-FURTHER = 5.0
-"""How many times as far as is found a bias may walk, and a sensor lean, for all that its rests
-show: that would hide more than half of what explains the drift that is meant. Beside few poses so
-many waves take anything that poses differ by for drift; no walk goes to and fro like that."""
 
 RARE = 0.02
 """Share of recordings of nothing but noise that reach an e-value of e, times e: at most, where
@@ -68,7 +51,6 @@ class Ranking:
     levels: FloatArray
     whitener: Whitener
     """Under these levels, with what is fitted projected out."""
-    drifting: frozenset[str] = frozenset()
     pair: tuple[float, Candidate] | None = None
     beside: Mapping[str, FloatArray] = field(default_factory=dict)
     """Levels with the best of a group in the mean, of those groups for which they were found."""
@@ -85,20 +67,9 @@ class Ranking:
         return float(logsumexp(list(self.groups.values()))) if self.groups else -np.inf
 
     @property
-    def discounted(self) -> dict[str, float]:
-        """Log evidence of each group, where what a drift can mimic counts for less."""
-        return {g: v + np.log(DRIFTING) * (g in self.drifting) for g, v in self.groups.items()}
-
-    @property
-    def worth(self) -> float:
-        """Log e-value that anything is left, where what a drift can mimic counts for less."""
-        less = list(self.discounted.values())
-        return float(logsumexp(less)) if less else -np.inf
-
-    @property
     def claims(self) -> bool:
         """Whether that is enough to say that anything is left."""
-        return bool(self.worth >= np.log(CLAIM))
+        return bool(self.total >= np.log(CLAIM))
 
 
 def chance(e_value: float) -> float:
@@ -166,8 +137,6 @@ def rank(
                 most, beside[name] = float(scored.max()), levels
     best, groups = grouped(stack, evidence)
     whitener = scores.whitener(base.values, scores.contrast)
-    telling = [best[g] for g, v in groups.items() if v > np.log(COUNTS)]
-    drifting = _drifting(scores, whitener, telling)
     ranking = Ranking(
         stack,
         evidence,
@@ -175,7 +144,6 @@ def rank(
         groups,
         base.values,
         whitener,
-        drifting,
         beside=beside,
         every=every if wide is None else wide.values,
     )
@@ -243,38 +211,13 @@ def _at_moments(
     return out
 
 
-def _drifting(scores: Scores, whitener: Whitener, candidates: list[Candidate]) -> frozenset[str]:
-    """Return the groups of those candidates of which a drift can mimic more than half.
-
-    None where windows that follow one another without a gap show how a bias goes on.
-    """
-    rows, stack = scores.rows, scores.stack
-    if not candidates or not rows.is_rest.any():
-        return frozenset()
-    time = rows.state.time - rows.state.time[0]
-    phase = np.pi * time[:, None] / max(float(time[-1]), 1e-9) * np.arange(1, SLOW_MODES + 1)
-    slow = np.hstack([rows.columns(c, np.cos(phase)) for c in range(len(CHANNELS))])
-    basis = range_basis(whitener.project(slow))
-    walks = np.array([c.name.endswith((" walk", f" {LEAN}")) for c in rows.components])
-    further = np.where(walks, FURTHER**2, 1.0) * scores.base.values
-    out = []
-    for c in candidates:
-        columns = whitener.project(stack.of(c))
-        power = np.square(columns).sum()
-        if np.square(basis.T @ columns).sum() > 0.5 * power:
-            far = scores.whitener(further, scores.contrast).project(stack.of(c))
-            if np.square(far).sum() < 0.5 * power:
-                out.append(c.group)
-    return frozenset(out)
-
-
 def _pair(scores: Scores, hidden: list[Hidden]) -> tuple[float, Candidate] | None:
     """Return two effects on the same channels that hide each other: evidence, and the first.
 
     Either alone leaves the other, which then counts as drift, and neither reaches the claim.
     """
     rows, stack = scores.rows, scores.stack
-    best: tuple[float, Candidate | None] = (float(np.log(CLAIM / DRIFTING)), None)
+    best: tuple[float, Candidate | None] = (float(np.log(CLAIM)), None)
     for item in hidden:
         tried: list[str] = []
         own = np.flatnonzero(item.which)

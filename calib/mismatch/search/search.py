@@ -19,7 +19,7 @@ from calib.mismatch.rows.rows import Rows
 from calib.mismatch.search.accepted import Accepted, accept, contrast_noise, fitted, joined, lasting
 from calib.mismatch.search.choice import LEAST, choose, possible
 from calib.mismatch.search.estimate import Estimate, estimate, settle
-from calib.mismatch.search.ranking import DRIFTING, make_stack, rank
+from calib.mismatch.search.ranking import make_stack, rank
 from calib.mismatch.search.refit import Problem, put_back, refit, unmoved
 from calib.mismatch.search.twins import MIMICKED, twins
 from calib.mismatch.search.whole import whole_fit, whole_odds
@@ -75,7 +75,7 @@ def search(problem: Problem, *, skip: tuple[str, ...] = ()) -> Outcome:
     ranking = rank(rows, stack, accepted, expected_levels(rows))
     if not ranking.claims and ranking.pair is not None:
         (value, first), every = ranking.pair, ranking.every
-        accepted.append(accept(stack, first, float(DRIFTING * np.exp(value))))
+        accepted.append(accept(stack, first, float(np.exp(value))))
         rows, accepted, levels, straight = refit(problem, rows, accepted, ranking.levels)
         if not (straight and unmoved(seen, rows)):
             del stack, ranking

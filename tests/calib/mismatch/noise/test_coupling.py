@@ -13,7 +13,7 @@ from calib.mismatch.noise.noise import estimate_levels, expected_levels, make_wh
 from calib.mismatch.rows.grid import make_grid
 from calib.mismatch.rows.rows import Kind, Rows
 from calib.mismatch.search.accepted import fitted
-from calib.mismatch.search.ranking import CLAIM, make_stack, rank
+from calib.mismatch.search.ranking import make_stack, rank
 from calib.mismatch.twin.selfmode import SelfProblem
 from calib.model import SensorModel
 from calib.recording import CHANNELS
@@ -99,7 +99,7 @@ def test_what_drifts_slowly_is_no_effect(monkeypatch: pytest.MonkeyPatch) -> Non
     start, stack = expected_levels(rows), make_stack(rows, skip=(), reference=False)
 
     def claimed(real: Rows) -> bool:
-        return bool(rank(real, stack, [], start).worth > np.log(CLAIM))
+        return bool(rank(real, stack, [], start).claims)
 
     assert not any(map(claimed, draws))
     monkeypatch.setattr(noise, "foretold", lambda rows, levels: ())

@@ -10,7 +10,6 @@ from calib.effects.bandwidth import group_delay
 from calib.effects.base import Term
 from calib.errors import NoCommonMotionError
 from calib.mismatch import diagnose_against, diagnose_reference
-from calib.mismatch.noise.noise import expected_levels
 from calib.mismatch.reference.against import compare_simulation
 from calib.mismatch.reference.alignment import Alignment, align
 from calib.mismatch.reference.band import follows_noise
@@ -18,7 +17,6 @@ from calib.mismatch.reference.comparison import ComparisonProblem
 from calib.mismatch.reference.truths import RecordingTruth
 from calib.mismatch.samples.samples import look_at_samples
 from calib.mismatch.search.accepted import fitted
-from calib.mismatch.search.ranking import make_stack, rank
 from calib.mismatch.search.refit import unmoved
 from calib.model import SensorModel, Triad
 from calib.recording import Recording
@@ -281,17 +279,6 @@ def test_a_delay_is_no_low_pass_of_a_noisy_simulation(delay):
     # A short one may be that of a low-pass; ten milliseconds of one would be seen to damp.
     assert {r.effect for r in item.rivals} <= {"bandwidth"}
     assert bool(item.rivals) or abs(delay) > 0.002
-
-
-def test_evidence_that_drift_can_mimic_counts_in_full_where_every_moment_shows_the_drift():
-    real = recorded(Term("gyro_bias_step", {"bx": 0.0006, "moment": 14.0}))
-    seen = look_at_samples(real, find_poses(real))
-    problem, skip = compare_simulation(real, simulation(), seen, gravity=GRAVITY)
-    rows = problem.rows()
-    stack = make_stack(rows, skip=skip, reference=True)
-    ranking = rank(rows, stack, [], expected_levels(rows))
-    assert ranking.groups["gyro_bias_step"] > 0
-    assert ranking.discounted == ranking.groups
 
 
 def test_a_clock_that_runs_fast_is_found_beside_another_start():

@@ -18,13 +18,13 @@ from ..bench import GRAVITY, problem
 from .stacked import candidate
 
 
-def ranked(stacked, evidence, drifting=frozenset()):
+def ranked(stacked, evidence):
     rows, stack = stacked
     best = {c.group: c for c in evidence}
     groups = {c.group: value for c, value in evidence.items()}
     levels, mean = expected_levels(rows), fitted(rows, [])
     whitener = make_whitener(rows, levels, contrast_noise(rows, []), mean)
-    return Ranking(stack, np.zeros(0), best, groups, levels, whitener, drifting)
+    return Ranking(stack, np.zeros(0), best, groups, levels, whitener)
 
 
 def taken(rows, ranking):
@@ -34,23 +34,6 @@ def taken(rows, ranking):
 
 def wave_in_a_window(stack, channel):
     return next(c for c in stack if c.group == f"wave in a window {channel}")
-
-
-def test_what_a_drift_can_mimic_is_not_passed_over_for_a_poorer_rival(stacked):
-    rows, stack = stacked
-    step = candidate(stack, "gyro_bias_step", ("bz",))
-    wave = wave_in_a_window(stack, "gyro.z")
-
-    def chosen(of_step, of_wave):
-        found = ranked(stacked, {step: of_step, wave: of_wave}, frozenset({step.group}))
-        return taken(rows, found)
-
-    assert chosen(3.8, -0.2) is step
-    assert chosen(1.2, -0.2) is None
-    assert chosen(0.5, 1.0) is wave
-    assert chosen(6.0, 2.0) is step
-    # Both together are enough, but neither is by itself.
-    assert chosen(1.1, 0.6) is None
 
 
 def test_a_name_that_is_less_probable_than_rivals_needs_the_claim_by_itself(stacked):
