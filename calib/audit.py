@@ -231,6 +231,11 @@ def _samples(recording: Recording, at_rest: BoolArray) -> list[Finding]:
                 (float(time[start]),),
             )
         )
+    for c, d, where in faults.find_copies(values):
+        both, at = (CHANNELS[c], CHANNELS[d]), np.flatnonzero(where)
+        span = "throughout" if len(at) == n else f"in {_many(at.size)}"
+        message = f"{both[0]} and {both[1]} are the same {span}: a register may be read twice"
+        out.append(Finding("copied", message, both, int(at.size), _first(time[at])))
     repeats = find_repeats(values, ~at_rest)
     if repeats.size:
         out.append(

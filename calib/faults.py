@@ -6,6 +6,7 @@ sensor that works, from the scatter, the resolution and the motion of the record
 
 from __future__ import annotations
 
+from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
@@ -39,6 +40,11 @@ BETWEEN = 0.25
 """Noise in counts below which a channel may stay on one count for as long as nothing moves."""
 MOVED = 10.0
 """Times the noise at rest, by which something changes that moves."""
+COINCIDENCE = 0.75
+"""How often one of two channels that turn alike is where the other one has just come to, at most.
+At rest it is half of the time for counts of any size, and less of fine ones."""
+ROUNDING = 1e-9
+"""Of a channel's largest value: what computing leaves of no noise."""
 ROBUST = 1.4826
 """Standard deviation of a Gaussian over its median absolute deviation."""
 
@@ -266,6 +272,33 @@ def find_stuck(
             noisy = counts[c] >= BETWEEN and elsewhere.size > 4 and elsewhere.mean() < 0.02
             if moved or noisy:
                 out.append((c, begin, end))
+    return out
+
+
+def find_copies(values: FloatArray) -> list[tuple[int, int, BoolArray]]:
+    """Return channels ``(c, d, where)`` of which one repeats the other: a register read twice.
+
+    Of two that have noise of their own the chance that both go to one value, or to opposite ones,
+    is at most `COINCIDENCE` where that changes; so a run counts that holds as many changes as make
+    a false alarm rare. Without noise, or with less than a count shows, axes of a table may well
+    turn alike.
+    """
+    n, moved = len(values), np.diff(values, axis=0, prepend=values[:1]) != 0
+    noisy = noise_at_rest(values) > np.maximum(
+        BETWEEN * resolution(values), ROUNDING * np.abs(values).max(axis=0)
+    )
+    least = np.log(FALSE_ALARM / max(n, 1)) / np.log(COINCIDENCE)
+    out = []
+    for c, d in combinations(np.flatnonzero(noisy).tolist(), 2):
+        for sign in (1.0, -1.0):
+            start, stop = runs(values[:, c] == sign * values[:, d])
+            told = np.append(0, np.cumsum(moved[:, c]))
+            long = told[stop] - told[start] >= least
+            if long.any():
+                where = np.zeros(n, bool)
+                for begin, end in zip(start[long].tolist(), stop[long].tolist(), strict=True):
+                    where[begin:end] = True
+                out.append((c, d, where))
     return out
 
 

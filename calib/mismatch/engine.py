@@ -35,7 +35,7 @@ from calib.mismatch.rows.grid import (
     untouched,
 )
 from calib.mismatch.samples.losses import find_losses
-from calib.mismatch.samples.samples import BEYOND, DISAGREES, lost_samples
+from calib.mismatch.samples.samples import BEYOND, COPIED, DISAGREES, lost_samples
 from calib.mismatch.samples.spectrum import LOUDER_THERE, look_at_spectrum
 from calib.mismatch.samples.thin import Thinned, thin
 from calib.mismatch.samples.within import look_within
@@ -67,6 +67,7 @@ RESTLESS = (
 NEEDED = {
     DISAGREES: "a gyroscope and an accelerometer that agree on the turns",
     BEYOND: "a gyroscope that reads less at rest",
+    COPIED: "channels of their own: a register may be read twice",
 }
 """What a recording lacks that ends with its samples, by what they are off by."""
 

@@ -14,7 +14,14 @@ from calib import DeviceInfo, Recording, SensorModel, Triad
 from calib.audit import Finding, audit, check_units
 from calib.effects.base import State
 from calib.errors import UnitError
-from calib.faults import find_clipping, find_gaps, find_spikes, find_stuck, values_of
+from calib.faults import (
+    find_clipping,
+    find_copies,
+    find_gaps,
+    find_spikes,
+    find_stuck,
+    values_of,
+)
 from drivers.formats import read_recording
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -179,6 +186,32 @@ def test_a_dead_and_a_stuck_channel() -> None:
     finding = the_finding(changed(3, slice(3000, 3400), lambda v: v[0]))
     assert (finding.kind, finding.channels) == ("stuck", ("gyro.x",))
     assert finding.times == (pytest.approx(30.0, abs=0.02),)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_register_that_is_read_twice(sign: float) -> None:
+    values = values_of(bench())
+    assert not find_copies(values)
+    values = values.copy()
+    values[:, 2] = sign * values[:, 1]
+    ((c, d, where),) = find_copies(values)
+    assert (c, d) == (1, 2)
+    assert where.all()
+    finding, *_ = audit(replace(bench(), accel=values[:, :3])).findings
+    assert (finding.kind, finding.channels) == ("copied", ("accel.y", "accel.z"))
+
+
+@pytest.mark.parametrize("counts", [0.3, 1.0, 4.0])
+def test_axes_that_turn_alike_are_no_copies(counts: float) -> None:
+    """A table about the diagonal of two axes, counted as finely as the noise, or not."""
+    time = np.arange(60_000) / 100.0
+    values = RNG(5).normal(0.0, counts, (len(time), 6))
+    values[:, 3:5] += 3000.0 * np.sin(time / 7.0)[:, None]
+    assert not find_copies(np.round(values))
+    assert find_copies(np.round(values[:, [0, 1, 2, 3, 3, 5]]))
+    # Without noise nobody can tell.
+    still = np.maximum(np.sin(time / 7.0), 0.0)[:, None]
+    assert not find_copies(np.round(3000.0 * np.repeat(still, 6, axis=1)))
 
 
 @pytest.mark.parametrize("size", [0.02, -0.02, 0.3])

@@ -50,6 +50,8 @@ BEYOND = "nothing: no gyroscope reads that at rest"
 DISAGREES = "turns: by the gyroscope they are others than by the accelerometer"
 """What is unexplained where neither a unit nor an order of axes explains most turns."""
 
+COPIED = "nothing: one repeats the other"
+
 STUCK = 0.2
 """Share of the recording for which a channel that is stuck leaves nothing to compare with."""
 
@@ -98,7 +100,19 @@ def outside_rests(part: Recording, start: IntArray, stop: IntArray, *, begin: in
 def look_at_units(
     recording: Recording, poses: Poses
 ) -> tuple[tuple[Finding, ...], tuple[Unexplained, ...]]:
-    """Look for wrong units and axes; and for turns that no unit and no axes make agree."""
+    """Look for wrong units and axes; and for turns that no unit and no axes make agree.
+
+    A channel that repeats another one, or is dead, makes both look wrong.
+    """
+    values = faults.values_of(recording)
+    for c, d, same in faults.find_copies(values):
+        if same.sum() > STUCK * len(recording):
+            places = intervals_of(recording.time, np.flatnonzero(same))
+            names = CHANNELS[c], CHANNELS[d]
+            return (), (Unexplained(names, places, COPIED, faults.FALSE_ALARM),)
+    dead = np.ptp(values[:, :3], axis=0) == 0.0
+    if dead.any() and not dead.all() and len(recording) >= faults.BLOCK:
+        return (), ()
     closure = Closure.of(recording, poses) if len(poses) else None
     late = gyro_delay(recording)
     if late is not None:
@@ -110,9 +124,9 @@ def look_at_units(
         return wrong, ()
     far = np.abs(np.median(poses.gyro, axis=0)) > faults.FASTEST
     if far.any():
-        names = tuple(f"gyro.{a}" for a, off in zip("xyz", far, strict=True) if off)
+        axes = tuple(f"gyro.{a}" for a, off in zip("xyz", far, strict=True) if off)
         whole = (float(recording.time[0]), float(recording.time[-1]))
-        return (), (Unexplained(names, (whole,), BEYOND, faults.FALSE_ALARM),)
+        return (), (Unexplained(axes, (whole,), BEYOND, faults.FALSE_ALARM),)
     if closure is None or len(closure) < FEWEST or closure.agrees:
         return (), ()
     where = _join_intervals([(float(a), float(b)) for a, b in closure.disagreeing])

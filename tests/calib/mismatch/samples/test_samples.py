@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calib.mismatch import diagnose_recording
-from calib.mismatch.samples.samples import DISAGREES, look_at_samples
+from calib.mismatch.samples.samples import COPIED, DISAGREES, look_at_samples
 from calib.mismatch.samples.thin import tamed
 from calib.model import SensorModel
 from calib.recording import Recording
@@ -29,6 +29,23 @@ def test_a_channel_that_is_stuck_is_said_and_nothing_else() -> None:
         assert found.verdict == "unexplained"
         assert not [f for f in found.findings if f.effect != "quantization"]
         assert [u.channels for u in found.unexplained] == [("accel.z",)]
+
+
+@pytest.mark.parametrize("poses", [1, 30])
+def test_channels_that_are_one_or_dead_are_no_wrong_unit(poses: int) -> None:
+    recording = simulated() if poses == 30 else simulated(poses=1)
+    accel = recording.accel.copy()
+    accel[:, 2] = accel[:, 1]
+    found = diagnose_recording(replace(recording, accel=accel), gravity=GRAVITY)
+    assert (found.verdict, found.findings) == ("unexplained", ())
+    assert [(u.channels, u.follows) for u in found.unexplained] == [
+        (("accel.y", "accel.z"), COPIED)
+    ]
+    assert "a register may be read twice" in found.missing[-1]
+    accel[:, 2] = 0.0
+    found = diagnose_recording(replace(recording, accel=accel), gravity=GRAVITY)
+    assert (found.verdict, found.findings) == ("unexplained", ())
+    assert [u.channels for u in found.unexplained] == [("accel.z",)]
 
 
 COUNT = np.radians(1.0)
@@ -180,7 +197,7 @@ def test_time_in_another_unit_is_named(factor: float, what: str) -> None:
 def test_turns_that_nothing_makes_agree_are_said_and_nothing_else() -> None:
     recording = simulated()
     copied = recording.gyro.copy()
-    copied[:, 1] = copied[:, 0]
+    copied[:, 1] = 1.01 * copied[:, 0]
     for gyro in (copied, recording.gyro[::-1]):
         found = diagnose_recording(replace(recording, gyro=gyro), gravity=GRAVITY)
         assert found.verdict == "unexplained"
