@@ -10,6 +10,7 @@ import numpy as np
 from calib.calibration import Quantity
 from calib.effects import effects
 from calib.effects.base import Effect, State, TransformEffect
+from calib.faults import FALSE_ALARM
 from calib.mismatch.findings.aliases import find_aliases
 from calib.mismatch.findings.diagnosis import (
     Diagnosis,
@@ -34,7 +35,7 @@ from calib.mismatch.rows.grid import (
     steady,
     untouched,
 )
-from calib.mismatch.samples.losses import find_losses
+from calib.mismatch.samples.losses import INCOMPLETE, leave_out_unwhole
 from calib.mismatch.samples.samples import BEYOND, COPIED, DISAGREES, lost_samples
 from calib.mismatch.samples.spectrum import LOUDER_THERE, look_at_spectrum
 from calib.mismatch.samples.thin import Thinned, thin
@@ -158,8 +159,7 @@ def _diagnose(thinned: Thinned, *, gravity: float, model: SensorModel | None) ->
         f"only {SHOWS[t]} tell of it"
         for t in unhidden
     )
-    losses = [] if timeless or unhidden else find_losses(problem)
-    problem.leave_out([loss.segment for loss in losses])
+    losses, broken = ([], []) if timeless or unhidden else leave_out_unwhole(problem)
     skip: tuple[str, ...] = ("gyro_misalignment",) if full else ()
     if timeless:
         skip += ("time", *(k for k in effects() if k.endswith(_CLOCKED)))
@@ -195,6 +195,9 @@ def _diagnose(thinned: Thinned, *, gravity: float, model: SensorModel | None) ->
         )
     noisy = (*noisy, *misclosed(outcome.rows, outcome.levels))
     unexplained = [*seen.unexplained, *gathered(joined([*unexplained, *noisy]))]
+    if broken:
+        where = tuple((float(a), float(b)) for a, b in grid.interval[sorted(broken)])
+        unexplained.insert(0, Unexplained(CHANNELS, where, INCOMPLETE, FALSE_ALARM))
     # What such counts leave follows where between two of them a signal is, and so whatever it does.
     unexplained = [u for u in unexplained if u in seen.unexplained or not _on(u.channels, unhidden)]
     change, likelihood = changes(outcome)

@@ -63,6 +63,20 @@ TRIED = 3
 FEWEST = 6
 """Turns that a scatter is taken from."""
 
+BROKEN = 0.3
+"""rad by which a turn is off that most others are not, if it ends where it did not lead."""
+
+SLIGHT = 0.1
+"""Of all the angle that was turned, what a sensor is off by at most."""
+
+ALONE = 20.0
+"""Times as far off as most are it is then, too."""
+
+INCOMPLETE = "motion: the turn ends where it did not lead, as if the recording had paused in it"
+
+FEW = 0.25
+"""Share of the turns that may be broken: of more, it is not the turns that are."""
+
 FREEDOM = 3.0
 """Degrees of freedom of the jumps that motion makes."""
 
@@ -145,6 +159,42 @@ def find_losses(problem: SelfProblem) -> list[Loss]:
     return out
 
 
+def leave_out_unwhole(problem: SelfProblem) -> tuple[list[Loss], list[int]]:
+    """Leave turns out that are not whole; return the losses in them, and those that are broken."""
+    losses = find_losses(problem)
+    problem.leave_out([loss.segment for loss in losses])
+    broken = find_broken(problem)
+    if broken:
+        problem.leave_out(broken)
+        # What others miss shows now.
+        more = find_losses(problem)
+        problem.leave_out([loss.segment for loss in more])
+        losses += more
+    return losses, broken
+
+
+def find_broken(problem: SelfProblem) -> list[int]:
+    """Return the turns that end where they did not lead, each in a fit without those before it.
+
+    Of a turn that a logger slept through a part is missing, and no clock tells.
+    """
+    grid = problem.grid
+    drop = np.zeros(len(grid.first), bool) if problem.drop is None else problem.drop.copy()
+    turns, out, twin = np.flatnonzero(~grid.is_rest & ~drop), list[int](), problem.twin
+    most = FEW * len(turns)
+    while len(turns) >= FEWEST and len(out) <= most:
+        closures = _Closures(grid, twin, turns, problem.noise)
+        least = max(BROKEN, ALONE * float(np.median(closures.angle)))
+        excess = closures.angle / np.maximum(least, SLIGHT * closures.turned)
+        s = int(turns[np.argmax(excess)])
+        if not excess.max() > 1.0:
+            return out
+        out.append(s)
+        drop[s], turns = True, turns[turns != s]
+        twin = fit_twin(grid, twin, problem.noise, drop=drop)
+    return []
+
+
 class _Closures:
     """Closures of turns, and their sizes in scatters of them all.
 
@@ -161,6 +211,10 @@ class _Closures:
         ups = twin.up[grid.before[turns]], twin.up[grid.after[turns]]
         closed = close_turns(spans, *signals, *ups, gravity=twin.gravity)
         left = closed.residual
+        self.angle = np.linalg.norm(left[:, :2], axis=1)
+        """By which turns are off, rad; `turned` is how far they went, to and fro."""
+        speed = np.linalg.norm(signals[1], axis=1)
+        self.turned = spans.duration * np.add.reduceat(speed, first[:-1]) / np.diff(first)
         # White noise of a rate turns the frame by the root of time, and gravity in it by time more.
         longer = np.maximum(spans.duration / np.median(spans.duration), 1.0)
         scale = np.repeat(np.sqrt([longer, longer**3]).T, (2, 3), axis=1)

@@ -10,7 +10,16 @@ from calib.effects.base import Term
 from calib.mismatch import diagnose_recording
 from calib.mismatch.rows.closure import Spans, follow_turns, integrate_turns
 from calib.mismatch.rows.grid import make_grid
-from calib.mismatch.samples.losses import PART, Loss, _Closures, _mended, _put_back, find_losses
+from calib.mismatch.samples.losses import (
+    INCOMPLETE,
+    PART,
+    Loss,
+    _Closures,
+    _mended,
+    _put_back,
+    find_losses,
+    leave_out_unwhole,
+)
 from calib.mismatch.twin.selfmode import SelfProblem
 from calib.recording import Recording
 from calib.statics import find_poses
@@ -147,6 +156,60 @@ def test_a_loss_is_one_finding_and_its_turn_is_left_out_of_the_rest() -> None:
     assert start <= whole.time[at] <= stop
     assert found.held_out is not None
     assert found.held_out.after < 0.05 * found.held_out.before
+
+
+def paused(whole: Recording, *turns: int) -> tuple[Recording, list[float]]:
+    """Return a recording whose logger slept through the middle of some turns; and when."""
+    poses, keep = find_poses(whole), np.ones(len(whole), bool)
+    for turn in turns:
+        a, b = int(poses.stop[turn]), int(poses.start[turn + 1])
+        keep[a + (b - a) // 4 : b - (b - a) // 4] = False
+    assert whole.temperature is not None
+    made = Recording(
+        whole.time[: keep.sum()],
+        whole.accel[keep],
+        whole.gyro[keep],
+        "device",
+        temperature=whole.temperature[keep],
+    )
+    before = [float(whole.time[keep[: poses.stop[turn]].sum()]) for turn in turns]
+    return made, before
+
+
+@pytest.mark.parametrize("turns", [(5,), (3, 9, 14)])
+def test_turns_that_a_logger_slept_through_are_said_and_left_out(turns: tuple[int, ...]) -> None:
+    term = Term("gyro_g_sensitivity", {"gxx": 1e-3, "gyy": -1e-3, "gzx": 1e-3})
+    made, moments = paused(recording(term, poses=20), *turns)
+    found = diagnose_recording(made, gravity=GRAVITY)
+    assert [item.effect for item in found.findings] == ["gyro_g_sensitivity"]
+    (left,) = found.unexplained
+    assert left.follows == INCOMPLETE
+    assert len(left.intervals) == len(turns)
+    for (start, stop), moment in zip(left.intervals, moments, strict=True):
+        assert start - 1.0 < moment < stop + 0.1
+    assert found.verdict == "partly_explained"
+
+
+def test_a_loss_beside_turns_that_are_broken_is_found() -> None:
+    whole, _ = paused(recording(rate=100.0, poses=24), 2, 8, 12, 16)
+    poses = find_poses(whole)
+    at = int(poses.stop[5] + poses.start[6]) // 2
+    losses, broken = leave_out_unwhole(problem_of(without(whole, at, 1)))
+    assert len(broken) == 4
+    (loss,) = losses
+    assert abs(loss.moment - whole.time[at]) < 0.5
+
+
+def test_no_turn_is_broken_where_one_goes_around_many_times() -> None:
+    """A gyroscope off by some per cent is off by radians there."""
+    whole = recording(Term("gyro_misalignment", {"mxy": 0.03, "myz": -0.03, "mzx": 0.03}))
+    poses = find_poses(whole)
+    known = np.ones(len(poses), bool)
+    known[4:11] = False
+    grid = make_grid(whole, poses.select(known))
+    problem = SelfProblem(grid, None, gravity=GRAVITY, full_gyro=False)
+    assert not leave_out_unwhole(problem)[1]
+    assert not leave_out_unwhole(problem_of(whole))[1]
 
 
 def test_samples_are_put_back_where_a_spline_through_their_neighbours_has_them() -> None:
