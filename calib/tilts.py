@@ -59,6 +59,9 @@ ENOUGH = 12
 """Turns."""
 MOST = 0.7
 """Of the turns must close: two axes swapped leave turns about the third as they are."""
+STRAIGHT = 2.0
+"""Times as far as it tilts a turn may go: about an axis that is halfway to gravity's, or by a hand
+that comes back a little."""
 FEWEST = 6
 """Turns that are not all explained by chance if factors that nobody knows are tried."""
 AXIS_MAPS = [signed_permutation(number) for number in range(len(ORDERS))]
@@ -137,8 +140,10 @@ class Closure:
         factor = min(by_factor, key=by_factor.__getitem__)
         maps = [self.error(mat) for mat in AXIS_MAPS]
         best = int(np.argmin(maps))
-        # One or two turns fit some axes or other; a unit is the simpler explanation.
-        if by_factor[factor] < enough and (len(self) < 3 or by_factor[factor] < 1.5 * maps[best]):
+        # One or two turns fit some axes or other; a unit is the simpler explanation, unless there
+        # was more motion in them than they tilted by, which ends anywhere by some factor or other.
+        known = self._straight(factor) if len(self) < 3 else by_factor[factor] < 1.5 * maps[best]
+        if by_factor[factor] < enough and known:
             return factor, None, np.eye(3)
         if len(self) >= 3 and maps[best] < enough:
             return 1.0, None, AXIS_MAPS[best]
@@ -157,6 +162,12 @@ class Closure:
         unnamed = {float(f): self.error(np.eye(3) / f) for f in self._sizes()}
         factor = min(unnamed, key=unnamed.__getitem__)
         return (factor, None, np.eye(3)) if unnamed[factor] < enough else plain
+
+    def _straight(self, factor: float) -> bool:
+        """Whether turns are hardly longer than they tilt by, if rates are too large by a factor."""
+        steps = np.linalg.norm(self.angle, axis=1) / factor
+        tilt = np.linalg.norm(closure_residual(self.before, self.after), axis=1)
+        return bool((np.add.reduceat(steps, self.first[:-1]) < STRAIGHT * tilt).all())
 
     @cached_property
     def _own(self) -> bool:

@@ -12,6 +12,7 @@ from calib.simulate import simulate
 from calib.simulation.bench import bench_protocol
 from calib.simulation.noise import CONSUMER
 from calib.statics import find_poses
+from calib.tilts import DEGREE, Closure
 from calib.types import FloatArray
 from calib.units import unit_faults
 
@@ -62,3 +63,30 @@ def test_an_axis_in_another_unit_is_found_in_all_poses(
     accel = STANDARD_GRAVITY * directions / np.linalg.norm(directions, axis=1, keepdims=True)
     accel[:, axis] *= factor
     assert channels_of(real, accel) == [axis]
+
+
+def test_long_motion_between_two_rests_is_no_unit(real: Recording) -> None:
+    """A gyroscope that forgets (a high-pass) is off anywhere by then, and some factor has it."""
+    poses = find_poses(real)
+    rng = np.random.default_rng(6)
+    wrong = 0
+    for last in range(5, len(poses)):
+        own = poses.select(np.array([0, last]))
+        bent = replace(real, gyro=real.gyro * rng.uniform(0.3, 0.8, 3))
+        closure = Closure.of(bent, own)
+        if closure is not None:
+            wrong += not closure.missed < 0.5
+            assert not unit_faults(bent, own, closure)
+    assert wrong > 3
+
+
+def test_one_straight_turn_tells_of_a_unit(real: Recording) -> None:
+    poses = find_poses(real)
+    told = 0
+    for first in range(len(poses) - 1):
+        own = poses.select(np.array([first, first + 1]))
+        degrees = replace(real, gyro=np.degrees(real.gyro))
+        if (closure := Closure.of(degrees, own)) is not None:
+            found = [f.factor for f in unit_faults(degrees, own, closure)]
+            told += found == [pytest.approx(1 / DEGREE)]
+    assert told > 5
