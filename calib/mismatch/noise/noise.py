@@ -33,9 +33,8 @@ level (a variance)."""
 SOONER = 1.0
 """How much walks differ from jitter and flicker besides, all of a group together: the minutes to
 hours after which a bias walks further than it flickers (where an Allan plot begins to rise) differ
-from part to part, and axes of one part have them in common. Without that a part
-that walks soon would have to be a chance for each of its axes, and an effect on all of them the
-simpler answer."""
+from part to part, and axes of one part have them in common. Without that a part that walks soon
+would have to be a chance for each of its axes, and an effect on all of them the simpler answer."""
 
 INDEPENDENT = 1e-5
 """Share of a column's length that those before it must leave for it to be clearly independent."""
