@@ -290,9 +290,9 @@ def find_copies(values: FloatArray) -> list[tuple[int, int, BoolArray]]:
     least = np.log(FALSE_ALARM / max(n, 1)) / np.log(COINCIDENCE)
     out = []
     for c, d in combinations(np.flatnonzero(noisy).tolist(), 2):
+        told = np.append(0, np.cumsum(moved[:, c]))
         for sign in (1.0, -1.0):
             start, stop = runs(values[:, c] == sign * values[:, d])
-            told = np.append(0, np.cumsum(moved[:, c]))
             long = told[stop] - told[start] >= least
             if long.any():
                 where = np.zeros(n, bool)

@@ -166,8 +166,12 @@ class Closure:
     def _straight(self, factor: float) -> bool:
         """Whether turns are hardly longer than they tilt by, if rates are too large by a factor."""
         steps = np.linalg.norm(self.angle, axis=1) / factor
-        tilt = np.linalg.norm(closure_residual(self.before, self.after), axis=1)
-        return bool((np.add.reduceat(steps, self.first[:-1]) < STRAIGHT * tilt).all())
+        return bool((np.add.reduceat(steps, self.first[:-1]) < STRAIGHT * self._tilt).all())
+
+    @property
+    def _tilt(self) -> FloatArray:
+        """The angle by which each turn tilted, (m,) rad."""
+        return np.asarray(np.linalg.norm(closure_residual(self.before, self.after), axis=1))
 
     @cached_property
     def _own(self) -> bool:
@@ -178,8 +182,7 @@ class Closure:
     def _sizes(self) -> FloatArray:
         """Return factors that would make turns as large as gravity says, or up to 3 times so."""
         total = np.add.reduceat(self.angle, self.first[:-1], axis=0)
-        tilt = np.linalg.norm(closure_residual(self.before, self.after), axis=1)
-        ratio = float(np.median(np.linalg.norm(total, axis=1) / tilt))
+        ratio = float(np.median(np.linalg.norm(total, axis=1) / self._tilt))
         return np.asarray((ratio or 1.0) * np.geomspace(1 / 3, 1.1, 60))
 
     @property

@@ -55,7 +55,7 @@ def find_profile(text: str) -> Profile | None:
     found = [profile for profile in shipped_profiles().values() if profile.recognises(text)]
     if len(found) == 1:
         return found[0]
-    lines = [line for line in text.splitlines() if line.strip() and not line.startswith("#")][:2]
+    lines = _rows(text)[:2]
     if len(lines) < 2:
         return None
     delimiter = _guess_delimiter(lines[0])
@@ -236,6 +236,11 @@ def split_line(line: str, delimiter: str) -> list[str]:
     return line.split() if delimiter == " " else line.rstrip("\r\n").split(delimiter)
 
 
+def _rows(text: str) -> list[str]:
+    """Return the lines that are neither empty nor comments."""
+    return [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
+
+
 def _unquoted(field: str) -> str:
     return field.strip().strip('"')
 
@@ -246,7 +251,7 @@ def _guess_delimiter(line: str) -> str:
 
 def _unknown(source: Source, text: str) -> str:
     """Return what to do with a text log that no profile recognises."""
-    rows = [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
+    rows = _rows(text)
     first = rows[0] if rows else ""
     delimiter = _guess_delimiter(rows[-1] if rows else "")
     count = len(split_line(rows[-1], delimiter)) if rows else 0

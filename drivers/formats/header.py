@@ -11,7 +11,6 @@ import re
 from collections.abc import Sequence
 from typing import Any
 
-from calib.errors import RecordingFormatError
 from calib.recording import AXES
 from drivers.formats.profile import Profile, make_profile
 
@@ -27,7 +26,7 @@ _TRIADS = {
 }
 _SCALARS = {
     "time": r"(?:t|time|timestamp|elapsed|elapsedtime|timeelapsed|sampletime|)",
-    "temperature": r"(?:t|temp|temperature|imutemp|imutemperature)",
+    "temperature": r"(?:t|temp|temperature)",
 }
 _SPELLED = {
     "accel": {
@@ -71,19 +70,21 @@ def profile_of_header(names: Sequence[str], first: Sequence[str]) -> Profile | N
     names : sequence of str
         As they stand in the header, without quotes.
     first : sequence of str
-        The first row of samples: a time without a unit may be a date there.
+        The first row of samples, likewise: a time without a unit may be a date there.
     """
     found: dict[tuple[str, str], tuple[str, str]] = {}
     for position, name in enumerate(names):
         known = column_of(name)
-        if known is None and position < len(first) and _DATE.match(first[position].strip(' "')):
+        if known is None and position < len(first) and _DATE.match(first[position]):
             known = _dated(name)
         if known is None:
             continue
         quantity, axis, unit = known
-        if (quantity, axis) in found or list(names).count(name) > 1:
+        if (quantity, axis) in found:
             return None
         found[quantity, axis] = name, unit
+    if ("time", "") not in found:
+        return None
     values: dict[str, Any] = {"description": "as the header of the file says"}
     values["text"] = {"header": True}
     for quantity in _TRIADS:
@@ -96,10 +97,7 @@ def profile_of_header(names: Sequence[str], first: Sequence[str]) -> Profile | N
         if (quantity, "") in found:
             name, unit = found[quantity, ""]
             values[quantity] = {"column": name, "unit": unit}
-    try:
-        return make_profile(values, name=NAME)
-    except RecordingFormatError:
-        return None  # it has no time
+    return make_profile(values, name=NAME)
 
 
 def column_of(name: str) -> tuple[str, str, str] | None:

@@ -114,7 +114,7 @@ class TimeColumn:
         Others are told as the file has them, so that what is said of a time is found there.
         """
         dated = self.factor is None or abs(first) * self.factor > EPOCH
-        return first if dated else first - first
+        return first if dated else 0
 
 
 @dataclass(frozen=True)

@@ -30,7 +30,7 @@ from calib.mismatch.twin.selfmode import SelfProblem
 from calib.mismatch.twin.twin import Twin, true_state
 from calib.mismatch.twin.twinfit import fit_twin
 from calib.spline import spline_between, spline_slopes
-from calib.types import FloatArray, IntArray
+from calib.types import BoolArray, FloatArray, IntArray
 
 SURE = 1000.0
 """Odds of a loss, against a turn that errs by as much for another reason, from which it is one. Of
@@ -72,10 +72,10 @@ SLIGHT = 0.1
 ALONE = 20.0
 """Times as far off as most are it is then, too."""
 
-INCOMPLETE = "motion: the turn ends where it did not lead, as if the recording had paused in it"
-
 FEW = 0.25
 """Share of the turns that may be broken: of more, it is not the turns that are."""
+
+INCOMPLETE = "motion: the turn ends where it did not lead, as if the recording had paused in it"
 
 FREEDOM = 3.0
 """Degrees of freedom of the jumps that motion makes."""
@@ -133,8 +133,7 @@ def find_losses(problem: SelfProblem) -> list[Loss]:
     the twin that they are compared with has the whole matrix.
     """
     grid = problem.grid
-    drop = np.zeros(len(grid.first), bool) if problem.drop is None else problem.drop.copy()
-    turns = np.flatnonzero(~grid.is_rest & ~drop)
+    drop, turns = _kept(problem)
     if len(turns) < FEWEST:
         return []
     whole = problem.twin
@@ -179,8 +178,8 @@ def find_broken(problem: SelfProblem) -> list[int]:
     Of a turn that a logger slept through a part is missing, and no clock tells.
     """
     grid = problem.grid
-    drop = np.zeros(len(grid.first), bool) if problem.drop is None else problem.drop.copy()
-    turns, out, twin = np.flatnonzero(~grid.is_rest & ~drop), list[int](), problem.twin
+    drop, turns = _kept(problem)
+    out, twin = list[int](), problem.twin
     most = FEW * len(turns)
     while len(turns) >= FEWEST and len(out) <= most:
         closures = _Closures(grid, twin, turns, problem.noise)
@@ -193,6 +192,13 @@ def find_broken(problem: SelfProblem) -> list[int]:
         drop[s], turns = True, turns[turns != s]
         twin = fit_twin(grid, twin, problem.noise, drop=drop)
     return []
+
+
+def _kept(problem: SelfProblem) -> tuple[BoolArray, IntArray]:
+    """Return which segments are left out, to add to, and the turns that are not."""
+    grid = problem.grid
+    drop = np.zeros(len(grid.first), bool) if problem.drop is None else problem.drop.copy()
+    return drop, np.flatnonzero(~grid.is_rest & ~drop)
 
 
 class _Closures:

@@ -24,9 +24,6 @@ CLAIM = 2.5
 recordings that reach it by 40 %, but only evidence that is all or nothing attains that: of
 normal errors under as many looks as here, ``benchmarks/evidence.py`` counts 1 in 200."""
 
-COUNTS = 0.05
-"""E-value from which a group counts in what is left altogether."""
-
 RARE = 0.036
 """Share of recordings of nothing but noise that reach an e-value of e, times e: 10 of 710 reach the
 claim, whose noise had to be learnt from them (``concealed.py --parts clean``, of one part and of

@@ -16,9 +16,12 @@ from calib.mismatch.hypotheses.families import candidate_columns
 from calib.mismatch.hypotheses.score import Stack
 from calib.mismatch.noise.noise import Whitener, range_basis
 from calib.mismatch.rows.rows import Rows
-from calib.mismatch.search.ranking import COUNTS, Ranking
+from calib.mismatch.search.ranking import Ranking
 from calib.mismatch.search.refine import likelihood_gain
 from calib.types import FloatArray
+
+COUNTS = 0.05
+"""E-value from which a group counts in what is left altogether."""
 
 ELSEWHERE = 0.25
 """Share of what an effect gains that rows outside of one turn must tell."""
