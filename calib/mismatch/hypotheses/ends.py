@@ -28,7 +28,7 @@ import numpy as np
 from scipy.special import logsumexp, softmax
 
 from calib.mismatch.findings.diagnosis import Interval
-from calib.mismatch.hypotheses.candidates import FLUCTUATING, GAIN, Candidate
+from calib.mismatch.hypotheses.candidates import FLUCTUATING, GAIN, GAIN_IN_TIME, Candidate
 from calib.mismatch.hypotheses.factors import log_bayes_factor, log_bayes_factors
 from calib.mismatch.hypotheses.shared import likely_share
 from calib.mismatch.hypotheses.turned import turned_parts
@@ -76,10 +76,13 @@ def place_window(rows: Rows, candidate: Candidate, whitener: Whitener, y: FloatA
     """Return a candidate for the window that overlaps most, on average over what is probable.
 
     It is of the kind that is most probable there. No window is longer than half of the recording:
-    the others are the rule there, and not it. But a gain may have changed for good.
+    the others are the rule there, and not it. A gain may have changed at a moment: beside the scale
+    factor one until then is another one from then on, and it is said of the shorter part.
     """
     if candidate.name == TURNED:
         return _place_turned(rows, candidate, whitener, y)
+    if candidate.name == GAIN_IN_TIME:
+        candidate = replace(candidate, name=GAIN)
     number = len(rows.interval)
     longest = max(number // 2, 1)
     one = len(candidate.channels) == 1
@@ -128,9 +131,6 @@ def _sums(
     if candidate.name == "bias in a window":
         # Open at one end it would be a step, which has a name.
         some &= (first > 0) & (last < number)
-    elif _may_stay(candidate):
-        # Another gain until a moment is, beside the scale factor, another one from then on.
-        some = (first > 0) & (some | (last == number))
     first, last = first[some], last[some]
     out = np.full((number + 1, number + 1), -np.inf)
     out[first, last] = _of_windows(parts, whitener, y, first, last)
@@ -141,17 +141,17 @@ def _of_place(first: IntArray, last: IntArray, number: int, stays: float) -> Flo
     """Return the logarithm of how probable windows [first, last) of so many segments are.
 
     Every length, by its logarithm, is as likely as any other, and so is every place. That it
-    stays, from any moment on, has the odds ``stays`` to all windows that end.
+    changed at any moment, for good, has the odds ``stays`` to all windows that end.
     """
     prior = -np.log(last - first) - np.log(number + 1.0 - (last - first))
-    open_ = last == number
+    open_ = (first == 0) | (last == number)
     if stays and open_.any() and not open_.all():
         prior[open_] = logsumexp(prior[~open_]) + np.log(stays / open_.sum())
     return np.asarray(prior)
 
 
 def _may_stay(candidate: Candidate) -> bool:
-    """Whether it may have begun at a moment and not ended: a bias that did is a step by name."""
+    """Whether it may have changed at a moment for good: a bias that did is a step by name."""
     return candidate.name == GAIN and not candidate.shape
 
 

@@ -141,6 +141,12 @@ def is_step(item: Local, segments: int) -> bool:
     return item.name == "bias in a window" and ends
 
 
+def has_ends(candidate: Candidate) -> bool:
+    """Whether a candidate is in a window that can be moved; a gain that changed at once is, too."""
+    changed = candidate.name == GAIN_IN_TIME and not candidate.shape
+    return changed or candidate.name in WINDOWED
+
+
 def in_windows(
     interval: FloatArray,
     middle: FloatArray,

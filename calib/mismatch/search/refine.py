@@ -13,7 +13,7 @@ from calib.mismatch.hypotheses.candidates import Candidate
 from calib.mismatch.hypotheses.ends import place_window, tune_wave
 from calib.mismatch.hypotheses.families import NEAR, candidate_columns, forms, neighbours
 from calib.mismatch.hypotheses.peak import close_in
-from calib.mismatch.hypotheses.windows import THROUGHOUT, WINDOWED, window_columns
+from calib.mismatch.hypotheses.windows import THROUGHOUT, has_ends, window_columns
 from calib.mismatch.noise.noise import Whitener, make_whitener
 from calib.mismatch.rows.rows import Rows
 from calib.mismatch.search.accepted import Accepted, fitted
@@ -30,7 +30,7 @@ def refine_last(
 ) -> Accepted:
     """Refine the shape parameters of the last accepted between the grid's values."""
     last = accepted[-1]
-    if last.candidate.name in WINDOWED or last.candidate.name == THROUGHOUT:
+    if has_ends(last.candidate) or last.candidate.name == THROUGHOUT:
         whitener = make_whitener(rows, levels, contrast, fitted(rows, accepted[:-1]))
         y = whitener.project(rows.residual)
         if last.candidate.name == THROUGHOUT:

@@ -11,7 +11,7 @@ import pytest
 from calib.effects import get_effect
 from calib.effects.base import State, Term
 from calib.mismatch import diagnose_recording
-from calib.mismatch.hypotheses.candidates import GAIN_IN_TIME, Candidate
+from calib.mismatch.hypotheses.candidates import GAIN, GAIN_IN_TIME, Candidate
 from calib.mismatch.hypotheses.rivals import FADED, FADING, FROM_START, RIVAL
 from calib.mismatch.hypotheses.score import Stack
 from calib.mismatch.hypotheses.windows import (
@@ -279,7 +279,7 @@ def test_what_weakens_a_triad_in_a_window_is_one_gain_of_it():
     found = diagnose_recording(with_added(real, weak), gravity=GRAVITY)
     assert not found.findings
     (left,) = found.unexplained
-    assert (left.follows, left.channels) == ("gain in a window", CHANNELS[:3])
+    assert (left.follows, left.channels) == (GAIN, CHANNELS[:3])
     assert overlap(left.intervals[0], (start, stop)) > 0.7
 
 
@@ -294,7 +294,7 @@ def test_a_gain_that_grows_in_a_window_and_snaps_back_is_unexplained_there():
     )
     assert not found.findings
     (left,) = found.unexplained
-    assert (left.follows, left.channels) == ("gain in a window", ("accel.y",))
+    assert (left.follows, left.channels) == (GAIN, ("accel.y",))
     assert overlap(left.intervals[0], (start, stop)) > 0.6
 
 
@@ -310,18 +310,29 @@ def test_a_gain_that_every_turn_makes_anew_is_unexplained_throughout():
     assert overlap(left.intervals[0], (0.0, real.time[-1])) > 0.95
 
 
-@pytest.mark.parametrize(("since", "form"), [(0.4, np.ones_like), (0.55, lambda share: share)])
-def test_a_gain_that_changes_for_good_is_unexplained_from_then_on(since, form):
+@pytest.mark.parametrize("since", [0.4, 0.55])
+def test_a_gain_that_changes_at_a_moment_is_unexplained_in_the_shorter_part(since):
     real = recording(seed=8, poses=18)
-    begin = since * real.time[-1]
-    changed = form((real.time - begin) / (real.time[-1] - begin)) * (real.time > begin)
+    begin, end = since * real.time[-1], float(real.time[-1])
     force = motion_of(real).force[:, 1]
-    odd = with_added(real, {"accel.y": 4e-3 * changed * force})
+    odd = with_added(real, {"accel.y": 4e-3 * (real.time > begin) * force})
     found = diagnose_recording(odd, gravity=GRAVITY)
     assert not found.findings
     (left,) = found.unexplained
+    assert (left.follows, left.channels) == (GAIN, ("accel.y",))
+    assert overlap(left.intervals[0], (begin, end) if since > 0.5 else (0.0, begin)) > 0.7
+
+
+def test_a_gain_that_grows_for_good_is_unexplained_from_then_on():
+    real = recording(seed=8, poses=18)
+    begin, end = 0.55 * real.time[-1], float(real.time[-1])
+    share = np.maximum(real.time - begin, 0.0) / (end - begin)
+    force = motion_of(real).force[:, 1]
+    found = diagnose_recording(with_added(real, {"accel.y": 4e-3 * share * force}), gravity=GRAVITY)
+    assert not found.findings
+    (left,) = found.unexplained
     assert (left.follows, left.channels) == (GAIN_IN_TIME, ("accel.y",))
-    assert overlap(left.intervals[0], (begin, real.time[-1])) > 0.7
+    assert overlap(left.intervals[0], (begin, end)) > 0.7
 
 
 def test_one_lost_sample_is_found_at_its_moment_in_the_turn():
