@@ -118,7 +118,8 @@ def rank(
             # The strongest rivals are taken of every channel.
             rest = scores.at(base.values, scores.contrast, base.log_likelihood, ~counted)
             evidence = np.maximum(evidence, rest)
-        evidence, wide, hidden = scores.with_drift_of_all(evidence, which, every)
+        plain = max(groups.values()) > PLAIN
+        evidence, wide, hidden = scores.with_drift_of_all(evidence, which, every, plain=plain)
         best, groups = grouped(stack, evidence)
     beside = {}
     for name in leading(best, {g: groups[g] for g in running}):

@@ -118,11 +118,17 @@ class Scores:
         return level_likelihood(self.rows, self.basis, levels)
 
     def with_drift_of_all(
-        self, evidence: FloatArray, running: BoolArray, known: FloatArray | None = None
+        self,
+        evidence: FloatArray,
+        running: BoolArray,
+        known: FloatArray | None = None,
+        *,
+        plain: bool = False,
     ) -> tuple[FloatArray, Levels, list[Hidden]]:
         """Return the evidence where physics, or rivals, take up the drift of their channels.
 
-        Of those candidates that are marked as running.
+        Of those candidates that are marked as running. What is ``plain`` is judged with the drift
+        that either leaves: there levels change it by more than one answer is ahead of another.
 
         Beside it the levels with all physics in the mean, and the evidence for physics there. Their
         search starts from those of an earlier ranking, if they are `known`: physics that was
@@ -152,6 +158,12 @@ class Scores:
             hidden += [Hidden(scored, cost, which, levels) for which in each]
             evidence = np.maximum(evidence, scored)
         for channels in TOGETHER:
+            if plain:
+                which = stack.of_channels(channels, physical=True) & running
+                if which.any():
+                    levels = _swap(rows, base.values, free.values, channels)
+                    scored = self.at(levels, self.contrast, self._null(levels), which)
+                    evidence = np.maximum(evidence, scored)
             which = stack.of_channels(channels, physical=False) & running
             if which.any():
                 levels = _swap(rows, base.values, free.values, channels)
