@@ -41,8 +41,9 @@ from calib.mismatch.noise.contrast import contrast_variance
 from calib.mismatch.noise.coupling import drift_in_contrasts, foretold
 from calib.mismatch.noise.noise import Whitener, make_whitener
 from calib.mismatch.noise.sensornoise import DRIFT_TIME
-from calib.mismatch.rows.grid import make_grid
+from calib.mismatch.rows.grid import Grid, make_grid
 from calib.mismatch.rows.rows import Rows
+from calib.mismatch.rows.underway import under_way
 from calib.mismatch.search.accepted import fitted
 from calib.mismatch.search.ranking import CLAIM, make_stack
 from calib.mismatch.search.search import TIE
@@ -351,12 +352,18 @@ def random_sensor(rng: np.random.Generator) -> SensorModel:
     )
 
 
+def grid_of(recording: Recording) -> Grid:
+    """Return the rests and turns of a recording, as a diagnosis has them."""
+    poses = find_poses(recording)
+    return make_grid(recording, poses, turns=under_way(recording, poses))
+
+
 def oracle(clean: Recording, bench: Bench) -> tuple[Rows, Whitener, SelfProblem]:
     """Return rows of the clean recording, the whitener of its noise, and where the rows come from.
 
     The state of the rows is the true one: what noise adds to a column shows in no recording.
     """
-    grid = make_grid(clean, find_poses(clean))
+    grid = grid_of(clean)
     problem = SelfProblem(grid, None, gravity=GRAVITY, full_gyro=False)
     rows = problem.rows()
     mean = np.hstack((rows.baseline, rows.nuisance))
@@ -371,15 +378,17 @@ def whole_change(
     term: Term, model: SensorModel, bench: Bench, clean: Recording, problem: SelfProblem
 ) -> np.ndarray:
     """Return what a term does to the rows of a recording without noise: of any size, as it is."""
-    poses, quiet = find_poses(clean), replace(bench, noise=NoiseModel())
-    grids = (make_grid(quiet.record(replace(model, terms=t), 0), poses) for t in ((), (term,)))
+    quiet, like = replace(bench, noise=NoiseModel()), find_poses(clean)
+    turns = under_way(clean, like)
+    made = (quiet.record(replace(model, terms=t), 0) for t in ((), (term,)))
+    grids = (make_grid(recording, like, turns=turns) for recording in made)
     without, made = (build_rows(g, problem.twin, problem.noise).residual for g in grids)
     return made - without
 
 
 def rows_of(recording: Recording) -> Rows:
     """Return the rows of a recording by itself."""
-    grid = make_grid(recording, find_poses(recording))
+    grid = grid_of(recording)
     return SelfProblem(grid, None, gravity=GRAVITY, full_gyro=False).rows()
 
 

@@ -32,6 +32,7 @@ from calib.mismatch.hypotheses.shared import DIRECTIONS, one_course
 from calib.mismatch.noise.noise import expected_levels, make_whitener
 from calib.mismatch.rows.grid import make_grid
 from calib.mismatch.rows.rows import Rows
+from calib.mismatch.rows.underway import under_way
 from calib.mismatch.search.accepted import fitted
 from calib.mismatch.search.ranking import CLAIM, make_stack
 from calib.mismatch.twin.selfmode import SelfProblem
@@ -56,7 +57,8 @@ def main() -> int:
     rng = np.random.default_rng(args.seed)
     motion = bench_protocol(rng, poses=30, power_on=0.0)
     recording = simulate(motion, SensorModel(), CONSUMER, rng=rng, rate=100.0)
-    grid = make_grid(recording, find_poses(recording))
+    poses = find_poses(recording)
+    grid = make_grid(recording, poses, turns=under_way(recording, poses))
     rows = SelfProblem(grid, None, gravity=GRAVITY, full_gyro=False).rows()
     stack = make_stack(rows, skip=(), reference=False)
     logs, alike = e_values(rows, stack, rng, args.draws)

@@ -35,6 +35,7 @@ from calib.mismatch.rows.grid import (
     steady,
     untouched,
 )
+from calib.mismatch.rows.underway import under_way
 from calib.mismatch.samples.losses import INCOMPLETE, leave_out_unwhole
 from calib.mismatch.samples.samples import BEYOND, COPIED, DISAGREES, lost_samples
 from calib.mismatch.samples.spectrum import LOUDER_THERE, look_at_spectrum
@@ -141,7 +142,8 @@ def _diagnose(thinned: Thinned, *, gravity: float, model: SensorModel | None) ->
         # Without a clock no motion can be integrated, and here there was none.
         poses = one_rest(poses)
     shortest = 0.0 if recording.clock == "invalid" else SHORTEST_CELL
-    grid = make_grid(recording, poses, shortest_cell=shortest, began=thinned.start)
+    turns = under_way(recording, poses)
+    grid = make_grid(recording, poses, turns=turns, shortest_cell=shortest, began=thinned.start)
     few_turns = int((~grid.is_rest).sum()) < LEAST_TURNS
     # What a calibration has, and what so few turns leave open, is fitted with the baseline.
     full = few_turns or (model is not None and bool(model.gyro.misalignment.any()))

@@ -137,6 +137,7 @@ def make_grid(
     recording: Recording,
     poses: Poses,
     *,
+    turns: IntArray | None = None,
     margin: int = 3,
     shortest_cell: float | None = None,
     began: float | None = None,
@@ -148,6 +149,8 @@ def make_grid(
     recording : Recording
     poses : Poses
         In the order of time.
+    turns : (k - 1, 2) array of int
+        Samples in which the turns between k poses are under way, if not in all between rests.
     margin : int
         Samples at either end of a rest that are given to the turn beside it, so that the turn is
         integrated from rest to rest.
@@ -180,7 +183,10 @@ def make_grid(
             add(edges, int(b), k, k)
         if k + 1 < len(poses):
             following = min(margin, max(0, int(poses.stop[k + 1] - poses.start[k + 1] - 6) // 2))
-            a, b = stop - trim, int(poses.start[k + 1]) + following
+            a, b = stop, int(poses.start[k + 1])
+            if turns is not None:
+                a, b = turns[k].tolist()
+            a, b = a - trim, b + following
             if b - a >= 2 and (b - a) * step <= LONGEST_TURN:
                 add(np.arange(a, b, dtype=np.int64), b, k, k + 1)
     bounds = np.concatenate(starts)

@@ -54,7 +54,7 @@ MOST = 5
 PLACES = 400
 """Places in a turn that are tried first."""
 
-SUSPECT = 6.0
+SUSPECT = 5.0
 """Size from which a turn is looked at again, in a fit that leaves it out."""
 
 TRIED = 3

@@ -290,7 +290,7 @@ def test_a_gain_that_grows_in_a_window_and_snaps_back_is_unexplained_there():
         (real.time > start) & (real.time < stop), (real.time - start) / (stop - start), 0.0
     )
     found = diagnose_recording(
-        with_added(real, {"accel.y": 3e-3 * grown * motion_of(real).force[:, 1]}), gravity=GRAVITY
+        with_added(real, {"accel.y": 4e-3 * grown * motion_of(real).force[:, 1]}), gravity=GRAVITY
     )
     assert not found.findings
     (left,) = found.unexplained

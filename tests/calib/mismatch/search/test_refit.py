@@ -82,7 +82,8 @@ def test_what_no_sensor_puts_out_has_a_diagnosis() -> None:
     accel, speed = real.accel.copy(), np.linalg.norm(real.gyro, axis=1)
     accel[:, 0] += 1000.0 * speed * (speed > 0.1)
     found = diagnose_recording(replace(real, accel=accel), gravity=GRAVITY)
-    assert found.verdict == "unexplained"
-    (left,) = found.unexplained
+    assert found.verdict in ("unexplained", "partly_explained")
+    left = found.unexplained[-1]
     assert left.channels == CHANNELS[:3]
     assert "velocity" in left.follows
+    assert all(np.isfinite(q.value) for f in found.findings for q in f.parameters.values())
