@@ -21,7 +21,7 @@ from scipy import linalg
 
 from calib.mismatch.noise.contrast import MOSTLY_WHITE, telling, typical
 from calib.mismatch.noise.coupling import Foretold, drift_in_contrasts, foretold
-from calib.mismatch.noise.sensornoise import LEAN
+from calib.mismatch.noise.sensornoise import DRIFT, LEAN
 from calib.mismatch.rows.arrow import Factor, times_inverse
 from calib.mismatch.rows.rows import UNKNOWN, Rows
 from calib.types import FloatArray, IntArray
@@ -35,6 +35,11 @@ SOONER = 1.0
 hours after which a bias walks further than it flickers (where an Allan plot begins to rise) differ
 from part to part, and axes of one part have them in common. Without that a part that walks soon
 would have to be a chance for each of its axes, and an effect on all of them the simpler answer."""
+
+PACKAGE = 0.5
+"""Share of what levels of a triad have in common, and of `SOONER`, that the other triad of the
+package has as well: its grade, its supply, and heat that comes and goes. Rests tell of an
+accelerometer hardly more than the size of gravity: of its drift the gyroscope's says most."""
 
 INDEPENDENT = 1e-5
 """Share of a column's length that those before it must leave for it to be clearly independent."""
@@ -93,16 +98,18 @@ def prior_precision(rows: Rows) -> FloatArray:
     """Return the precision of the logarithms of the levels.
 
     Each is uncertain by its ``spread``; components of one group (the drift of one triad) share most
-    of that, and differ among each other by `WITHIN` only. Walks share `SOONER` as well.
+    of that, and differ among each other by `WITHIN` only. Walks share `SOONER` as well. Of either
+    the drift of the other triad has the share `PACKAGE`.
     """
     spread = np.array([c.spread for c in rows.components])
     group = np.array([c.group for c in rows.components])
     same = (group[:, None] == group) & (group != "")
-    shared = np.where(same, np.outer(spread, spread) - WITHIN**2, 0.0)
+    drifts = np.isin(group, list(DRIFT))
+    alike = np.where(same, 1.0, PACKAGE * (drifts & drifts[:, None]))
     walks = np.array([c.name.endswith(" walk") for c in rows.components])
-    shared += np.where(same & walks & walks[:, None], SOONER**2, 0.0)
+    common = np.outer(spread, spread) - WITHIN**2 + SOONER**2 * (walks & walks[:, None])
     own = np.where(group != "", WITHIN**2, np.square(spread))
-    return np.asarray(np.linalg.inv(shared + np.diag(own)))
+    return np.asarray(np.linalg.inv(alike * common + np.diag(own)))
 
 
 def estimate_levels(rows: Rows, mean: FloatArray, start: FloatArray) -> Levels:

@@ -13,6 +13,7 @@ from calib.mismatch.noise.contrast import contrast_likelihood, contrast_variance
 from calib.mismatch.noise.coupling import drift_in_contrasts
 from calib.mismatch.noise.noise import (
     NEAR,
+    PACKAGE,
     WITHIN,
     Weighing,
     _restricted,
@@ -322,3 +323,28 @@ def test_a_walk_is_told_less_by_flicker_than_flicker_of_another_axis():
     together = apart("gyro.x walk", "gyro.y walk")
     assert together < apart("gyro.x walk", "gyro.y flicker")
     assert together == pytest.approx(alike)
+
+
+def test_a_gyroscope_that_drifts_far_says_that_its_package_may():
+    """Rests show of an accelerometer's drift hardly more than its length."""
+    rows = problem()[1].rows()
+    names = [c.name for c in rows.components]
+    prior = np.linalg.inv(prior_precision(rows))
+    one, other, lean = (names.index(n) for n in ("gyro.x walk", "accel.y walk", "accel lean"))
+    # A correlation of what they share, and none with what is no drift.
+    own = prior[one, one] - WITHIN**2
+    assert prior[one, other] == pytest.approx(PACKAGE * own)
+    assert prior[one, lean] == prior[other, lean] == 0.0
+    assert np.linalg.eigvalsh(prior).min() > 0.1 * WITHIN**2
+    # Where a walk of the gyroscope is plain, that of the accelerometer is expected to be larger.
+    levels = expected_levels(rows)
+    far = [i for i, name in enumerate(names) if name.startswith("gyro") and "walk" in name]
+    levels[far] *= 100.0
+    mean = np.hstack((rows.baseline, rows.nuisance))
+    near = [i for i, name in enumerate(names) if name.startswith("accel") and "walk" in name]
+    found = [
+        estimate_levels(drawn(rows, levels, np.random.default_rng(k)), mean, expected_levels(rows))
+        for k in range(4)
+    ]
+    ratio = np.array([fit.values[near] / expected_levels(rows)[near] for fit in found])
+    assert np.median(ratio) > 1.5
