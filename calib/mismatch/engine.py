@@ -37,7 +37,13 @@ from calib.mismatch.rows.grid import (
 )
 from calib.mismatch.rows.underway import under_way
 from calib.mismatch.samples.losses import INCOMPLETE, leave_out_unwhole
-from calib.mismatch.samples.samples import BEYOND, COPIED, DISAGREES, lost_samples
+from calib.mismatch.samples.samples import (
+    BEYOND,
+    COPIED,
+    DISAGREES,
+    PUSHED,
+    lost_samples,
+)
 from calib.mismatch.samples.spectrum import LOUDER_THERE, look_at_spectrum
 from calib.mismatch.samples.thin import Thinned, thin
 from calib.mismatch.samples.within import look_within
@@ -69,6 +75,7 @@ RESTLESS = (
 NEEDED = {
     DISAGREES: "a gyroscope and an accelerometer that agree on the turns",
     BEYOND: "a gyroscope that reads less at rest",
+    PUSHED: "an accelerometer that reads what moves it: a cable or a register gives something else",
     COPIED: "channels of their own: a register may be read twice",
 }
 """What a recording lacks that ends with its samples, by what they are off by."""

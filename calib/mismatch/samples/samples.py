@@ -47,6 +47,10 @@ GYRO = CHANNELS[3:]
 
 BEYOND = "nothing: no gyroscope reads that at rest"
 
+PUSHED, HARDEST = "motion: nothing that rests in between is pushed so hard", 1e3
+"""What is unexplained where most turns reach such a specific force, m/s²: a hand does 5 g, a knock
+at the bench 50 g for a sample or two, and few accelerometers measure 100 g."""
+
 DISAGREES = "turns: by the gyroscope they are others than by the accelerometer"
 """What is unexplained where neither a unit nor an order of axes explains most turns."""
 
@@ -127,6 +131,13 @@ def look_at_units(
         axes = tuple(f"gyro.{a}" for a, off in zip("xyz", far, strict=True) if off)
         whole = (float(recording.time[0]), float(recording.time[-1]))
         return (), (Unexplained(axes, (whole,), BEYOND, faults.FALSE_ALARM),)
+    between = list(zip(poses.stop[:-1].tolist(), poses.start[1:].tolist(), strict=True))
+    force = [np.abs(recording.accel[a:b]).max(axis=0) for a, b in between if b > a]
+    hard = np.median(force, axis=0) > HARDEST if force else np.zeros(3, bool)
+    if hard.any():
+        axes = tuple(f"accel.{a}" for a, off in zip("xyz", hard, strict=True) if off)
+        moved = float(poses.interval[0, 1]), float(poses.interval[-1, 0])
+        return (), (Unexplained(axes, (moved,), PUSHED, faults.FALSE_ALARM),)
     if closure is None or len(closure) < FEWEST or closure.agrees:
         return (), ()
     where = _join_intervals([(float(a), float(b)) for a, b in closure.disagreeing])
