@@ -4,8 +4,8 @@ What is integrated for half as long again has half as much noise again. So a tur
 before the first sample that stands out of the rest before it to after the last that stands out of
 the rest after it. A rate that grows as ``(t - t0)²`` passes a level at t1 and four times that at
 ``t2 = 2 t1 - t0``: it begins as long before it stands out as it takes to stand out four times as
-much. What is left out must read as the rest does, on average, on every channel; means of rests do
-without it, as they are good to a tenth of that.
+much. What is left out must read as the rest does, on average, on every channel. It is given to
+neither: what a hand does at the ends of a rest is little beside a turn, and much beside a mean.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ SAME = 3.0
 """Standard errors within which means are those of the rest."""
 
 REACH = 0.5
-"""s by which a rest is lengthened at most: the finder of rests keeps no wider margins."""
+"""s that are left out at either end of a turn, at most: rests are found with no wider margins."""
 
 KEPT = 0.05
 """s at rest that a turn keeps at either end: what a filter does to the motion is over by then."""
