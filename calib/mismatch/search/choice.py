@@ -87,7 +87,8 @@ def _most_probable(
     ahead = for_physics - for_rivals
     if ahead >= 0 or (ahead >= -FIRST and for_physics >= np.log(CLAIM)):
         return best[top]
-    # Two causes at once can look like one smooth rival: let physics try twice.
+    # Two causes at once can look like one smooth rival: let physics try twice. What it leaves the
+    # first time must not follow a rival either.
     if groups[top] > np.log(CLAIM):
 
         def beside(first: Candidate) -> Ranking:
@@ -98,10 +99,11 @@ def _most_probable(
         second = beside(best[top])
         left = {g: v for g, v in second.groups.items() if second.best[g].physical}
         also = max(left, key=lambda g: left[g], default=None)
+        beyond = max((v for g, v in second.groups.items() if g not in left), default=-np.inf)
         if (
             also is not None
             and groups[top] + left[also] > for_rivals
-            and left[also] > np.log(CLAIM)
+            and left[also] > max(np.log(CLAIM), beyond)
         ):
             # A cause that is there beside the rival as well speaks for neither.
             apart = max(beside(best[other]).groups.get(also, 0.0), 0.0)
