@@ -378,10 +378,10 @@ def whole_change(
     term: Term, model: SensorModel, bench: Bench, clean: Recording, problem: SelfProblem
 ) -> np.ndarray:
     """Return what a term does to the rows of a recording without noise: of any size, as it is."""
-    quiet, like = replace(bench, noise=NoiseModel()), find_poses(clean)
-    turns = under_way(clean, like)
-    made = (quiet.record(replace(model, terms=t), 0) for t in ((), (term,)))
-    grids = (make_grid(recording, like, turns=turns) for recording in made)
+    poses, quiet = find_poses(clean), replace(bench, noise=NoiseModel())
+    turns = under_way(clean, poses)
+    recordings = (quiet.record(replace(model, terms=t), 0) for t in ((), (term,)))
+    grids = (make_grid(recording, poses, turns=turns) for recording in recordings)
     without, made = (build_rows(g, problem.twin, problem.noise).residual for g in grids)
     return made - without
 

@@ -22,6 +22,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from concealed import grid_of
 from scipy.special import logsumexp
 
 from calib.mismatch.hypotheses.candidates import Alike as Make
@@ -30,9 +31,7 @@ from calib.mismatch.hypotheses.factors import SCALES, log_shares, present_factor
 from calib.mismatch.hypotheses.score import Stack
 from calib.mismatch.hypotheses.shared import DIRECTIONS, one_course
 from calib.mismatch.noise.noise import expected_levels, make_whitener
-from calib.mismatch.rows.grid import make_grid
 from calib.mismatch.rows.rows import Rows
-from calib.mismatch.rows.underway import under_way
 from calib.mismatch.search.accepted import fitted
 from calib.mismatch.search.ranking import CLAIM, make_stack
 from calib.mismatch.twin.selfmode import SelfProblem
@@ -40,7 +39,6 @@ from calib.model import SensorModel
 from calib.simulate import simulate
 from calib.simulation.bench import bench_protocol
 from calib.simulation.noise import CONSUMER
-from calib.statics import find_poses
 
 GRAVITY = 9.80665
 THRESHOLDS = (CLAIM, 3, 5, 10, 100)
@@ -57,9 +55,7 @@ def main() -> int:
     rng = np.random.default_rng(args.seed)
     motion = bench_protocol(rng, poses=30, power_on=0.0)
     recording = simulate(motion, SensorModel(), CONSUMER, rng=rng, rate=100.0)
-    poses = find_poses(recording)
-    grid = make_grid(recording, poses, turns=under_way(recording, poses))
-    rows = SelfProblem(grid, None, gravity=GRAVITY, full_gyro=False).rows()
+    rows = SelfProblem(grid_of(recording), None, gravity=GRAVITY, full_gyro=False).rows()
     stack = make_stack(rows, skip=(), reference=False)
     logs, alike = e_values(rows, stack, rng, args.draws)
     print(f"{len(stack)} candidates, {args.draws} draws of normal errors")

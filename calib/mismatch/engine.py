@@ -37,13 +37,7 @@ from calib.mismatch.rows.grid import (
 )
 from calib.mismatch.rows.underway import under_way
 from calib.mismatch.samples.losses import INCOMPLETE, leave_out_unwhole
-from calib.mismatch.samples.samples import (
-    BEYOND,
-    COPIED,
-    DISAGREES,
-    PUSHED,
-    lost_samples,
-)
+from calib.mismatch.samples.samples import BEYOND, COPIED, DISAGREES, PUSHED, lost_samples
 from calib.mismatch.samples.spectrum import LOUDER_THERE, look_at_spectrum
 from calib.mismatch.samples.thin import Thinned, thin
 from calib.mismatch.samples.within import look_within

@@ -25,6 +25,7 @@ from calib.recording import CHANNELS, Recording
 from calib.repeats import find_repeats
 from calib.synchrony import STEP, gyro_delay
 from calib.tilts import FEWEST, Closure
+from calib.turns import find_turns
 from calib.types import BoolArray, FloatArray, IntArray
 from calib.units import unit_faults
 
@@ -131,11 +132,12 @@ def look_at_units(
         axes = tuple(f"gyro.{a}" for a, off in zip("xyz", far, strict=True) if off)
         whole = (float(recording.time[0]), float(recording.time[-1]))
         return (), (Unexplained(axes, (whole,), BEYOND, faults.FALSE_ALARM),)
-    between = list(zip(poses.stop[:-1].tolist(), poses.start[1:].tolist(), strict=True))
-    force = [np.abs(recording.accel[a:b]).max(axis=0) for a, b in between if b > a]
-    hard = np.median(force, axis=0) > HARDEST if force else np.zeros(3, bool)
+    turns = find_turns(recording, poses)
+    spans = zip(turns.start.tolist(), turns.stop.tolist(), strict=True)
+    force = np.array([np.abs(recording.accel[a:b]).max(axis=0) for a, b in spans])
+    hard = np.median(force, axis=0) > HARDEST if len(force) else np.zeros(3, bool)
     if hard.any():
-        axes = tuple(f"accel.{a}" for a, off in zip("xyz", hard, strict=True) if off)
+        axes = tuple(CHANNELS[c] for c in np.flatnonzero(hard))
         moved = float(poses.interval[0, 1]), float(poses.interval[-1, 0])
         return (), (Unexplained(axes, (moved,), PUSHED, faults.FALSE_ALARM),)
     if closure is None or len(closure) < FEWEST or closure.agrees:

@@ -158,15 +158,13 @@ class Scores:
             hidden += [Hidden(scored, cost, which, levels) for which in each]
             evidence = np.maximum(evidence, scored)
         for channels in TOGETHER:
-            if plain:
-                which = stack.of_channels(channels, physical=True) & running
-                if which.any():
-                    levels = _swap(rows, base.values, free.values, channels)
-                    scored = self.at(levels, self.contrast, self._null(levels), which)
-                    evidence = np.maximum(evidence, scored)
+            levels = _swap(rows, base.values, free.values, channels)
+            which = stack.of_channels(channels, physical=True) & running
+            if plain and which.any():
+                scored = self.at(levels, self.contrast, self._null(levels), which)
+                evidence = np.maximum(evidence, scored)
             which = stack.of_channels(channels, physical=False) & running
             if which.any():
-                levels = _swap(rows, base.values, free.values, channels)
                 strong = rivals[channels]
                 outside, cost = self._suited(levels, strong, stack.of(strong))
                 scored = self.at(levels, outside, self._null(levels) + cost, which)

@@ -12,12 +12,20 @@ from calib.poses import Poses
 from calib.recording import Recording
 from calib.simulate import simulate
 from calib.simulation.bench import bench_protocol
-from calib.simulation.kinematics import Motion
 from calib.simulation.noise import CONSUMER
 from calib.statics import find_poses
+from calib.types import FloatArray
 
-RESTS = ((0.0, 3.0), (4.5, 8.0))
+BEGIN, END = 3.0, 4.5
+"""s, of a turn between two rests."""
+
 NOISE = np.array([0.02] * 3 + [2e-3] * 3)
+
+
+def true_rate(time: FloatArray, power: int) -> FloatArray:
+    """Return the rate of the turn, which grows and falls with a power of time, rad/s."""
+    share = np.clip((time - BEGIN) / (END - BEGIN), 0.0, 1.0)
+    return 2.0 * (4 * share * (1 - share)) ** power
 
 
 def turned(rng: np.random.Generator, *, creep: float = 0.0, power: int = 2) -> Recording:
@@ -26,9 +34,7 @@ def turned(rng: np.random.Generator, *, creep: float = 0.0, power: int = 2) -> R
     ``creep`` is a rate (rad/s) at which it turns for 0.4 s before.
     """
     time = 0.01 * np.arange(800)
-    share = np.clip((time - RESTS[0][1]) / (RESTS[1][0] - RESTS[0][1]), 0.0, 1.0)
-    rate = 2.0 * (4 * share * (1 - share)) ** power
-    rate += creep * ((time > 2.6) & (time < 3.0))
+    rate = true_rate(time, power) + creep * ((time > 2.6) & (time < BEGIN))
     signals = NOISE * rng.normal(size=(800, 6))
     signals[:, 2] += 9.8
     signals[:, 4] += rate
@@ -38,7 +44,7 @@ def turned(rng: np.random.Generator, *, creep: float = 0.0, power: int = 2) -> R
 def rests(recording: Recording, *, late: float = 0.4) -> Poses:
     """Return the rests, that end and begin by so many seconds too early and late."""
     whole = find_poses(recording)
-    stop, start = (np.searchsorted(recording.time, t) for t in (3.0 - late, 4.5 + late))
+    stop, start = (np.searchsorted(recording.time, t) for t in (BEGIN - late, END + late))
     return replace(
         whole.select(np.array([0, -1])),
         start=np.array([0, start]),
@@ -57,8 +63,7 @@ def test_a_turn_is_integrated_from_where_it_began(power):
         assert np.abs(left_out).max() < 5 * NOISE[4] / np.sqrt(250)
         lengths.append(after - before)
         # What is left out of the angle is less than noise adds to it.
-        share = np.clip((recording.time - 3.0) / 1.5, 0.0, 1.0)
-        rate = 2.0 * (4 * share * (1 - share)) ** power
+        rate = true_rate(recording.time, power)
         outside = rate[:start].sum() + rate[stop:].sum()
         assert outside < 0.3 * NOISE[4] * np.sqrt(stop - start)
     # From rest to rest it was 2.3 s.
@@ -94,7 +99,7 @@ def test_nothing_but_noise_between_two_rests_stays_whole():
 @pytest.mark.parametrize("rate", [50.0, 200.0])
 def test_turns_of_a_bench_are_shorter_and_whole(rate):
     rng = np.random.default_rng(4)
-    motion: Motion = bench_protocol(rng, poses=20, power_on=0.0)
+    motion = bench_protocol(rng, poses=20, power_on=0.0)
     real = simulate(motion, SensorModel(), CONSUMER, rng=rng, rate=rate)
     poses = find_poses(real)
     turns = under_way(real, poses)
