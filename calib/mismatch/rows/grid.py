@@ -150,7 +150,8 @@ def make_grid(
     poses : Poses
         In the order of time.
     turns : (k - 1, 2) array of int
-        Samples in which the turns between k poses are under way, if not in all between rests.
+        Samples in which the turns between k poses are under way, if not in all between rests: the
+        others are given to the rests.
     margin : int
         Samples at either end of a rest that are given to the turn beside it, so that the turn is
         integrated from rest to rest.
@@ -161,6 +162,8 @@ def make_grid(
     """
     step = max(recording.interval, 1e-9)
     width = max(1, round(REST_STEP / step))
+    if turns is not None:
+        poses = _up_to(turns, recording, poses)
     cells = _cell_counts(poses, SHORTEST_CELL if shortest_cell is None else shortest_cell)
     starts: list[IntArray] = []
     segments: list[tuple[int, int, int, int]] = []
@@ -183,16 +186,21 @@ def make_grid(
             add(edges, int(b), k, k)
         if k + 1 < len(poses):
             following = min(margin, max(0, int(poses.stop[k + 1] - poses.start[k + 1] - 6) // 2))
-            a, b = stop, int(poses.start[k + 1])
-            if turns is not None:
-                a, b = turns[k].tolist()
-            a, b = a - trim, b + following
+            a, b = stop - trim, int(poses.start[k + 1]) + following
             if b - a >= 2 and (b - a) * step <= LONGEST_TURN:
                 add(np.arange(a, b, dtype=np.int64), b, k, k + 1)
     bounds = np.concatenate(starts)
     table = np.array(segments, np.int64)
     began = float(recording.time[0]) if began is None else began
     return _fill(recording, poses, bounds, table, began)
+
+
+def _up_to(turns: IntArray, recording: Recording, poses: Poses) -> Poses:
+    """Return k poses that begin and end where the turns between them, (k - 1, 2), do."""
+    start, stop = np.append(poses.start[:1], turns[:, 1]), np.append(turns[:, 0], poses.stop[-1:])
+    if np.array_equal(start, poses.start) and np.array_equal(stop, poses.stop):
+        return poses
+    return average_poses(recording, start, stop)
 
 
 def untouched(recording: Recording, poses: Poses) -> Poses:

@@ -4,8 +4,7 @@ What is integrated for half as long again has half as much noise again. So a tur
 before the first sample that stands out of the rest before it to after the last that stands out of
 the rest after it. A rate that grows as ``(t - t0)²`` passes a level at t1 and four times that at
 ``t2 = 2 t1 - t0``: it begins as long before it stands out as it takes to stand out four times as
-much. What is left out must read as the rest does, on average, on every channel. It is given to
-neither: what a hand does at the ends of a rest is little beside a turn, and much beside a mean.
+much. What is left out must read as the rest does, on average, on every channel: it is part of it.
 """
 
 from __future__ import annotations
