@@ -55,7 +55,8 @@ PLACES = 400
 """Places in a turn that are tried first."""
 
 SUSPECT = 5.0
-"""Size from which a turn is looked at again, in a fit that leaves it out."""
+"""Size of a turn from which samples may be lost in it, in a fit that leaves it out. Any that does
+not close is looked at so: a fit that it takes part in may halve its size."""
 
 TRIED = 3
 """Turns that are looked at so, at most."""
@@ -144,7 +145,7 @@ def find_losses(problem: SelfProblem) -> list[Loss]:
     scores = _Closures(grid, whole, turns, problem.noise).scores
     out = []
     for _ in range(TRIED):
-        if scores.max() < SUSPECT:
+        if scores.max() < NEAR:
             break
         # What one turn misses by, the fit spreads over its neighbours: fit without it.
         s = int(turns[np.argmax(scores)])

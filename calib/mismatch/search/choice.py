@@ -12,7 +12,7 @@ from scipy.special import log_ndtr, logsumexp
 from calib.effects import get_effect
 from calib.mismatch.hypotheses.candidates import Candidate
 from calib.mismatch.hypotheses.score import Stack
-from calib.mismatch.noise.noise import Whitener
+from calib.mismatch.noise.noise import Whitener, range_basis
 from calib.mismatch.rows.rows import Rows
 from calib.mismatch.search.accepted import Accepted, accept, again
 from calib.mismatch.search.estimate import pseudo_inverse
@@ -32,6 +32,11 @@ LEAST = float(log_ndtr(-SURE) - log_ndtr(0.0))
 """Log probability of what is that far beyond."""
 
 
+SAME = 0.9
+"""Share of what an effect does to the rows that a smooth function of what a rival follows makes of
+it, from which both follow the same."""
+
+
 class Choice(NamedTuple):
     """The explanation that is taken, and the log e-value that anything is left.
 
@@ -45,10 +50,10 @@ class Choice(NamedTuple):
 def choose(rows: Rows, ranking: Ranking, accepted: list[Accepted]) -> Choice | None:
     """Return what explains most: physics, unless the rivals together are more probable.
 
-    An event where something is unexplained already is part of that, and gets no name of its own.
-    What an effect leaves that was found already is no second finding of it. What no channel of it
-    shows is another cause, and lends it no weight. Nor does a turn that samples do not resolve, of
-    what it alone shows.
+    An event where something is unexplained already is part of that, and gets no name of its own;
+    nor does what follows the same as it, on the same channel. What an effect leaves that was found
+    already is no second finding of it. What no channel of it shows is another cause, and lends it
+    no weight. Nor does a turn that samples do not resolve, of what it alone shows.
     """
     best = ranking.best
     whitener = ranking.whitener
@@ -58,7 +63,15 @@ def choose(rows: Rows, ranking: Ranking, accepted: list[Accepted]) -> Choice | N
         for g, v in witnessed(rows, ranking, whitener, y).items()
         if not _within(rows, best[g], accepted) and not again(best[g], accepted)
     }
-    groups = {g: v for g, v in groups.items() if v > -np.inf}
+    # With what follows the same as something unexplained goes what explains less of that channel.
+    part = [
+        (best[g].channels, v) for g, v in groups.items() if _follows(ranking, best[g], accepted)
+    ]
+    groups = {
+        g: v
+        for g, v in groups.items()
+        if v > max((most for own, most in part if own == best[g].channels), default=-np.inf)
+    }
     ranking = replace(ranking, groups=groups)
     if not ranking.claims:
         return None
@@ -137,6 +150,31 @@ def _within(rows: Rows, candidate: Candidate, accepted: list[Accepted]) -> bool:
         start, stop = a.candidate.interval
         edge = 0.5 * (stop - start)
         if start - edge <= moment <= stop + edge:
+            return True
+    return False
+
+
+def _follows(ranking: Ranking, candidate: Candidate, accepted: list[Accepted]) -> bool:
+    """Whether physics of one channel follows what something unexplained does there, throughout.
+
+    A ripple in the direction of gravity is no cubic, and beside it a cubic is left of it.
+    """
+    names = {
+        a.candidate.name
+        for a in accepted
+        if not a.candidate.physical
+        and a.candidate.interval is None
+        and a.candidate.channels == candidate.channels
+    }
+    if not candidate.physical or not names:
+        return False
+    stack, whitener = ranking.stack, ranking.whitener
+    rivals = np.flatnonzero(stack.of_channels(candidate.channels, physical=False)).tolist()
+    smooth = [c for i in rivals if (c := stack[i]).name in names and c.mixing is None]
+    own = whitener.whiten(stack.of(candidate))
+    for rival in smooth:
+        basis = range_basis(whitener.whiten(stack.of(rival)))
+        if np.square(basis.T @ own).sum() >= SAME * np.square(own).sum():
             return True
     return False
 

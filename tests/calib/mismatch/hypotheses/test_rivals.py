@@ -238,7 +238,7 @@ LASTING: list[tuple[str, str, Callable[[Recording], FloatArray]]] = [
     ("rate about the other axes", "accel.x", lambda r: 0.02 * rate(r, 2)),
     ("rate about the other axes", "gyro.x", lambda r: 3e-3 * (abs(rate(r, 2)) > 1)),
     ("rate about the other axes", "accel.x", lambda r: 0.02 * abs(rate(r, 2))),
-    ("rate about the other axes", "accel.y", lambda r: 0.02 * rate(r, 0) * rate(r, 2)),
+    ("rate about the other axes", "accel.y", lambda r: 0.025 * rate(r, 0) * rate(r, 2)),
     ("rate about the other axes", "gyro.y", lambda r: 1e-3 * abs(rate(r, 2)) * rate(r, 2)),
     (
         "rate and direction of gravity",
@@ -261,10 +261,12 @@ def test_what_is_there_throughout_is_unexplained_by_what_it_follows(name, channe
     assert [(u.follows, u.channels) for u in found.unexplained] == [(name, (channel,))]
 
 
-def test_steps_of_a_converter_on_its_own_axis_follow_the_direction_of_gravity():
+@pytest.mark.parametrize("size", [0.01, 0.014, 0.02])
+def test_steps_of_a_converter_on_its_own_axis_follow_the_direction_of_gravity(size):
+    # Nor does a cubic stand beside it, which is left of steps that are no pure ripple.
     real = recording(seed=8, poses=24)
     ripple = np.sin(3.0 * np.pi * motion_of(real).force[:, 0] / GRAVITY)
-    found = diagnose_recording(with_added(real, {"accel.x": 0.01 * ripple}), gravity=GRAVITY)
+    found = diagnose_recording(with_added(real, {"accel.x": size * ripple}), gravity=GRAVITY)
     assert not found.findings
     left = [(u.follows, u.channels) for u in found.unexplained]
     assert left == [("direction of gravity", ("accel.x",))]
