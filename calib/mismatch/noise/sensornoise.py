@@ -54,9 +54,9 @@ CAUTION = 6.0
 def sample_noise(grid: Grid) -> FloatArray:
     """Return the variance of each point's mean on each channel, (n, 6), white part.
 
-    From successive differences of the points at rest (quarter seconds), so that noise that is
-    correlated over a few samples counts in full and drift does not. A rest that is clearly noisier
-    than the others (vibration, a hand) has its own level.
+    Drift has no part in it. A rest that is clearly noisier than the others (vibration, a hand) has
+    its own level, from successive differences of its points (quarter seconds), so that noise that
+    is correlated over a few samples counts in full.
     """
     values = np.hstack((grid.accel, grid.gyro))
     segment, pose = grid.segment, grid.pose
@@ -76,9 +76,11 @@ def sample_noise(grid: Grid) -> FloatArray:
     limit = 1.0 + 4.0 * np.sqrt(2.0 / np.maximum(number, 1))
     known = usable if usable.any() else np.ones_like(usable)
     common = np.array([quiet_level(own[known, c], limit[known]) for c in range(6)])
-    floor = np.maximum(common, 1e-12 * np.square(np.abs(values)).max(axis=0) + 1e-18)
+    least = 1e-12 * np.square(np.abs(values)).max(axis=0) + 1e-18
+    loud = usable[:, None] & (own > limit[:, None] * np.maximum(common, least))
+    quiet = known[:, None] & ~loud
+    floor = np.maximum(_quiet_noise(grid, own, number, quiet), least)
     ratio = np.where(usable[:, None], own / floor, 1.0)
-    loud = ratio > limit[:, None]
     error = np.broadcast_to(3.0 / np.maximum(number, 1)[:, None], ratio.shape)
     for triad in (np.arange(6) < 3, np.arange(6) >= 3):
         mine = loud & triad
@@ -94,6 +96,43 @@ def sample_noise(grid: Grid) -> FloatArray:
             own = own[grid.near[own] < 0]
             each[own] = floor + _still_shaken(grid, s, own, floor) * (loudest - floor)
     return np.asarray(each / grid.count[:, None])
+
+
+def _quiet_noise(grid: Grid, own: FloatArray, number: IntArray, quiet: BoolArray) -> FloatArray:
+    """Return the variance that a sample has on each channel, as it counts in means, (6,).
+
+    From all samples of quiet rests, which tell it ten times as closely as differences of points,
+    times how much larger it is by these: not at all, if it is white. Logarithms of the ratio have
+    errors of variance ``3 / n`` for n differences. Three of a triad that are as large as by chance
+    are none, and others are drawn to that by what chance has in them [1]_.
+
+    Parameters
+    ----------
+    grid : Grid
+    own : (k, 6) array
+        From differences of the points of each of k rests; `number` (k,) of them.
+    quiet : (k, 6) array of bool
+        The rests that are taken.
+
+    References
+    ----------
+    .. [1] Efron, Morris, "Stein's estimation rule and its competitors", JASA 68, 1973, p. 117.
+    """
+    weight = quiet * number[:, None]
+    coarse = (weight * own).sum(axis=0) / np.maximum(weight.sum(axis=0), 1)
+    rest = grid.pose >= 0
+    freedom = (grid.count[rest] - 1)[:, None] * quiet[grid.pose[rest]]
+    fine = (freedom * grid.scatter[rest]).sum(axis=0) / np.maximum(freedom.sum(axis=0), 1)
+    out = np.where((freedom.sum(axis=0) > 0) & (fine > 0), fine, coarse)
+    both = (out > 0) & (coarse > 0)
+    error = 3.0 / np.maximum(weight.sum(axis=0), 1)
+    logs = np.zeros(6)
+    np.log(np.divide(coarse, out, out=np.ones(6), where=both), out=logs)
+    logs[both] += 0.5 * error[both]
+    for triad in (slice(0, 3), slice(3, 6)):
+        chance = np.square(logs[triad]).sum() / error[triad].mean()
+        logs[triad] *= max(0.0, 1.0 - 3.0 / max(chance, 1e-300))
+    return np.asarray(out * np.exp(logs))
 
 
 def _still_shaken(grid: Grid, turn: int, moving: IntArray, floor: FloatArray) -> float:

@@ -64,6 +64,8 @@ class Grid:
         Measured means.
     count : (n,) array of int
         Samples in each point.
+    scatter : (n, 6) array
+        Variance of the samples of each, about their mean; 0 for one sample.
     length : (n,) array, s
         Time over which it is their mean; 0 for one sample.
     vibration : (n, 3) array, (m/s²)²
@@ -90,6 +92,7 @@ class Grid:
     gyro: FloatArray
     temperature: FloatArray | None
     count: IntArray
+    scatter: FloatArray
     length: FloatArray
     vibration: FloatArray
     since_turn: FloatArray
@@ -326,12 +329,20 @@ def _fill(
     begun = np.searchsorted(moving[:, 0], time, side="right")
     near = np.where(begun == np.searchsorted(ended[1:], time, side="left"), begun, -1)
     near = np.where(rest, np.repeat(before, last - first), near)
+    gyro = mean(recording.gyro)
+    scatter = np.hstack(
+        (
+            mean(np.square(recording.accel)) - np.square(accel),
+            mean(np.square(recording.gyro)) - np.square(gyro),
+        )
+    )
     return Grid(
         time=time,
         accel=accel,
-        gyro=mean(recording.gyro),
+        gyro=gyro,
         temperature=temperature,
         count=count,
+        scatter=np.maximum(scatter, 0.0) * (count / np.maximum(count - 1, 1))[:, None],
         length=length,
         vibration=mean(vibration),
         since_turn=since,

@@ -134,7 +134,7 @@ def test_what_follows_a_field_in_the_room_is_unexplained_and_so_is_what_a_triad_
     assert overlap(found.unexplained[0].intervals[0], (start, stop)) > 0.5
 
 
-@pytest.mark.parametrize(("triad", "size"), [(CHANNELS[:3], 0.009), (CHANNELS[3:], 3e-4)])
+@pytest.mark.parametrize(("triad", "size"), [(CHANNELS[:3], 0.009), (CHANNELS[3:], 3.5e-4)])
 def test_what_pushes_a_triad_in_one_rest_is_unexplained_there(triad, size):
     """Each axis has a third of what there is to see."""
     real = recording(seed=8)

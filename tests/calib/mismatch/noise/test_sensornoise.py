@@ -5,12 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy import linalg
+from scipy.signal import lfilter
 
 from calib.effects.vibration import quiet_level
 from calib.mismatch import diagnose_recording
 from calib.mismatch.noise.sensornoise import flicker_covariance, sample_noise
 from calib.mismatch.rows.grid import make_grid
+from calib.model import SensorModel
 from calib.recording import Recording
+from calib.simulate import simulate
+from calib.simulation.bench import bench_protocol
+from calib.simulation.noise import CONSUMER
 from calib.statics import find_poses
 
 from ..bench import GRAVITY, recording
@@ -65,6 +70,38 @@ def test_rests_that_are_not_shaken_keep_their_noise(every: int) -> None:
     alike = np.median(beside[::every], axis=0) / np.median(quiet, axis=0)
     np.testing.assert_allclose(alike, 1.0, atol=0.25)
     assert (beside[1::every] > 3.0 * quiet[1::every]).all()
+
+
+@pytest.mark.parametrize("rate", [25.0, 100.0, 400.0])
+def test_white_noise_is_known_to_a_few_percent(rate: float) -> None:
+    ratio = []
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        motion = bench_protocol(rng, poses=20, power_on=0.0)
+        real = simulate(motion, SensorModel(), CONSUMER, rng=rng, rate=rate)
+        grid = make_grid(real, find_poses(real))
+        found = (sample_noise(grid) * grid.count[:, None])[grid.pose >= 0].mean(axis=0)
+        density = np.repeat([CONSUMER.accel_noise_density, CONSUMER.gyro_noise_density], 3)
+        ratio.append(np.log(found / (density**2 * rate / 2)))
+    # A variance of 400 differences of points alone is known to 0.09, and their median is 6 % less.
+    assert abs(np.mean(ratio)) < 0.04
+    assert np.std(ratio) < 0.07
+
+
+@pytest.mark.parametrize("keep", [0.5, 0.8])
+def test_noise_that_is_correlated_counts_as_it_does_in_means(keep: float) -> None:
+    """Of a filter ``y = keep y + (1 - keep) x`` a mean has as much noise as of x."""
+    rng = np.random.default_rng(5)
+    real = recording(seed=3, poses=24, rate=100.0)
+    poses = find_poses(real)
+    made = {"accel": real.accel.copy(), "gyro": real.gyro.copy()}
+    for name, size in (("accel", 0.03), ("gyro", 3e-3)):
+        white = rng.normal(0.0, size, (len(real), 3))
+        made[name] += lfilter([1 - keep], [1.0, -keep], white, axis=0)
+    grid = make_grid(replace(real, **made), poses)
+    found = np.sqrt((sample_noise(grid) * grid.count[:, None])[grid.pose >= 0].mean(axis=0))
+    assert (found > 0.8 * np.repeat([0.03, 3e-3], 3)).all()
+    assert (found < 1.6 * np.repeat([0.03, 3e-3], 3)).all()
 
 
 @pytest.mark.parametrize("on", [False, True])
