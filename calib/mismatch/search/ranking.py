@@ -24,8 +24,8 @@ CLAIM = 2.5
 recordings that reach it by 40 %, but only evidence that is all or nothing attains that: of
 normal errors under as many looks as here, ``benchmarks/evidence.py`` counts 1 in 200."""
 
-RARE = 0.036
-"""Share of recordings of nothing but noise that reach an e-value of e, times e: 10 of 710 reach the
+RARE = 0.025
+"""Share of recordings of nothing but noise that reach an e-value of e, times e: 7 of 710 reach the
 claim, whose noise had to be learnt from them (``concealed.py --parts clean``, of one part and of
 many). Of noise that is known it is a third of that (``evidence.py``). Markov's inequality has 1."""
 
