@@ -101,7 +101,7 @@ def sample_noise(grid: Grid) -> FloatArray:
 def _quiet_noise(grid: Grid, own: FloatArray, number: IntArray, quiet: BoolArray) -> FloatArray:
     """Return the variance that a sample has on each channel, as it counts in means, (6,).
 
-    From all samples of quiet rests, which tell it ten times as closely as differences of points,
+    From all samples of quiet rests, which tell it far more closely than differences of points,
     times how much larger it is by these: not at all, if it is white. Logarithms of the ratio have
     errors of variance ``3 / n`` for n differences. Three of a triad that are as large as by chance
     are none, and others are drawn to that by what chance has in them [1]_.

@@ -64,9 +64,8 @@ def choose(rows: Rows, ranking: Ranking, accepted: list[Accepted]) -> Choice | N
         if not _within(rows, best[g], accepted) and not again(best[g], accepted)
     }
     # With what follows the same as something unexplained goes what explains less of that channel.
-    part = [
-        (best[g].channels, v) for g, v in groups.items() if _follows(ranking, best[g], accepted)
-    ]
+    same = [g for g in groups if _follows(ranking, best[g], accepted)]
+    part = [(best[g].channels, groups[g]) for g in same]
     groups = {
         g: v
         for g, v in groups.items()
