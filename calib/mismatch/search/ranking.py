@@ -27,7 +27,8 @@ normal errors under as many looks as here, ``benchmarks/evidence.py`` counts 1 i
 RARE = 0.025
 """Share of recordings of nothing but noise that reach an e-value of e, times e: 7 of 710 reach the
 claim, whose noise had to be learnt from them (``concealed.py --parts clean``, of one part and of
-many). Of noise that is known it is less than half of that (``evidence.py``). Markov's inequality has 1."""
+many). Of noise that is known it is less than half of that (``evidence.py``). Markov's inequality
+has 1."""
 
 PAIRS = 3
 """How many effects of one channel are tried as the first of a pair."""
