@@ -22,7 +22,7 @@ from calib.types import FloatArray
 CLAIM = 2.5
 """E-value at which something is claimed to be left. Markov's inequality bounds the share of clean
 recordings that reach it by 40 %, but only evidence that is all or nothing attains that: of
-normal errors under as many looks as here, ``benchmarks/evidence.py`` counts 1 in 200."""
+normal errors under as many looks as here, ``benchmarks/evidence.py`` counts 1 in 240."""
 
 RARE = 0.025
 """Share of recordings of nothing but noise that reach an e-value of e, times e: 7 of 710 reach the

@@ -224,15 +224,18 @@ def test_what_errs_together_in_a_segment_is_in_the_errors(apart, together):
 
 
 def test_only_rows_that_may_err_together_have_wider_errors(apart):
-    rows, found, _, _ = apart
+    rows, found, along, back = apart
     noise = expected_levels(rows), rows.white_diagonal
+    rng = np.random.default_rng(3)
+    common = rng.normal(size=int(rows.segment.max()) + 1)[rows.segment] * along
+    rows = rows.with_residual(back @ (rng.normal(size=len(along)) + common))
     sizes = []
     for clustered in (False, True):
         there = replace(rows, clustered=clustered)
         fit = estimate(there, (found,), *noise, reference=False)
         sizes.append(np.sqrt(np.diag(fit.covariance)))
     wide = module._together(rows, (found,), *noise).wider
-    assert wide.max() > 1.02
+    assert wide.max() > 1.05
     np.testing.assert_allclose(sizes[1], sizes[0] * wide, rtol=1e-9)
 
 
