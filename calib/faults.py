@@ -196,11 +196,33 @@ def _plateaus(channel: FloatArray, scale: float) -> IntArray:
     drop = 2 * channel.max() - channel[start - 1] - channel[np.minimum(stop, len(channel) - 1)]
     length = stop - start
     cut = _missing(channel, start, stop) > STEEP * scale
-    smooth = 2.0 * LEVEL * np.square((length + 1) / np.maximum(length - 1, 1))
-    alone = (length >= 3) & (drop > np.maximum(STEEP, smooth) * scale)
+    alone = (length >= 3) & (drop > _least_drop(length, scale))
     if not (alone.any() or (cut.sum() >= 2 and length[cut].sum() >= 4)):
         return np.zeros(0, np.int64)
+    if _flat_peaks_below(channel, scale) > max(alone.sum(), cut.sum()):
+        return np.zeros(0, np.int64)
     return np.flatnonzero(top)
+
+
+def _least_drop(length: IntArray, scale: float) -> FloatArray:
+    """Return how far, on both sides together, what is level by no chance falls from a plateau."""
+    smooth = 2.0 * LEVEL * np.square((length + 1) / np.maximum(length - 1, 1))
+    return np.asarray(np.maximum(STEEP, smooth) * scale)
+
+
+def _flat_peaks_below(channel: FloatArray, scale: float) -> int:
+    """Return the number of peaks below the extreme value that are as flat as if clipped there.
+
+    A median filter makes every peak flat, and a limit only those that reach it.
+    """
+    start, stop = runs(channel[1:] == channel[:-1])
+    inside = (start > 0) & (stop < len(channel) - 1)
+    start, stop = start[inside], stop[inside] + 1
+    level, before, after = channel[start], channel[start - 1], channel[stop]
+    length = stop - start
+    flat = (length >= 3) & (2 * level - before - after > _least_drop(length, scale))
+    below = level < channel.max() - STEEP * scale
+    return int((flat & below & (before < level) & (after < level)).sum())
 
 
 def _missing(channel: FloatArray, start: IntArray, stop: IntArray) -> FloatArray:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.ndimage import median_filter
 
 from calib import DeviceInfo, Recording, SensorModel, Triad
 from calib.audit import Finding, audit, check_units
@@ -164,6 +165,20 @@ def test_the_top_of_a_brisk_turn_is_no_clipping() -> None:
         clipped += bool(find_clipping(cut, full_scale=None, lsb=1.0, noise=1.0).size)
     assert found <= 1
     assert clipped > 310
+
+
+def test_peaks_that_a_median_filter_levels_are_no_clipping() -> None:
+    time = np.arange(-30.0, 30.0)
+    clipped = 0
+    for seed in range(50):
+        noise = RNG(seed).normal(size=(20, len(time)))
+        size = RNG(seed).uniform(0.3, 1.0, 20) * (-1.0) ** np.arange(20)
+        turns = (size[:, None] * 500.0 * np.exp(-np.square(time / 8.0)) + noise).ravel()
+        level = median_filter(turns, 5)
+        assert not find_clipping(level, full_scale=None, lsb=0.0, noise=1.0).size
+        cut = np.clip(turns, -350.0, 350.0)
+        clipped += bool(find_clipping(cut, full_scale=None, lsb=0.0, noise=1.0).size)
+    assert clipped == 50
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.3, 1.0, 2.0])

@@ -141,7 +141,9 @@ def _above(power: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """
     bins, number = power.shape
     mean = power.mean(axis=1)
-    padded = np.pad(np.log(mean), NEIGHBOURS, mode="reflect", reflect_type="odd")
+    # At low frequencies it goes on as it falls; half the sampling rate mirrors every spectrum.
+    padded = np.pad(np.log(mean), (NEIGHBOURS, 0), mode="reflect", reflect_type="odd")
+    padded = np.pad(padded, (0, NEIGHBOURS), mode="symmetric")
     around = np.lib.stride_tricks.sliding_window_view(padded, 2 * NEIGHBOURS + 1)
     sides = around[:, :NEIGHBOURS], around[:, NEIGHBOURS + 1 :]
     floor = np.exp(np.maximum(*(np.median(side, axis=1) for side in sides)))
@@ -217,11 +219,9 @@ def _lines(
     k = int(np.argmax(np.where(held, 0.0, mean / floor)))
     # A Hann window spreads a line over three frequencies.
     near = slice(max(k - 1, 0), k + 2)
-    excess = np.maximum(mean - floor, 0.0)[near]
     if held[k] or p[k] >= CLAIM or (mean - floor)[near].sum() < _SHARE * floor.sum():
         return []
-    bin_of = np.arange(bins)[near] @ excess / excess.sum() + 2
-    frequency = bin_of / (LENGTH * recording.interval)
+    frequency = (_peak(np.maximum(mean - floor, 0.0), k) + 2) / (LENGTH * recording.interval)
     found, of = np.unique(pose, return_inverse=True)
     # Beside the frequencies that the line spreads over, each rest shows its own floor.
     beside = np.r_[max(k - NEIGHBOURS, 0) : max(k - 2, 0), k + 3 : min(k + NEIGHBOURS + 1, bins)]
@@ -234,6 +234,24 @@ def _lines(
     if 0 < len(here) < 0.8 * len(found):
         where = (float(poses.interval[here[0], 0]), float(poses.interval[here[-1], 1]))
     return [Unexplained((channel,), (where,), f"a line at {frequency:.3g} Hz", float(p[k]))]
+
+
+def _peak(power: FloatArray, k: int) -> float:
+    """Return where a line is, in bins, of which bin `k` has the most of the power.
+
+    A Hann window has ``(1 + x) / (2 - x)`` times as large an amplitude at the bin x below a line
+    as one beyond it [1]_. At the last bin the one beyond is missing, and that before tells it.
+
+    References
+    ----------
+    .. [1] Grandke, "Interpolation algorithms for discrete Fourier transforms of weighted signals",
+       IEEE Trans. Instrum. Meas. 32, 1983, p. 350.
+    """
+    beside = [i for i in (k - 1, k + 1) if 0 <= i < len(power)]
+    other = max(beside, key=lambda i: power[i])
+    ratio = float(np.sqrt(power[k] / max(power[other], 1e-12 * power[k])))
+    apart = min((2.0 * ratio - 1.0) / (1.0 + ratio), 1.5)
+    return other + apart * (k - other)
 
 
 def _bursts(

@@ -15,7 +15,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import bdtrc, ndtri, pdtrc, stdtr
+from scipy.special import bdtrc, ndtr, ndtri, pdtrc, stdtr
 
 from calib.faults import OTHERS, ROBUST, resolution, values_of
 from calib.mismatch.findings.diagnosis import Interval, Unexplained
@@ -42,6 +42,13 @@ CHANCE = 0.1
 
 SEVERAL = 4
 """Pulses on one channel that are no noise then: it has so many in 2e-5 of recordings."""
+
+OFF_COURSE = "the time: single samples are off course there"
+"""What these follow."""
+
+_SHARE = 0.25
+"""Of the power of a channel's noise at rest, from which spikes anywhere matter: single samples are
+as likely to be off in turns, where they are angles."""
 
 MOST_SPIKES = 500
 """Single samples of a channel that are looked at, at most; of more, every second or third."""
@@ -194,9 +201,10 @@ def _pulses(looks: list[_Look], recording: Recording) -> list[Unexplained]:
 def _spikes(
     recording: Recording, poses: Poses, off: FloatArray, alone: BoolArray
 ) -> list[Unexplained]:
-    """Return channels of which single samples are off course in some part of the recording.
+    """Return channels of which single samples are off course, and where.
 
-    Those that are so anywhere are mishaps of the readout, which the audit reports.
+    In some part of the recording; or throughout, where they have a `_SHARE` of the noise's power:
+    a few small ones anywhere are mishaps of the readout, which the audit reports.
     """
     still = np.zeros(len(recording) + 1)
     np.add.at(still, poses.start, 1.0)
@@ -207,8 +215,10 @@ def _spikes(
     out = []
     for c, channel in enumerate(CHANNELS):
         others = np.delete(off, c, axis=1).max(axis=1) < OTHERS
-        moments = passed[1:-1][alone[:, c] & others & at_rest[1:-1]]
-        moments = moments[:: len(moments) // MOST_SPIKES + 1]
+        here = alone[:, c] & others & at_rest[1:-1]
+        power = float(np.square(off[here, c]).sum()) / float(at_rest.sum())
+        every = passed[1:-1][here]
+        moments = every[:: len(every) // MOST_SPIKES + 1]
         n = len(moments)
         if n < SEVERAL:
             continue
@@ -220,8 +230,11 @@ def _spikes(
         if p[best] < CLAIM:
             k = np.searchsorted(passed, [begin[best], end[best]])
             where = float(recording.time[k[0]]), float(recording.time[min(k[1], len(off))])
-            follows = "the time: single samples are off course there"
-            out.append(Unexplained((channel,), (where,), follows, float(p[best])))
+            out.append(Unexplained((channel,), (where,), OFF_COURSE, float(p[best])))
+        elif power > _SHARE:
+            where = float(recording.time[0]), float(recording.time[-1])
+            chance = float(pdtrc(len(every) - 1, 2.0 * ndtr(-CAP) * at_rest.sum()))
+            out.append(Unexplained((channel,), (where,), OFF_COURSE, chance * len(CHANNELS)))
     return out
 
 

@@ -95,7 +95,7 @@ def test_a_line_in_some_rests_is_said_to_be_there() -> None:
     assert line.follows in ("a line at 21 Hz", "the time: power at one frequency there")
 
 
-@pytest.mark.parametrize("frequency", [21.0, 25.0, 27.4])
+@pytest.mark.parametrize("frequency", [21.0, 25.0, 27.4, 49.3, 49.7])
 def test_a_line_far_above_the_noise_is_at_its_frequency(frequency: float) -> None:
     """Where every p-value beside it is zero, too."""
     recording, poses = rests(7, np.ones(POSES))

@@ -1,6 +1,6 @@
 """Disturbances within rests: found on the channel that has them, where they are, and not elsewhere.
 
-A hand, a bench that shakes, coarse counts and single samples off course are none.
+A hand, a bench that shakes and coarse counts are none, nor are few single samples off course.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from calib.effects.base import Term
 from calib.mismatch import diagnose_recording
 from calib.mismatch.findings.diagnosis import Unexplained
 from calib.mismatch.hypotheses.places import joined
-from calib.mismatch.samples.within import look_within
+from calib.mismatch.samples.within import OFF_COURSE, look_within
 from calib.model import SensorModel
 from calib.recording import CHANNELS, Recording
 from calib.simulate import simulate
@@ -147,21 +147,35 @@ def test_noise_that_drifts_and_settles_is_no_disturbance(rate: float) -> None:
     assert not look_within(recording, find_poses(recording))
 
 
-def test_neither_coarse_counts_nor_single_samples_off_course_are_disturbances() -> None:
+def test_coarse_counts_are_no_disturbance() -> None:
     for seed in range(3):
         real = simulated(seed=65 + seed)
-        rng = np.random.default_rng(seed)
         for lsb in (0.3, 1.0, 1.7, 3.0):
             both = np.hstack((real.accel, real.gyro))
             step = lsb * np.repeat(SIGMA, 3)
             both = np.round(both / step) * step
             coarse = replace(real, accel=both[:, :3], gyro=both[:, 3:])
             assert not look_within(coarse, find_poses(coarse))
+
+
+@pytest.mark.parametrize(
+    ("number", "size", "matter"), [(3, 2.0, False), (4, 0.3, False), (30, 2.0, True)]
+)
+def test_single_samples_off_course_anywhere_are_a_disturbance_if_they_matter(
+    number: int, size: float, matter: bool
+) -> None:
+    for seed in range(3):
+        real = simulated(seed=65 + seed)
+        rng = np.random.default_rng(seed)
         accel = real.accel.copy()
-        at = rng.choice(len(accel), 30, replace=False)
-        accel[at, 1] += rng.normal(0, 2.0, 30)
-        spiky = replace(real, accel=accel)
-        assert not look_within(spiky, find_poses(real))
+        at = rng.choice(len(accel), number, replace=False)
+        accel[at, 1] += rng.choice([-1.0, 1.0], number) * rng.uniform(0.5, 1.0, number) * size
+        found = look_within(replace(real, accel=accel), find_poses(real))
+        assert bool(found) is matter
+        for item in found:
+            assert (item.channels, item.follows) == (("accel.y",), OFF_COURSE)
+            assert item.intervals == ((float(real.time[0]), float(real.time[-1])),)
+            assert item.p_value < 1e-6
 
 
 @pytest.mark.parametrize("elsewhere", [0, 6])
@@ -176,7 +190,7 @@ def test_single_samples_off_course_in_one_part_are_a_disturbance_there(elsewhere
     spiky = replace(real, gyro=gyro)
     (found,) = look_within(spiky, find_poses(real))
     assert found.channels == ("gyro.z",)
-    assert found.follows == "the time: single samples are off course there"
+    assert found.follows == OFF_COURSE
     assert overlap(found.intervals[0], (begin, end)) > 0.7
 
 
