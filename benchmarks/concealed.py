@@ -286,12 +286,14 @@ def run(case: Case) -> Result:
     for left in found.unexplained:
         result.unexplained.append((left.follows, left.intervals[0], left.channels))
         if interval is not None:
-            a, b = left.intervals[0]
-            common = max(0.0, min(b, interval[1]) - max(a, interval[0]))
-            result.overlap = max(
-                result.overlap, common / (max(b, interval[1]) - min(a, interval[0]))
-            )
+            result.overlap = max(result.overlap, overlap(left.intervals[0], interval))
     return result
+
+
+def overlap(one: tuple[float, float], other: tuple[float, float]) -> float:
+    """Return the intersection of two intervals over their union."""
+    common = max(0.0, min(one[1], other[1]) - max(one[0], other[0]))
+    return common / (max(one[1], other[1]) - min(one[0], other[0]))
 
 
 def wide_bench(rng: np.random.Generator, vibration: float) -> Bench:

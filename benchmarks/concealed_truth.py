@@ -5,7 +5,8 @@ capture (0.2 mm and 0.1 degrees of noise, a tenth of a second lost), another IMU
 (as noisy, mounted at an angle), or the commanded profile of a rate table with the sensor off its
 centre. Rates are drawn from `RATES` and are seldom alike; the clocks start apart, and the truth
 begins or ends before the recording or after it. Each effect has the asked non-centrality after
-baseline and alignment have absorbed theirs, beside the noise and the drift of both.
+baseline and alignment have absorbed theirs, beside the noise and the drift of both. So have
+disturbances that no catalogue has (``--parts outside``), which are those of `concealed`.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from zlib import crc32
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
+from _outside import OUTSIDE, detectable
 from concealed import (
     GRAVITY,
     Case,
@@ -29,6 +31,7 @@ from concealed import (
     hidden_effects,
     named_with_noise_known,
     oracle_gain,
+    overlap,
     random_sensor,
     report,
     run_all,
@@ -48,7 +51,7 @@ from calib.mismatch.reference.referencemode import compare_reference
 from calib.mismatch.rows.rows import Rows
 from calib.mismatch.samples.samples import look_at_samples
 from calib.model import SensorModel
-from calib.recording import Recording
+from calib.recording import CHANNELS, Recording
 from calib.rotation import mat_from_quat, mat_from_rotvec, quat_from_rotvec, quat_multiply
 from calib.simulate import Sampling, simulate
 from calib.simulation.bench import bench_protocol
@@ -81,6 +84,10 @@ ALIGNED = ("clock_scale", "reference_misalignment")
 """What is fitted whatever is found, and competes with nothing."""
 
 MODES = ("simulation", "capture", "imu", "profile")
+PARTS = ("single", "clean", "outside")
+OUTSIDE_POWER = 100.0
+"""Non-centrality of a disturbance."""
+
 MOUNTING = np.array([0.03, -0.02, 0.6])
 ARM = (0.08, 0.0, 0.02)
 """From where a table's axes meet to the sensor, m."""
@@ -92,6 +99,7 @@ Truth = Recording | ReferenceMotion
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--modes", nargs="*", default=MODES, choices=MODES)
+    parser.add_argument("--parts", nargs="*", default=PARTS, choices=PARTS)
     parser.add_argument("--seeds", type=int, default=20)
     parser.add_argument("--first", type=int, default=0, help="the first seed")
     parser.add_argument("--clean", type=int, default=200)
@@ -104,18 +112,29 @@ def main() -> int:
     missed = 0
     for mode in args.modes:
         names = args.effects if args.effects is not None else effects_of(mode)
-        cases = [Case(mode, (n,), p, s) for n in names for p in args.powers for s in seeds]
-        cases += [Case(mode, (), 0.0, 10_000 + args.first + s) for s in range(args.clean)]
+        cases: list[Case] = []
+        if "single" in args.parts:
+            cases += [Case(mode, (n,), p, s) for n in names for p in args.powers for s in seeds]
+        if "clean" in args.parts:
+            cases += [Case(mode, (), 0.0, 10_000 + args.first + s) for s in range(args.clean)]
+        if "outside" in args.parts:
+            cases += [Case(mode, (k,), OUTSIDE_POWER, 30_000 + s) for k in OUTSIDE for s in seeds]
         print(f"\n## {mode}\n", flush=True)
         results = list(run_all(cases, args.jobs, verbose=args.verbose, work=run))
         unseen = sorted({n for r in results for n in r.case.names if not r.verdict})
         results = [r for r in results if r.verdict]
-        kinds = {True: "single", False: "clean"}
-        named = [replace(r, case=replace(r.case, kind=kinds[bool(r.case.names)])) for r in results]
+        named = [replace(r, case=replace(r.case, kind=part_of(r.case))) for r in results]
         missed += report(named)
         if unseen:
             print("not shown by some of the motions:", ", ".join(unseen))
     return int(missed > 0)
+
+
+def part_of(case: Case) -> str:
+    """Return which of `PARTS` a case belongs to."""
+    if not case.names:
+        return "clean"
+    return "outside" if case.names[0] in OUTSIDE else "single"
 
 
 def effects_of(mode: str) -> list[str]:
@@ -150,8 +169,12 @@ def run(case: Case) -> Result:
     # The diagnosis counts temperature from its median, and so do the terms: k and q are what it
     # says they are.
     model = replace(model, reference_temperature=float(np.median(recording.temperature)))
-    term = None
-    if case.names:
+    term, interval = None, None
+    if part_of(case) == "outside":
+        recording, interval, result.detectable = disturbed(
+            case, recording, motion, truth, expected, rng
+        )
+    elif case.names:
         term = sized(case, recording, truth, expected, rng)
         if term is None:
             return result
@@ -162,21 +185,21 @@ def run(case: Case) -> Result:
     result.seconds = time.process_time() - start
     result.verdict = found.verdict
     for item in found.findings:
-        own = term is not None and item.effect == term.effect
+        mine = term is not None and item.effect == term.effect
         # A delay of one triad against the other is no alignment.
         aligned = {k: expected.get(item.effect, {}).get(k) for k in item.parameters}
         aligns = any(v is not None for v in aligned.values())
-        if own and item.effect == "time_offset":
-            own = "gyro_delay" in item.parameters
+        if mine and item.effect == "time_offset":
+            mine = "gyro_delay" in item.parameters
         known = {k: v for k, v in aligned.items() if v is not None}
-        if own and term is not None:
+        if mine and term is not None:
             for name, value in term.parameters.items():
                 known[name] = known.get(name, 0.0) + value
-        if own or not aligns:
+        if mine or not aligns:
             result.found.append((item.effect, [r.effect for r in item.rivals]))
-        if own and item.held_out is not None:
+        if mine and item.held_out is not None:
             gain = item.held_out.gain
-        if case.names and case.names[0] in DELAYING and not own:
+        if term is not None and term.effect in DELAYING and not mine:
             # The delay between the clocks is then another one, at another moment.
             continue
         for key, q in item.parameters.items():
@@ -185,15 +208,48 @@ def run(case: Case) -> Result:
                 result.errors.append((q.value - known.get(key, 0.0)) / q.sigma)
     for left in found.unexplained:
         result.unexplained.append((left.follows, left.intervals[0], left.channels))
-    if term is not None and term.effect not in ALIGNED:
+        if interval is not None:
+            result.overlap = max(result.overlap, overlap(left.intervals[0], interval))
+    if interval is not None or (term is not None and term.effect not in ALIGNED):
+        own = "" if term is None else term.effect
         problem, skip = compared(case.kind, recording, truth)
-        rows, noise = with_setup(problem.rows(), expected, term.effect), noise_of_both(case.kind)
-        result.known = named_with_noise_known(
-            rows, term.effect, noise=noise, skip=skip, reference=True
-        )
-        if gain is not None:
+        rows, noise = with_setup(problem.rows(), expected, own), noise_of_both(case.kind)
+        result.known = named_with_noise_known(rows, own, noise=noise, skip=skip, reference=True)
+        if gain is not None and term is not None:
             result.gain = gain / oracle_gain(rows, term, noise=noise, reference=True)
     return result
+
+
+def disturbed(
+    case: Case,
+    clean: Recording,
+    motion: Motion,
+    truth: Truth,
+    expected: Mapping[str, object],
+    rng: np.random.Generator,
+) -> tuple[Recording, tuple[float, float], bool]:
+    """Return a recording with a disturbance of the case's size, its window, and who could see it.
+
+    That is one who knows the kind, the channel, the window and the noise.
+    """
+    rows = with_setup(compared(case.kind, clean, truth)[0].rows(), expected, "")
+    levels = true_levels(rows, noise_of_both(case.kind))
+    contrast = contrast_of(rows, levels, reference=True)
+    whitener = make_whitener(rows, levels, contrast, np.hstack((rows.baseline, rows.nuisance)))
+    # A simulation says nothing of headings, which a field of the room follows.
+    heading = motion.state(rows.state.time).mat_ns
+    rows = replace(rows, state=replace(rows.state, mat_ns=heading))
+    made = OUTSIDE[case.names[0]](rows, rng)
+    column = rows.column(made.add(rows.state))
+    size = float(np.sqrt(case.power / np.square(whitener.project(column)).sum()))
+    values = np.hstack((clean.accel, clean.gyro))
+    density = np.repeat([CONSUMER.accel_noise_density, CONSUMER.gyro_noise_density], 3)
+    sample = density / np.sqrt(2.0 * clean.interval)
+    for channel, extra in made.add(motion.state(clean.time)).items():
+        c = CHANNELS.index(channel)
+        values[:, c] += extra * (sample[c] if made.fast else size)
+    seen = detectable(made, rows, whitener, column, size)
+    return replace(clean, accel=values[:, :3], gyro=values[:, 3:]), made.interval, seen
 
 
 def make_motion(case: Case, rng: np.random.Generator) -> Motion:

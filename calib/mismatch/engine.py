@@ -37,10 +37,9 @@ from calib.mismatch.rows.grid import (
 )
 from calib.mismatch.rows.underway import under_way
 from calib.mismatch.samples.losses import INCOMPLETE, leave_out_unwhole
+from calib.mismatch.samples.resting import look_at_rests, unsaid
 from calib.mismatch.samples.samples import BEYOND, COPIED, DISAGREES, PUSHED, lost_samples
-from calib.mismatch.samples.spectrum import LOUDER_THERE, look_at_spectrum
 from calib.mismatch.samples.thin import Thinned, thin
-from calib.mismatch.samples.within import look_within
 from calib.mismatch.search.explain import changes, explain, verdict
 from calib.mismatch.search.jolted import jolted
 from calib.mismatch.search.search import Outcome, search
@@ -54,7 +53,6 @@ from calib.types import BoolArray, FloatArray
 UNKNOWN_DRIFT = 4.0
 """Spread of the prior of drift where seconds are not known."""
 
-_SHAKEN = "_vibration_rectification"
 
 _CLOCKED = ("_warm_up", "_bias_step", "_settling")
 
@@ -132,7 +130,7 @@ def _diagnose(thinned: Thinned, *, gravity: float, model: SensorModel | None) ->
         if seen.unexplained:
             need = NEEDED.get(seen.unexplained[-1].follows, "channels that move: one is stuck")
         return _unfit(thinned, missing, f"{need}: mend that and diagnose again", "explained")
-    noisy = (*look_at_spectrum(recording, poses), *look_within(recording, poses))
+    noisy = look_at_rests(recording, poses)
     poses = _whole(connected(untouched(recording, steady(poses))), seen.spoilt)
     if not len(poses):
         return _unfit(thinned, missing, RESTLESS, "undetermined")
@@ -187,10 +185,7 @@ def _diagnose(thinned: Thinned, *, gravity: float, model: SensorModel | None) ->
         findings = [_by_sample(f, thinned.samples) if _is_rate(f.effect) else f for f in findings]
     lost = [lost_samples(recording, loss, grid.interval[loss.segment]) for loss in losses]
     findings = [*seen.findings, *lost, *findings]
-    if any(f.effect.endswith(_SHAKEN) for f in findings):
-        # What shook the sensor is the cause of the noise, too.
-        noisy = tuple(item for item in noisy if item.follows != LOUDER_THERE)
-    noisy = _without_steps(noisy, findings)
+    noisy = unsaid(noisy, findings)
     if directions == 1 and _across_gravity(findings, poses):
         missing += (
             "another pose: in one, what the sensor lies on may lean where its accelerometer seems "
@@ -223,26 +218,6 @@ def _diagnose(thinned: Thinned, *, gravity: float, model: SensorModel | None) ->
         summary=_summary(thinned, poses),
         aliases=aliases,
     )
-
-
-def _without_steps(
-    noisy: Sequence[Unexplained], findings: Sequence[Finding]
-) -> tuple[Unexplained, ...]:
-    """Return what is odd about the samples of rests without those in which a bias steps.
-
-    Samples on both sides of a step have a spectrum, and a variance, of their own.
-    """
-    out = []
-    for item in noisy:
-        moments = [
-            f.parameters["moment"].value
-            for f in findings
-            if f.effect.endswith("_bias_step") and set(f.channels) & set(item.channels)
-        ]
-        left = tuple((a, b) for a, b in item.intervals if not any(a <= t <= b for t in moments))
-        if left:
-            out.append(replace(item, intervals=left))
-    return tuple(out)
 
 
 def _coarse(

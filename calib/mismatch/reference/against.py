@@ -9,7 +9,14 @@ import numpy as np
 
 from calib import faults
 from calib.effects import effects
-from calib.mismatch.findings.diagnosis import Diagnosis, Finding, claimed, summarise
+from calib.mismatch.findings.diagnosis import (
+    Diagnosis,
+    Finding,
+    Unexplained,
+    claimed,
+    summarise,
+)
+from calib.mismatch.hypotheses.places import gathered, joined
 from calib.mismatch.noise.hush import audible
 from calib.mismatch.reference.alignment import LEAST_OVERLAP, Alignment, align
 from calib.mismatch.reference.alike import check_apart
@@ -19,11 +26,13 @@ from calib.mismatch.reference.comparison import ComparisonProblem
 from calib.mismatch.reference.setupfindings import find_setups
 from calib.mismatch.reference.truths import RecordingTruth
 from calib.mismatch.reference.twinned import UNSIGNED, diagnose_twin
+from calib.mismatch.samples.resting import look_at_rests, unsaid, unshared
 from calib.mismatch.samples.samples import Samples, look_at_samples
 from calib.mismatch.search.estimate import Estimate
 from calib.mismatch.search.explain import changes, explain, verdict
 from calib.mismatch.search.search import Outcome, search
 from calib.model import SensorModel
+from calib.poses import Poses
 from calib.recording import Recording
 from calib.rotation import rotvec_from_mat
 from calib.statics import find_poses
@@ -82,7 +91,8 @@ def diagnose_against(
     stamped = real.time, simulated.time
     real, simulated = evened(real), evened(simulated)
     clocks = np.hypot(clock_errors(stamped[0], real.time), clock_errors(stamped[1], simulated.time))
-    seen = look_at_samples(real, find_poses(audible(real)))
+    poses = find_poses(audible(real))
+    seen = look_at_samples(real, poses)
     summary = summarise(real)
     if seen.fatal:
         return unfit(seen, summary)
@@ -105,7 +115,14 @@ def diagnose_against(
     elif problem.unknown is not None:
         summary[CORNERS] = int(problem.unknown.sum())
     return conclude(
-        problem, seen, summary, setups=("clock_scale",), clocks=clocks, skip=skip, missing=few
+        problem,
+        seen,
+        summary,
+        setups=("clock_scale",),
+        clocks=clocks,
+        noisy=noise_beside(real, poses, simulated, alignment),
+        skip=skip,
+        missing=few,
     )
 
 
@@ -140,6 +157,21 @@ def compare_simulation(
     return problem, ((*_SELDOM_ALONE, "bandwidth") if common.limited else _SELDOM_ALONE)
 
 
+def noise_beside(
+    real: Recording, poses: Poses, truth: Recording | None, alignment: Alignment
+) -> tuple[Unexplained, ...]:
+    """Return what samples at rest show that those of a truth do not, if it has any."""
+    noisy = look_at_rests(audible(real), poses)
+    if truth is None or not noisy:
+        return noisy
+    truth = audible(truth)
+    others = [
+        replace(item, intervals=tuple(map(tuple, alignment.moments(np.array(item.intervals)))))
+        for item in look_at_rests(truth, find_poses(truth))
+    ]
+    return unshared(noisy, others)
+
+
 def at_rest(*recordings: Recording) -> str:
     """Return what to say if one of the recordings is at rest all along, else nothing."""
     for name, recording in zip(
@@ -161,12 +193,14 @@ def conclude(
     *,
     setups: tuple[str, ...],
     clocks: FloatArray,
+    noisy: tuple[Unexplained, ...] = (),
     skip: tuple[str, ...] = (),
     missing: tuple[str, ...] = (),
 ) -> Diagnosis:
     """Search, explain, and report alignments among ``setups`` as findings.
 
-    ``clocks`` are the standard errors of the clocks' offset (s) and pace, (2,).
+    ``clocks`` are the standard errors of the clocks' offset (s) and pace, (2,), and ``noisy`` what
+    the samples at rest show.
     """
     if problem.judged is not None:
         skip += UNPLACED
@@ -180,7 +214,8 @@ def conclude(
     begin = outcome.rows.interval[:, 0]
     findings = [f for f in findings if not any(_the_same(f, g, begin) for g in seen.findings)]
     findings = [*seen.findings, *found, *findings]
-    unexplained = [*seen.unexplained, *unexplained]
+    noisy = unsaid(noisy, findings)
+    unexplained = [*seen.unexplained, *gathered(joined([*unexplained, *noisy]))]
     slugs = {f.effect for f in findings}
     keep = [i for i, n in enumerate(known) if n in problem.names or n.split(".")[0] in slugs]
     known, covariance = tuple(known[i] for i in keep), covariance[np.ix_(keep, keep)]

@@ -20,6 +20,7 @@ from calib.mismatch.noise.hush import audible
 from calib.mismatch.reference.against import (
     at_rest,
     conclude,
+    noise_beside,
     undetermined,
     unfit,
 )
@@ -204,7 +205,8 @@ def diagnose_reference(
     real = evened(real)
     reference = evened(reference) if isinstance(reference, Recording) else reference.evened()
     clocks = np.hypot(clock_errors(stamped[0], real.time), clock_errors(stamped[1], reference.time))
-    seen = look_at_samples(real, find_poses(audible(real)))
+    poses = find_poses(audible(real))
+    seen = look_at_samples(real, poses)
     summary = summarise(real)
     if seen.fatal:
         return unfit(seen, summary)
@@ -220,7 +222,9 @@ def diagnose_reference(
         )
     problem, skip = compare_reference(real, reference, seen, gravity=gravity, model=model)
     summary |= problem.notes
-    return conclude(problem, seen, summary, setups=SETUPS, clocks=clocks, skip=skip)
+    other = reference if isinstance(reference, Recording) else None
+    noisy = noise_beside(real, poses, other, problem.setup.alignment)
+    return conclude(problem, seen, summary, setups=SETUPS, clocks=clocks, noisy=noisy, skip=skip)
 
 
 def compare_reference(

@@ -61,7 +61,7 @@ def choose(rows: Rows, ranking: Ranking, accepted: list[Accepted]) -> Choice | N
     groups = {
         g: v + possible(ranking.stack, best[g], whitener, y)
         for g, v in witnessed(rows, ranking, whitener, y).items()
-        if not _within(rows, best[g], accepted) and not again(best[g], accepted)
+        if not is_part(rows, best[g], accepted) and not again(best[g], accepted)
     }
     # With what follows the same as something unexplained goes what explains less of that channel.
     same = [g for g in groups if _follows(ranking, best[g], accepted)]
@@ -124,7 +124,7 @@ def _most_probable(
     return best[other]
 
 
-def _within(rows: Rows, candidate: Candidate, accepted: list[Accepted]) -> bool:
+def is_part(rows: Rows, candidate: Candidate, accepted: list[Accepted]) -> bool:
     """Whether a candidate is part of what was accepted, and no second cause.
 
     So is an event in, or at the edge of, what is unexplained in one of its channels; and what is

@@ -17,7 +17,7 @@ from calib.mismatch.hypotheses.score import Stack
 from calib.mismatch.noise.noise import Levels, estimate_levels, expected_levels, make_whitener
 from calib.mismatch.rows.rows import Rows
 from calib.mismatch.search.accepted import Accepted, accept, contrast_noise, fitted, joined, lasting
-from calib.mismatch.search.choice import LEAST, choose, possible
+from calib.mismatch.search.choice import LEAST, choose, is_part, possible
 from calib.mismatch.search.estimate import Estimate, estimate, settle
 from calib.mismatch.search.ranking import make_stack, rank
 from calib.mismatch.search.refit import Problem, put_back, refit, unmoved
@@ -95,12 +95,13 @@ def search(problem: Problem, *, skip: tuple[str, ...] = ()) -> Outcome:
             fit = refit(problem, rows, accepted, beside)
         rows, accepted, levels, straight = fit
         extra, base = _superfluous(rows, accepted, levels)
-        if extra is not None and extra.candidate.group not in dropped:
-            if lasting(extra.candidate):
-                # What is found again after that is there, and not dropped in turn.
-                dropped.add(extra.candidate.group)
-            accepted = [a for a in accepted if a is not extra]
-            if extra.in_model:
+        gone = [] if extra is None or extra.candidate.group in dropped else [extra]
+        gone = gone or _parts_of_last(rows, accepted)
+        if gone:
+            # What is found again after that is there, and not dropped in turn.
+            dropped.update(a.candidate.group for a in gone if lasting(a.candidate))
+            accepted = [a for a in accepted if not any(a is b for b in gone)]
+            if any(a.in_model for a in gone):
                 rows = put_back(problem, rows, accepted)
             rows, accepted, levels, again = refit(problem, rows, accepted, levels)
             straight, base = straight and again, None
@@ -126,6 +127,18 @@ def search(problem: Problem, *, skip: tuple[str, ...] = ()) -> Outcome:
     rows, accepted = settle(rows, accepted, levels, contrast, reference=problem.reference)
     tried = frozenset(c.name for c in stack.physics.values())
     return Outcome(rows, tuple(accepted), levels, contrast, ranking.total, tried)
+
+
+def _parts_of_last(rows: Rows, accepted: list[Accepted]) -> list[Accepted]:
+    """Return earlier events that are part of something unexplained that was found last.
+
+    What explains more, and reaches over the moment of an event on its channels, is no second cause
+    there: where an output wanders, the first thing to be seen is a step.
+    """
+    *earlier, last = accepted
+    if last.candidate.physical or last.candidate.interval is None:
+        return []
+    return [a for a in earlier if a.e_value < last.e_value and is_part(rows, a.candidate, [last])]
 
 
 def _superfluous(

@@ -14,7 +14,7 @@ def test_a_diagnosis_works_on_one_thread(monkeypatch):
         seen.extend(library.get() for library in libraries())
         return ()
 
-    monkeypatch.setattr(engine, "look_at_spectrum", noticed)
+    monkeypatch.setattr(engine, "look_at_rests", noticed)
     try:
         for library in libraries():
             library.set(2)

@@ -1,0 +1,63 @@
+"""What the samples at rest show, and their means do not: lines, bursts, noise, pulses."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from calib.mismatch.findings.diagnosis import Finding, Unexplained
+from calib.mismatch.samples.spectrum import LOUDER_THERE, look_at_spectrum
+from calib.mismatch.samples.within import look_within
+from calib.poses import Poses
+from calib.recording import Recording
+
+_SHAKEN = "_vibration_rectification"
+
+_STEP = "_bias_step"
+
+
+def look_at_rests(recording: Recording, poses: Poses) -> tuple[Unexplained, ...]:
+    """Return lines, bursts, pulses and other disturbances of samples at rest."""
+    if not len(poses):
+        return ()
+    return (*look_at_spectrum(recording, poses), *look_within(recording, poses))
+
+
+def unsaid(noisy: Sequence[Unexplained], findings: Sequence[Finding]) -> tuple[Unexplained, ...]:
+    """Return what is odd about samples at rest that findings are not the cause of.
+
+    What shook the sensor is the cause of louder noise, too. Samples on both sides of a step of a
+    bias have a spectrum, and a variance, of their own.
+    """
+    out = []
+    shaken = any(f.effect.endswith(_SHAKEN) for f in findings)
+    for item in noisy:
+        if shaken and item.follows == LOUDER_THERE:
+            continue
+        moments = [
+            f.parameters["moment"].value
+            for f in findings
+            if f.effect.endswith(_STEP) and set(f.channels) & set(item.channels)
+        ]
+        left = tuple((a, b) for a, b in item.intervals if not any(a <= t <= b for t in moments))
+        if left:
+            out.append(replace(item, intervals=left))
+    return tuple(out)
+
+
+def unshared(
+    noisy: Sequence[Unexplained], others: Sequence[Unexplained]
+) -> tuple[Unexplained, ...]:
+    """Return what a truth does not show as well: what moves both is no disturbance of one.
+
+    Of one kind, on the same triad, at times of which some are the same. The other sensor may be
+    mounted at any angle, and at another rate a line may be folded to another frequency.
+    """
+    return tuple(item for item in noisy if not any(_alike(item, other) for other in others))
+
+
+def _alike(item: Unexplained, other: Unexplained) -> bool:
+    kinds = [u.follows.split(" at ")[0] for u in (item, other)]
+    triads = [{c.split(".")[0] for c in u.channels} for u in (item, other)]
+    meet = any(a <= d and c <= b for a, b in item.intervals for c, d in other.intervals)
+    return kinds[0] == kinds[1] and bool(triads[0] & triads[1]) and meet
