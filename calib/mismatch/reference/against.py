@@ -24,15 +24,15 @@ from calib.mismatch.reference.band import follows_noise, matched, too_few
 from calib.mismatch.reference.carried import OF_GYRO
 from calib.mismatch.reference.comparison import ComparisonProblem
 from calib.mismatch.reference.setupfindings import find_setups
+from calib.mismatch.reference.shaken import noise_beside
 from calib.mismatch.reference.truths import RecordingTruth
 from calib.mismatch.reference.twinned import UNSIGNED, diagnose_twin
-from calib.mismatch.samples.resting import look_at_rests, unsaid, unshared
+from calib.mismatch.samples.resting import unsaid
 from calib.mismatch.samples.samples import Samples, look_at_samples
 from calib.mismatch.search.estimate import Estimate
 from calib.mismatch.search.explain import changes, explain, verdict
 from calib.mismatch.search.search import Outcome, search
 from calib.model import SensorModel
-from calib.poses import Poses
 from calib.recording import Recording
 from calib.rotation import rotvec_from_mat
 from calib.statics import find_poses
@@ -155,21 +155,6 @@ def compare_simulation(
         unknown=common.unknown,
     )
     return problem, ((*_SELDOM_ALONE, "bandwidth") if common.limited else _SELDOM_ALONE)
-
-
-def noise_beside(
-    real: Recording, poses: Poses, truth: Recording | None, alignment: Alignment
-) -> tuple[Unexplained, ...]:
-    """Return what samples at rest show that those of a truth do not, if it has any."""
-    noisy = look_at_rests(audible(real), poses)
-    if truth is None or not noisy:
-        return noisy
-    truth = audible(truth)
-    others = [
-        replace(item, intervals=tuple(map(tuple, alignment.moments(np.array(item.intervals)))))
-        for item in look_at_rests(truth, find_poses(truth))
-    ]
-    return unshared(noisy, others)
 
 
 def at_rest(*recordings: Recording) -> str:

@@ -20,7 +20,6 @@ from calib.mismatch.noise.hush import audible
 from calib.mismatch.reference.against import (
     at_rest,
     conclude,
-    noise_beside,
     undetermined,
     unfit,
 )
@@ -29,6 +28,7 @@ from calib.mismatch.reference.alike import check_apart
 from calib.mismatch.reference.band import BEYOND, Matched, limited, low_passed, matched, smoothed
 from calib.mismatch.reference.carried import known_errors, settled
 from calib.mismatch.reference.comparison import ComparisonProblem
+from calib.mismatch.reference.shaken import noise_beside
 from calib.mismatch.reference.swaps import swapped
 from calib.mismatch.reference.truths import DEGREE, RecordingTruth
 from calib.mismatch.samples.samples import Samples, look_at_samples

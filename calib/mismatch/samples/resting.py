@@ -43,21 +43,3 @@ def unsaid(noisy: Sequence[Unexplained], findings: Sequence[Finding]) -> tuple[U
         if left:
             out.append(replace(item, intervals=left))
     return tuple(out)
-
-
-def unshared(
-    noisy: Sequence[Unexplained], others: Sequence[Unexplained]
-) -> tuple[Unexplained, ...]:
-    """Return what a truth does not show as well: what moves both is no disturbance of one.
-
-    Of one kind, on the same triad, at times of which some are the same. The other sensor may be
-    mounted at any angle, and at another rate a line may be folded to another frequency.
-    """
-    return tuple(item for item in noisy if not any(_alike(item, other) for other in others))
-
-
-def _alike(item: Unexplained, other: Unexplained) -> bool:
-    kinds = [u.follows.split(" at ")[0] for u in (item, other)]
-    triads = [{c.split(".")[0] for c in u.channels} for u in (item, other)]
-    meet = any(a <= d and c <= b for a, b in item.intervals for c, d in other.intervals)
-    return kinds[0] == kinds[1] and bool(triads[0] & triads[1]) and meet

@@ -5,6 +5,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from calib.effects.bandwidth import group_delay
 from calib.effects.base import Term
@@ -423,3 +424,16 @@ def test_a_quiet_sensor_that_flickers_has_nothing_else(seed: int):
     sim = simulate(handled, SensorModel(), NoiseModel(), rng=rng, rate=80.0)
     found = diagnose_against(real, sim, gravity=GRAVITY)
     assert found.verdict == "consistent", [f.effect for f in found.findings]
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_an_output_that_wanders_does_not_step(seed: int) -> None:
+    """The first thing to be found is a step, and the rest of it then is what it was part of."""
+    real, rng = recorded(seed=seed), np.random.default_rng(seed)
+    accel = real.accel.copy()
+    part = slice(int(0.6 * len(real)), len(real))
+    steps = rng.normal(0.0, 0.02, accel[part].shape)
+    accel[part] += lfilter([1.0], [1.0, -0.98], steps, axis=0)
+    found = diagnose_against(replace(real, accel=accel), simulation(), gravity=GRAVITY)
+    assert not found.findings
+    assert {c.split(".")[0] for u in found.unexplained for c in u.channels} == {"accel"}

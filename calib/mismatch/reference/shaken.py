@@ -1,0 +1,79 @@
+"""Samples at rest beside a truth: what they show that the motion of the truth does not have."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from calib.faults import values_of
+from calib.mismatch.findings.diagnosis import Interval, Unexplained
+from calib.mismatch.noise.hush import audible
+from calib.mismatch.reference.alignment import Alignment
+from calib.mismatch.samples.resting import look_at_rests
+from calib.mismatch.samples.spectrum import LOUDER_THERE
+from calib.poses import Poses
+from calib.recording import TRIADS, Recording
+from calib.types import FloatArray
+
+MOVES = 2.0
+"""Power of a truth's samples, times that in quiet rests, from which they are shaken as well."""
+
+QUIET = 0.25
+"""Quantile of that power over rests which is that of quiet ones: half of them may be shaken."""
+
+FEWEST = 8
+"""Samples of a truth in a rest below which they tell nothing of it."""
+
+
+def noise_beside(
+    real: Recording, poses: Poses, truth: Recording | None, alignment: Alignment
+) -> tuple[Unexplained, ...]:
+    """Return what samples at rest show, but for what is motion.
+
+    So is what a truth shows in the same rests. Markers and profiles are too slow for that, and have
+    no samples of their own: what shakes all axes of an accelerometer may then be motion.
+    """
+    noisy = look_at_rests(audible(real), poses)
+    if not noisy:
+        return ()
+    if truth is None:
+        return tuple(item for item in noisy if not _shakes(item))
+    at = alignment.times(poses.interval)
+    power = _fast_power(truth, at)
+    return tuple(item for item in noisy if not _moves(item, poses.interval, power))
+
+
+def _shakes(item: Unexplained) -> bool:
+    """Whether an item is louder noise on all axes of the accelerometer."""
+    along = {f"accel.{axis}" for axis in "xyz"}
+    return item.follows == LOUDER_THERE and along <= set(item.channels)
+
+
+def _fast_power(truth: Recording, rests: FloatArray) -> FloatArray:
+    """Return the power of changes from sample to sample in (n, 2) rests, (n, 2): of each triad.
+
+    It is relative to what it is in quiet ones; NaN of rests that the truth does not have.
+    """
+    change = np.square(np.diff(values_of(truth), axis=0)).reshape(-1, 2, 3).sum(axis=2)
+    total = np.concatenate((np.zeros((1, 2)), np.cumsum(change, axis=0)))
+    first = np.searchsorted(truth.time, rests[:, 0])
+    last = np.maximum(np.searchsorted(truth.time, rests[:, 1]) - 1, first)
+    count = (last - first)[:, None]
+    last = np.minimum(last, len(total) - 1)
+    first = np.minimum(first, last)
+    power = np.where(count >= FEWEST, (total[last] - total[first]) / np.maximum(count, 1), np.nan)
+    known = np.isfinite(power[:, 0])
+    usual = np.quantile(power[known], QUIET, axis=0) if known.any() else np.ones(2)
+    # Without noise, what does not move has the rounding of its own values alone.
+    least = 1e-24 * np.square(np.abs(values_of(truth)).max())
+    return np.asarray(power / np.maximum(usual, least))
+
+
+def _moves(item: Unexplained, rests: FloatArray, power: FloatArray) -> bool:
+    """Whether a truth is shaken in rests in which an item says that a sensor is."""
+    here = np.array([any(_meet(rest, where) for where in item.intervals) for rest in rests])
+    triads = [k for k, t in enumerate(TRIADS) if any(c.startswith(t) for c in item.channels)]
+    return bool((power[here][:, triads] > MOVES).any())
+
+
+def _meet(one: FloatArray, other: Interval) -> bool:
+    return bool(one[0] <= other[1] and other[0] <= one[1])
