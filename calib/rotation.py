@@ -49,6 +49,13 @@ def _product(left: ComplexArray, right: ComplexArray) -> tuple[ComplexArray, Com
     return a * c - b * d.conj(), a * d + b * c.conj()
 
 
+def rotate(quat: FloatArray, vec: FloatArray) -> FloatArray:
+    """Return (n, 3) vectors turned by (n, 4) quaternions: ``mat_from_quat(quat) @ vec``."""
+    axis = quat[:, 1:]
+    twice = 2.0 * np.cross(axis, vec)
+    return np.asarray(vec + quat[:, :1] * twice + np.cross(axis, twice))
+
+
 def mat_from_quat(quat: FloatArray) -> FloatArray:
     """Return matrices (..., 3, 3) of unit quaternions (..., 4): the paper's equation 11."""
     w, x, y, z = np.moveaxis(quat, -1, 0)

@@ -23,6 +23,7 @@ from calib.mismatch.reference.alike import check_apart
 from calib.mismatch.reference.band import follows_noise, matched, too_few
 from calib.mismatch.reference.carried import OF_GYRO
 from calib.mismatch.reference.comparison import ComparisonProblem
+from calib.mismatch.reference.oriented import oriented
 from calib.mismatch.reference.setupfindings import find_setups
 from calib.mismatch.reference.shaken import noise_beside
 from calib.mismatch.reference.truths import RecordingTruth
@@ -54,8 +55,9 @@ CORNERS = "corners"
 """How many samples are about corners that those of a simulation are too few to follow: they are
 left out."""
 
-_SELDOM_ALONE = ("earth_rate", "gravity_magnitude")
-"""What is in a simulation's own signals already, or is a scale that the baseline has."""
+_SELDOM_ALONE = ("earth_rate", "gravity_magnitude", "reference_tilt", "reference_smoothing")
+"""What is in a simulation's own signals already, or is a scale that the baseline has; and what is
+wrong with a room, or with markers."""
 
 
 @one_thread()
@@ -142,7 +144,7 @@ def compare_simulation(
     common = matched(real, truth, alignment, np.eye(3), spoilt=seen.spoilt)
     problem = ComparisonProblem(
         common.real,
-        common.truth,
+        common.truth if common.limited else oriented(common.truth),
         alignment,
         gravity=gravity,
         model=model,
