@@ -51,17 +51,24 @@ def choose(rows: Rows, ranking: Ranking, accepted: list[Accepted]) -> Choice | N
     """Return what explains most: physics, unless the rivals together are more probable.
 
     An event where something is unexplained already is part of that, and gets no name of its own;
-    nor does what follows the same as it, on the same channel. What an effect leaves that was found
+    nor does what explains less than such an event, on a channel that both show on, or what follows
+    the same as something unexplained on the same channel. What an effect leaves that was found
     already is no second finding of it. What no channel of it shows is another cause, and lends it
     no weight. Nor does a turn that samples do not resolve, of what it alone shows.
     """
     best = ranking.best
     whitener = ranking.whitener
     y = whitener.project(rows.residual)
-    groups = {
+    every = {
         g: v + possible(ranking.stack, best[g], whitener, y)
         for g, v in witnessed(rows, ranking, whitener, y).items()
-        if not is_part(rows, best[g], accepted) and not again(best[g], accepted)
+        if not again(best[g], accepted)
+    }
+    parts = {g: v for g, v in every.items() if is_part(rows, best[g], accepted)}
+    groups = {
+        g: v
+        for g, v in every.items()
+        if g not in parts and not (best[g].physical and _left_of(best, g, v, parts))
     }
     # With what follows the same as something unexplained goes what explains less of that channel.
     same = [g for g in groups if _follows(ranking, best[g], accepted)]
@@ -79,6 +86,14 @@ def choose(rows: Rows, ranking: Ranking, accepted: list[Accepted]) -> Choice | N
         return None
     alike = [v for g, v in groups.items() if set(best[g].channels) & set(chosen.channels)]
     return Choice(chosen, ranking.total) if logsumexp(alike) >= np.log(CLAIM) else None
+
+
+def _left_of(
+    best: Mapping[str, Candidate], group: str, value: float, parts: Mapping[str, float]
+) -> bool:
+    """Whether what is part of something unexplained explains more of a channel than a group."""
+    own = set(best[group].channels)
+    return any(value < more and own & set(best[g].channels) for g, more in parts.items())
 
 
 def _most_probable(
