@@ -10,6 +10,7 @@ from calib.rotation import (
     mat_from_rotvec,
     quat_from_mat,
     quat_from_rotvec,
+    rotate,
     rotvec_from_mat,
     skew,
 )
@@ -56,3 +57,12 @@ def test_integral_of_a_coning_motion_converges() -> None:
 
     assert error(201) < 1e-4
     assert error(101) / error(201) > 3.5
+
+
+def test_vectors_turn_as_by_the_matrix() -> None:
+    rng = np.random.default_rng(1)
+    quat = rng.normal(size=(20, 4))
+    quat /= np.linalg.norm(quat, axis=1, keepdims=True)
+    vec = rng.normal(size=(20, 3))
+    expected = np.einsum("nij,nj->ni", mat_from_quat(quat), vec)
+    np.testing.assert_allclose(rotate(quat, vec), expected, atol=1e-12)

@@ -10,7 +10,6 @@ from calib.mismatch.reference.oriented import oriented
 from calib.mismatch.reference.truths import RecordingTruth
 from calib.model import SensorModel
 from calib.recording import Recording
-from calib.rotation import mat_from_quat, rotate
 from calib.simulate import simulate
 from calib.simulation.bench import bench_protocol
 from calib.simulation.kinematics import Motion
@@ -23,15 +22,6 @@ def moved(seed: int, noise: NoiseModel, rate: float) -> tuple[Recording, Motion]
     rng = np.random.default_rng(seed)
     motion = bench_protocol(rng, poses=16, pose_duration=(2.0, 3.0))
     return simulate(motion, SensorModel(), noise, rng=rng, rate=rate), motion
-
-
-def test_vectors_turn_as_by_the_matrix() -> None:
-    rng = np.random.default_rng(1)
-    quat = rng.normal(size=(20, 4))
-    quat /= np.linalg.norm(quat, axis=1, keepdims=True)
-    vec = rng.normal(size=(20, 3))
-    expected = np.einsum("nij,nj->ni", mat_from_quat(quat), vec)
-    np.testing.assert_allclose(rotate(quat, vec), expected, atol=1e-12)
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
