@@ -25,15 +25,17 @@ def oriented(truth: RecordingTruth) -> RecordingTruth:
     own = truth.recording
     quat = integrate_rate(own.time, own.gyro)
     force = rotate(quat, own.accel)
+    parts = np.stack([part.mean(axis=0) for part in np.array_split(force, PARTS)])
+    size = np.linalg.norm(parts, axis=1)
+    if not size.all():
+        return truth
     up = force.mean(axis=0)
-    up /= np.linalg.norm(up)
-    each = np.stack([part.mean(axis=0) for part in np.array_split(force, PARTS)])
-    lean = np.arccos(np.clip(each @ up / np.linalg.norm(each, axis=1), -1.0, 1.0))
-    if lean.max() > DRIFT:
+    up /= max(float(np.linalg.norm(up)), 1e-300)
+    if np.arccos(np.clip(parts @ up / size, -1.0, 1.0)).max() > DRIFT:
         return truth
     axis = np.cross(up, [0.0, 0.0, 1.0])
-    size = float(np.linalg.norm(axis))
-    angle = float(np.arctan2(size, up[2]))
+    sine = float(np.linalg.norm(axis))
+    angle = float(np.arctan2(sine, up[2]))
     # Straight down there is no axis, and any will do.
-    turn = axis / size * angle if size > 0 else np.array([angle, 0.0, 0.0])
+    turn = axis / sine * angle if sine > 0 else np.array([angle, 0.0, 0.0])
     return replace(truth, quat=quat_multiply(quat_from_rotvec(turn), quat))

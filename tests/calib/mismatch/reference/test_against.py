@@ -426,7 +426,7 @@ def test_a_quiet_sensor_that_flickers_has_nothing_else(seed: int):
     assert found.verdict == "consistent", [f.effect for f in found.findings]
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", [1, 2])
 def test_an_output_that_wanders_does_not_step(seed: int) -> None:
     """The first thing to be found is a step, and the rest of it then is what it was part of."""
     real, rng = recorded(seed=seed), np.random.default_rng(seed)
