@@ -53,7 +53,6 @@ from calib.types import BoolArray, FloatArray
 UNKNOWN_DRIFT = 4.0
 """Spread of the prior of drift where seconds are not known."""
 
-
 _CLOCKED = ("_warm_up", "_bias_step", "_settling")
 
 SPOILT = 0.1

@@ -93,7 +93,8 @@ def diagnose_against(
     stamped = real.time, simulated.time
     real, simulated = evened(real), evened(simulated)
     clocks = np.hypot(clock_errors(stamped[0], real.time), clock_errors(stamped[1], simulated.time))
-    poses = find_poses(audible(real))
+    heard = audible(real)
+    poses = find_poses(heard)
     seen = look_at_samples(real, poses)
     summary = summarise(real)
     if seen.fatal:
@@ -122,7 +123,7 @@ def diagnose_against(
         summary,
         setups=("clock_scale",),
         clocks=clocks,
-        noisy=noise_beside(real, poses, simulated, alignment),
+        noisy=noise_beside(heard, poses, simulated, alignment),
         skip=skip,
         missing=few,
     )

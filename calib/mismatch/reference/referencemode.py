@@ -205,7 +205,8 @@ def diagnose_reference(
     real = evened(real)
     reference = evened(reference) if isinstance(reference, Recording) else reference.evened()
     clocks = np.hypot(clock_errors(stamped[0], real.time), clock_errors(stamped[1], reference.time))
-    poses = find_poses(audible(real))
+    heard = audible(real)
+    poses = find_poses(heard)
     seen = look_at_samples(real, poses)
     summary = summarise(real)
     if seen.fatal:
@@ -223,7 +224,7 @@ def diagnose_reference(
     problem, skip = compare_reference(real, reference, seen, gravity=gravity, model=model)
     summary |= problem.notes
     other = reference if isinstance(reference, Recording) else None
-    noisy = noise_beside(real, poses, other, problem.setup.alignment)
+    noisy = noise_beside(heard, poses, other, problem.setup.alignment)
     return conclude(problem, seen, summary, setups=SETUPS, clocks=clocks, noisy=noisy, skip=skip)
 
 

@@ -6,7 +6,6 @@ import numpy as np
 
 from calib.faults import values_of
 from calib.mismatch.findings.diagnosis import Interval, Unexplained
-from calib.mismatch.noise.hush import audible
 from calib.mismatch.reference.alignment import Alignment
 from calib.mismatch.samples.resting import look_at_rests
 from calib.mismatch.samples.spectrum import LOUDER_THERE
@@ -25,14 +24,15 @@ FEWEST = 8
 
 
 def noise_beside(
-    real: Recording, poses: Poses, truth: Recording | None, alignment: Alignment
+    heard: Recording, poses: Poses, truth: Recording | None, alignment: Alignment
 ) -> tuple[Unexplained, ...]:
     """Return what samples at rest show, but for what is motion.
 
     So is what a truth shows in the same rests. Markers and profiles are too slow for that, and have
-    no samples of their own: what shakes all axes of an accelerometer may then be motion.
+    no samples of their own: what shakes all axes of an accelerometer may then be motion. Channels
+    of ``heard`` that have no noise are made `audible` before.
     """
-    noisy = look_at_rests(audible(real), poses)
+    noisy = look_at_rests(heard, poses)
     if not noisy:
         return ()
     if truth is None:

@@ -44,9 +44,9 @@ _SPREAD = 1.94
 _STEADY = 2.0
 """Noise power whose trend over the recording stays below this factor counts as steady."""
 
-_SHARE = 0.25
-"""A line or a burst is reported if it holds this share of the channel's usual noise power: sensors
-and benches have many small ones, which matter to nobody."""
+SHARE = 0.25
+"""A line, a burst, or spikes anywhere, are reported if they hold this share of the channel's usual
+noise power: sensors and benches have many small ones, which matter to nobody."""
 
 
 HAND = (3.0, 14.0)
@@ -219,7 +219,7 @@ def _lines(
     k = int(np.argmax(np.where(held, 0.0, mean / floor)))
     # A Hann window spreads a line over three frequencies.
     near = slice(max(k - 1, 0), k + 2)
-    if held[k] or p[k] >= CLAIM or (mean - floor)[near].sum() < _SHARE * floor.sum():
+    if held[k] or p[k] >= CLAIM or (mean - floor)[near].sum() < SHARE * floor.sum():
         return []
     frequency = (_peak(np.maximum(mean - floor, 0.0), k) + 2) / (LENGTH * recording.interval)
     found, of = np.unique(pose, return_inverse=True)
@@ -279,7 +279,7 @@ def _bursts(
     p_all = p_one * len(found) * len(CHANNELS)
     loud = (p_all < CLAIM) & (total > _LOUDER)
     extra = np.where(each < CLAIM, mean - floor, 0.0).sum(axis=0) / np.median(floor.sum(axis=0))
-    thin = (each.min(axis=0) < CLAIM) & (extra > _SHARE) & narrow
+    thin = (each.min(axis=0) < CLAIM) & (extra > SHARE) & narrow
     # Beside a rest that surely has it, others need less: at the same frequencies, if it has one.
     own = np.unique(each[:, thin & ~loud].argmin(axis=0))
     near = np.unique(np.clip(own[:, None] + [-1, 0, 1], 0, len(power) - 1))

@@ -21,6 +21,7 @@ from calib.faults import OTHERS, ROBUST, resolution, values_of
 from calib.mismatch.findings.diagnosis import Interval, Unexplained
 from calib.mismatch.hypotheses.ends import expected_overlap
 from calib.mismatch.hypotheses.windows import windows
+from calib.mismatch.samples.spectrum import SHARE
 from calib.poses import Poses
 from calib.recording import CHANNELS, Recording
 from calib.types import BoolArray, FloatArray, IntArray
@@ -45,10 +46,6 @@ SEVERAL = 4
 
 OFF_COURSE = "the time: single samples are off course there"
 """What these follow."""
-
-_SHARE = 0.25
-"""Of the power of a channel's noise at rest, from which spikes anywhere matter: single samples are
-as likely to be off in turns, where they are angles."""
 
 MOST_SPIKES = 500
 """Single samples of a channel that are looked at, at most; of more, every second or third."""
@@ -203,7 +200,7 @@ def _spikes(
 ) -> list[Unexplained]:
     """Return channels of which single samples are off course, and where.
 
-    In some part of the recording; or throughout, where they have a `_SHARE` of the noise's power:
+    In some part of the recording; or throughout, where they have a `SHARE` of the noise's power:
     a few small ones anywhere are mishaps of the readout, which the audit reports.
     """
     still = np.zeros(len(recording) + 1)
@@ -231,7 +228,7 @@ def _spikes(
             k = np.searchsorted(passed, [begin[best], end[best]])
             where = float(recording.time[k[0]]), float(recording.time[min(k[1], len(off))])
             out.append(Unexplained((channel,), (where,), OFF_COURSE, float(p[best])))
-        elif power > _SHARE:
+        elif power > SHARE:
             where = float(recording.time[0]), float(recording.time[-1])
             chance = float(pdtrc(len(every) - 1, 2.0 * ndtr(-CAP) * at_rest.sum()))
             out.append(Unexplained((channel,), (where,), OFF_COURSE, chance * len(CHANNELS)))

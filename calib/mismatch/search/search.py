@@ -100,7 +100,7 @@ def search(problem: Problem, *, skip: tuple[str, ...] = ()) -> Outcome:
         if gone:
             # What is found again after that is there, and not dropped in turn.
             dropped.update(a.candidate.group for a in gone if lasting(a.candidate))
-            accepted = [a for a in accepted if not any(a is b for b in gone)]
+            accepted = [a for a in accepted if a not in gone]
             if any(a.in_model for a in gone):
                 rows = put_back(problem, rows, accepted)
             rows, accepted, levels, again = refit(problem, rows, accepted, levels)
