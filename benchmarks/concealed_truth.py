@@ -6,7 +6,8 @@ capture (0.2 mm and 0.1 degrees of noise, a tenth of a second lost), another IMU
 centre. Rates are drawn from `RATES` and are seldom alike; the clocks start apart, and the truth
 begins or ends before the recording or after it. Each effect has the asked non-centrality after
 baseline and alignment have absorbed theirs, beside the noise and the drift of both. So have
-disturbances that no catalogue has (``--parts outside``), which are those of `concealed`.
+disturbances that no catalogue has (``--parts outside``), which are those of `concealed`. With
+``--wide`` protocols, rates, the sensor's noise and that of the truth are far apart, too.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ import numpy as np
 from _outside import OUTSIDE, detectable
 from concealed import (
     GRAVITY,
+    Bench,
     Case,
     Result,
     contrast_of,
@@ -37,6 +39,7 @@ from concealed import (
     run_all,
     sized_term,
     true_levels,
+    wide_bench,
 )
 
 from calib.effects import get_effect
@@ -92,6 +95,12 @@ MOUNTING = np.array([0.03, -0.02, 0.6])
 ARM = (0.08, 0.0, 0.02)
 """From where a table's axes meet to the sensor, m."""
 
+MARKERS = (2e-4, float(np.radians(0.1)))
+"""Noise of a sample of motion capture: of the place in m, and of the angles in rad."""
+
+APART = 3.0
+"""Times more or less that it is with ``--wide``."""
+
 
 Truth = Recording | ReferenceMotion
 
@@ -106,6 +115,7 @@ def main() -> int:
     parser.add_argument("--jobs", type=int, default=1)
     parser.add_argument("--effects", nargs="*", help="only these")
     parser.add_argument("--powers", type=float, nargs="*", default=[25, 50, 100, 200])
+    parser.add_argument("--wide", action="store_true", help="protocols, rates and parts apart")
     parser.add_argument("--verbose", action="store_true")
     args = parser.parse_args()
     seeds = range(args.first, args.first + args.seeds)
@@ -119,6 +129,7 @@ def main() -> int:
             cases += [Case(mode, (), 0.0, 10_000 + args.first + s) for s in range(args.clean)]
         if "outside" in args.parts:
             cases += [Case(mode, (k,), OUTSIDE_POWER, 30_000 + s) for k in OUTSIDE for s in seeds]
+        cases = [replace(case, wide=args.wide) for case in cases]
         print(f"\n## {mode}\n", flush=True)
         results = list(run_all(cases, args.jobs, verbose=args.verbose, work=run))
         unseen = sorted({n for r in results for n in r.case.names if not r.verdict})
@@ -154,31 +165,26 @@ def run(case: Case) -> Result:
     """Make one recording and its truth, and diagnose; no verdict where nothing shows the effect."""
     # Each effect has motions and noise of its own: what is unlucky in one is not so in all.
     rng = np.random.default_rng((case.seed, crc32("".join(case.names).encode())))
-    motion = make_motion(case, rng)
-    rate = float(rng.choice(RATES["recording"]))
+    bench = make_bench(case, rng)
     model = random_sensor(rng)
     noise_seed = int(rng.integers(1 << 40))
-    truth, expected = make_truth(case.kind, motion, rng)
-
-    def record(*terms: Term) -> Recording:
-        sensor = replace(model, terms=terms)
-        return simulate(motion, sensor, CONSUMER, rng=np.random.default_rng(noise_seed), rate=rate)
-
+    truth, expected = make_truth(case, bench, rng)
     result = Result(case)
-    recording = record()
+    recording = bench.record(model, noise_seed)
     # The diagnosis counts temperature from its median, and so do the terms: k and q are what it
     # says they are.
     model = replace(model, reference_temperature=float(np.median(recording.temperature)))
     term, interval = None, None
     if part_of(case) == "outside":
-        recording, interval, result.detectable = disturbed(
-            case, recording, motion, truth, expected, rng
-        )
+        made = disturbed(case, recording, bench, truth, expected, rng)
+        if made is None:
+            return result
+        recording, interval, result.detectable = made
     elif case.names:
-        term = sized(case, recording, truth, expected, rng)
+        term = sized(case, recording, bench, truth, expected, rng)
         if term is None:
             return result
-        recording = record(term)
+        recording = bench.record(replace(model, terms=(term,)), noise_seed)
     start = time.process_time()
     found = diagnosed(case.kind, recording, truth)
     gain = None
@@ -213,7 +219,8 @@ def run(case: Case) -> Result:
     if interval is not None or (term is not None and term.effect not in ALIGNED):
         own = "" if term is None else term.effect
         problem, skip = compared(case.kind, recording, truth)
-        rows, noise = with_setup(problem.rows(), expected, own), noise_of_both(case.kind)
+        rows = with_setup(problem.rows(), expected, own)
+        noise = noise_of_both(case.kind, bench)
         result.known = named_with_noise_known(rows, own, noise=noise, skip=skip, reference=True)
         if gain is not None and term is not None:
             result.gain = gain / oracle_gain(rows, term, noise=noise, reference=True)
@@ -223,62 +230,76 @@ def run(case: Case) -> Result:
 def disturbed(
     case: Case,
     clean: Recording,
-    motion: Motion,
+    bench: Bench,
     truth: Truth,
     expected: Mapping[str, object],
     rng: np.random.Generator,
-) -> tuple[Recording, tuple[float, float], bool]:
+) -> tuple[Recording, tuple[float, float], bool] | None:
     """Return a recording with a disturbance of the case's size, its window, and who could see it.
 
-    That is one who knows the kind, the channel, the window and the noise.
+    That is one who knows the kind, the channel, the window and the noise. None if it would have to
+    be as large as all that its channel shows.
     """
     rows = with_setup(compared(case.kind, clean, truth)[0].rows(), expected, "")
-    levels = true_levels(rows, noise_of_both(case.kind))
+    levels = true_levels(rows, noise_of_both(case.kind, bench))
     contrast = contrast_of(rows, levels, reference=True)
     whitener = make_whitener(rows, levels, contrast, np.hstack((rows.baseline, rows.nuisance)))
     # A simulation says nothing of headings, which a field of the room follows.
-    heading = motion.state(rows.state.time).mat_ns
+    heading = bench.motion.state(rows.state.time).mat_ns
     rows = replace(rows, state=replace(rows.state, mat_ns=heading))
     made = OUTSIDE[case.names[0]](rows, rng)
     column = rows.column(made.add(rows.state))
     size = float(np.sqrt(case.power / np.square(whitener.project(column)).sum()))
     values = np.hstack((clean.accel, clean.gyro))
-    density = np.repeat([CONSUMER.accel_noise_density, CONSUMER.gyro_noise_density], 3)
-    sample = density / np.sqrt(2.0 * clean.interval)
-    for channel, extra in made.add(motion.state(clean.time)).items():
-        c = CHANNELS.index(channel)
-        values[:, c] += extra * (sample[c] if made.fast else size)
+    for channel, extra in made.add(bench.motion.state(clean.time)).items():
+        own = values[:, CHANNELS.index(channel)]
+        extra *= bench.sample_noise(channel) if made.fast else size
+        if np.abs(extra).max() > np.ptp(own):
+            return None
+        own += extra
     seen = detectable(made, rows, whitener, column, size)
     return replace(clean, accel=values[:, :3], gyro=values[:, 3:]), made.interval, seen
 
 
-def make_motion(case: Case, rng: np.random.Generator) -> Motion:
-    """Return what both see: a sensor handled on a bench, or one on a table."""
-    if case.kind == "profile":
-        rates = np.radians(rng.choice([50.0, 100.0, 200.0, 300.0], 4) * [1, -1, 1, -1])
-        # One axis; or a second one that tilts the sensor to its other faces between the spins.
-        faces = ["+z"] if rng.random() < 0.5 else list(rng.permutation(list(FACES)))
-        rates = rates if len(faces) == 1 else rates[:2]
-        spin = rng.uniform(6.0, 12.0) / np.sqrt(len(faces))
-        table = turntable(rates.tolist(), faces=faces, offset=(0.0, 0.0, 0.0), spin=spin)
-        table = off_centre(table, np.array(ARM))
-        # What settles does so after a spin as after a turn by hand.
-        at = np.arange(0.0, table.duration, 0.005)
-        speed = np.linalg.norm(table.kinematics(at)[0].rate, axis=1)
-        turns = at[np.flatnonzero(np.diff(speed > TURNING))].reshape(-1, 2)
-        table = replace(table, segments=tuple(Segment("turn", a, b) for a, b in turns.tolist()))
-        return replace(table, temperature=lambda t: 28.0 + 6.0 * (1 - np.exp(-t / 180.0)))
+def make_bench(case: Case, rng: np.random.Generator) -> Bench:
+    """Return what both see, a sensor handled on a bench or one on a table, and what records it."""
+    on_table = case.kind == "profile"
     # Of what an effect leaves alone every other one is shaken too.
     shaken = any("vibration" in n for n in case.names) or (not case.names and case.seed % 2 == 1)
-    return bench_protocol(
-        rng,
-        poses=20,
-        first_pose=3.0,
-        pose_duration=(2.0, 4.0),
-        power_on=0.0,
-        tremor=0.3,
-        vibration=VIBRATION * rng.uniform(0.5, 1.5) if shaken else 0.0,
-    )
+    vibration = VIBRATION * rng.uniform(0.5, 1.5) if shaken and not on_table else 0.0
+    if case.wide:
+        bench = wide_bench(rng, vibration)
+        return replace(bench, motion=make_table(rng)) if on_table else bench
+    if on_table:
+        motion = make_table(rng)
+    else:
+        motion = bench_protocol(
+            rng,
+            poses=20,
+            first_pose=3.0,
+            pose_duration=(2.0, 4.0),
+            power_on=0.0,
+            tremor=0.3,
+            vibration=vibration,
+        )
+    return Bench(motion, CONSUMER, float(rng.choice(RATES["recording"])))
+
+
+def make_table(rng: np.random.Generator) -> Motion:
+    """Return a table that spins both ways, the sensor off its centre."""
+    rates = np.radians(rng.choice([50.0, 100.0, 200.0, 300.0], 4) * [1, -1, 1, -1])
+    # One axis; or a second one that tilts the sensor to its other faces between the spins.
+    faces = ["+z"] if rng.random() < 0.5 else list(rng.permutation(list(FACES)))
+    rates = rates if len(faces) == 1 else rates[:2]
+    spin = rng.uniform(6.0, 12.0) / np.sqrt(len(faces))
+    table = turntable(rates.tolist(), faces=faces, offset=(0.0, 0.0, 0.0), spin=spin)
+    table = off_centre(table, np.array(ARM))
+    # What settles does so after a spin as after a turn by hand.
+    at = np.arange(0.0, table.duration, 0.005)
+    speed = np.linalg.norm(table.kinematics(at)[0].rate, axis=1)
+    turns = at[np.flatnonzero(np.diff(speed > TURNING))].reshape(-1, 2)
+    table = replace(table, segments=tuple(Segment("turn", a, b) for a, b in turns.tolist()))
+    return replace(table, temperature=lambda t: 28.0 + 6.0 * (1 - np.exp(-t / 180.0)))
 
 
 def off_centre(motion: Motion, arm: np.ndarray) -> Motion:
@@ -296,16 +317,17 @@ def off_centre(motion: Motion, arm: np.ndarray) -> Motion:
 
 
 def make_truth(
-    mode: str, motion: Motion, rng: np.random.Generator
+    case: Case, bench: Bench, rng: np.random.Generator
 ) -> tuple[Truth, dict[str, dict[str, float]]]:
     """Return a truth, and the alignment that a diagnosis should report."""
+    mode, motion = case.kind, bench.motion
     rate, start = float(rng.choice(RATES[mode])), float(rng.uniform(-100.0, 100.0))
     early, late = rng.uniform(0.0, 2.5, 2)
     at = np.arange(early, motion.duration - late, 1.0 / rate)
     offset = {"time_offset": {"delay": -start}}
     if mode in ("simulation", "imu"):
         sampling = Sampling(clock_offset=start)
-        noise = NoiseModel() if mode == "simulation" else CONSUMER
+        noise = NoiseModel() if mode == "simulation" else bench.noise
         other = simulate(motion, SensorModel(), noise, rng=rng, time=at, sampling=sampling)
         if mode == "simulation":
             return other, {}
@@ -321,9 +343,11 @@ def make_truth(
             "accel_lever_arm": dict(zip(("rx", "ry", "rz"), ARM, strict=True)),
         }
     assert path is not None
-    shake = quat_from_rotvec(rng.normal(0, np.radians(0.1), (len(at), 3)))
+    times = np.exp(rng.uniform(-np.log(APART), np.log(APART), 2)) if case.wide else np.ones(2)
+    off, turned_by = times * MARKERS
+    shake = quat_from_rotvec(rng.normal(0, turned_by, (len(at), 3)))
     quat = quat_multiply(turning.quat, shake)
-    position = path.position + rng.normal(0, 2e-4, (len(at), 3))
+    position = path.position + rng.normal(0, off, (len(at), 3))
     lost = int(rng.integers(200, len(at) - 200))
     quat[lost : lost + round(0.1 * rate)] = np.nan
     return ReferenceMotion(at + start, quat, position), offset
@@ -352,9 +376,9 @@ def compared(
     return problem, (*skip, "clock_scale", *turned)
 
 
-def noise_of_both(mode: str) -> NoiseModel:
+def noise_of_both(mode: str, bench: Bench) -> NoiseModel:
     """Return what the differences hold: the drift of another IMU adds to the sensor's own."""
-    return CONSUMER.scaled(np.sqrt(2.0)) if mode == "imu" else CONSUMER
+    return bench.noise.scaled(np.sqrt(2.0)) if mode == "imu" else bench.noise
 
 
 def with_setup(rows: Rows, expected: Mapping[str, object], slug: str) -> Rows:
@@ -372,6 +396,7 @@ def with_setup(rows: Rows, expected: Mapping[str, object], slug: str) -> Rows:
 def sized(
     case: Case,
     clean: Recording,
+    bench: Bench,
     truth: Truth,
     expected: Mapping[str, object],
     rng: np.random.Generator,
@@ -386,7 +411,7 @@ def sized(
     kept = [n.split(".")[0] != own for n in rows.aligned]
     kept += [True] * (rows.nuisance.shape[1] - len(kept))
     mean = np.hstack((rows.baseline, rows.nuisance[:, kept]))
-    levels = true_levels(rows, noise_of_both(case.kind))
+    levels = true_levels(rows, noise_of_both(case.kind, bench))
     whitener = make_whitener(rows, levels, contrast_of(rows, levels, reference=True), mean)
     effect = get_effect(case.names[0])
     term = sized_term(
@@ -396,7 +421,7 @@ def sized(
         case.power,
         rng,
         reference=effect.slug != "time_offset",
-        physical=case.kind != "simulation",
+        physical=case.wide or case.kind != "simulation",
     )
     # A cut-off beyond the catalogue's: samples as slow as these make more of it than it is.
     inside = term is None or all(

@@ -65,8 +65,9 @@ class DroppedSamples(TransformEffect):
         if count == round(count):
             # A buffer counts samples: those that come twice are the same to the last bit.
             index = np.arange(len(time)) + int(count) * (time >= parameters["moment"])
-            index = np.clip(index, 0, len(time) - 1)
-            return Signals(*(values[index] for values in signals))
+            more = time[-1] + _interval(time) * np.arange(1, count + 1)
+            ends = (np.concatenate((x, resample(time, x, more))) for x in signals)
+            return Signals(*(x[np.maximum(index, 0)] for x in ends))
         at = _true_time(time, parameters)
         return Signals(*(resample(time, values, at) for values in signals))
 

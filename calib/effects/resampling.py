@@ -11,15 +11,32 @@ from calib.recording import AXES
 from calib.spline import spline_at
 from calib.types import FloatArray
 
+FURTHER = 5.0
+"""Intervals beyond the first and the last sample that a signal is continued; then it is held."""
+
 
 def resample(time: FloatArray, values: FloatArray, at: FloatArray) -> FloatArray:
-    """Return (n, ...) values at other times, by cubic spline; held at the two ends."""
+    """Return (n, ...) values at other times, by cubic spline.
+
+    Beyond the two ends it is continued by a parabola, for some samples: who begins or ends in a
+    motion would otherwise see it stop.
+    """
     if len(time) < 4:
         index = np.clip(np.searchsorted(time, at), 0, len(time) - 1)
         held: FloatArray = values[index]
         return held
-    flat = spline_at(time, values.reshape(len(time), -1), np.clip(at, time[0], time[-1]))
-    return flat.reshape(-1, *values.shape[1:])
+    flat = values.reshape(len(time), -1)
+    out = spline_at(time, flat, np.clip(at, time[0], time[-1]))
+    for end, inner, further in ((0, 1, 2), (-1, -2, -3)):
+        step, before = time[end] - time[inner], time[inner] - time[further]
+        since = np.clip((at - time[end]) / step, 0.0, FURTHER)
+        beyond = since > 0
+        if beyond.any():
+            chord = (flat[end] - flat[inner]) / step
+            bend = (chord - (flat[inner] - flat[further]) / before) / (step + before)
+            past = (since[beyond] * step)[:, None]
+            out[beyond] = flat[end] + past * (chord + (step + past) * bend)
+    return out.reshape(-1, *values.shape[1:])
 
 
 def triad_column(triad: str, values: FloatArray) -> Column:

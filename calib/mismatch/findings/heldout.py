@@ -277,9 +277,10 @@ def _gain(before: LeftOut, after: LeftOut) -> tuple[float, tuple[float, float]]:
         for i, (values, vectors, pull) in enumerate(pair):
             spread = (told.T @ vectors) / np.sqrt(values)
             error = spread @ ((vectors.T @ pull) / np.sqrt(values))
-            root = np.linalg.cholesky(spread @ spread.T)
-            missed = float(np.square(np.linalg.solve(root, error)).sum())
-            width = float(np.log(np.diagonal(root)).sum())
+            # Not of the product, which has lost half of the digits.
+            root = np.asarray(np.linalg.qr(spread.T, mode="r"))
+            missed = float(np.square(np.linalg.solve(root.T, error)).sum())
+            width = float(np.log(np.abs(np.diagonal(root))).sum())
             gain += (-0.5 * missed - width) * (1 if i else -1)
             square[i] += missed
         number += told.shape[1]

@@ -123,7 +123,7 @@ def diagnose_against(
         summary,
         setups=("clock_scale",),
         clocks=clocks,
-        noisy=noise_beside(heard, poses, simulated, alignment),
+        noisy=noise_beside(heard, poses, simulated, problem.setup.alignment),
         skip=skip,
         missing=few,
     )

@@ -1,8 +1,10 @@
 """Where one recording lies in the time of another, from the rotation that both saw.
 
-The size of the angular rate needs no common frame, so it is what is correlated. The offset of the
-best normalised correlation is refined by the same correlation in parts of the recording: a line
-through the parts' offsets is the offset and the rate of one clock against the other.
+The size of the angular rate needs no common frame, so it is what is correlated. Where clocks run
+apart by more than a motion bears, a lively stretch is correlated with the reference stretched by
+one share after the other. The offset of the best normalised correlation is refined by the same
+correlation in parts of the recording: a line through the parts' offsets is the offset and the rate
+of one clock against the other.
 
 References
 ----------
@@ -13,6 +15,7 @@ References
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -32,11 +35,29 @@ STEP = 0.01
 MOVING = 0.05
 """rad/s: root-mean-square change of rate below which there is no motion to align by."""
 
-PART = 20.0
-"""s of a part whose own offset is measured."""
+RESTING = 0.2
+"""Share of the samples near their median from which that is what a gyroscope shows at rest."""
+
+PART, FEWEST = 20.0, 6
+"""s of a part whose own offset is measured, where there are so many parts. Of fewer they are
+shorter."""
 
 REACH = 0.5
 """s by which a part's offset may differ from its neighbour's."""
+
+CLEAR = 0.99
+"""Correlation from which on clocks run alike: below, they may run apart, and what repeats itself
+may match at another time."""
+
+FASTEST = 0.1
+"""Share by which one clock may be faster than the other: oscillators of the cheapest parts, or a
+rate that a data sheet gives within so much."""
+
+LIVELY = 120.0
+"""s of the recording that are tried against a stretched reference."""
+
+COARSE = 0.05
+"""s between samples then; a stretch moves the ends of what is tried by twice that at most."""
 
 
 @dataclass(frozen=True)
@@ -93,14 +114,23 @@ def align(
                 f"{name} does not turn (its rate changes by {np.degrees(values.std()):.2f} dps): "
                 "there is no motion to align the two in time by"
             )
-    value, lag = _best_lag(a, b, round(LEAST_OVERLAP / step))
-    if value < LEAST_CORRELATION:
+    least = round(LEAST_OVERLAP / step)
+    match, faster = _best_lag(a, b, least), 0.0
+    if match.value < CLEAR:
+        share = _likeliest_share(a, b, step)
+        stretched = _even(ref_time / (1.0 + share), ref_rate, step)
+        other = _best_lag(a, stretched, least)
+        if other.likelihood > match.likelihood:
+            match, faster, b = other, share, stretched
+    if match.value < LEAST_CORRELATION:
         raise NoCommonMotionError(
-            f"the two do not show the same motion: the correlation of their rates is {value:.2f} "
-            f"at best, expected at least {LEAST_CORRELATION:g}; check that they belong together"
+            "the two do not show the same motion: the correlation of their rates is "
+            f"{match.value:.2f} at best, expected at least {LEAST_CORRELATION:g}; check that they "
+            "belong together"
         )
+    lag = match.lag
     # a[k] = b[k + lag]
-    offset = float(ref_time[0] - time[0]) + lag * step
+    offset = float(ref_time[0] / (1.0 + faster) - time[0]) + lag * step
     middle = 0.5 * float(time[0] + time[-1])
     found = _parts(a, b, lag, step)
     stretch = 0.0
@@ -116,7 +146,9 @@ def align(
         stretch = float(line[1])
     elif found:
         offset += float(found[0][1])
-    return Alignment(offset, stretch, middle, value)
+    # By the clock that was made to run as the recording's.
+    near = Alignment((1.0 + faster) * offset, (1.0 + faster) * stretch, middle, match.value)
+    return near.moved(faster * middle, faster)
 
 
 def _interval(time: FloatArray) -> float:
@@ -126,7 +158,10 @@ def _interval(time: FloatArray) -> float:
 def _even(time: FloatArray, rate: FloatArray, step: float) -> FloatArray:
     """Return the size of the rate on even times."""
     at = np.arange(time[0], time[-1], step)
-    size = np.linalg.norm(rate - np.median(rate, axis=0), axis=1)
+    # What moves all along differs from its median, and by another one where it begins later.
+    off = rate - np.median(rate, axis=0)
+    at_rest = np.mean(np.abs(off).max(axis=1) < MOVING) > RESTING
+    size = np.linalg.norm(off if at_rest else rate, axis=1)
     sums = np.concatenate(([0.0], np.cumsum(0.5 * (size[1:] + size[:-1]) * np.diff(time))))
     # Means over a step about each time: no aliases where the recording is faster.
     edges = np.interp(np.append(at - 0.5 * step, at[-1:] + 0.5 * step), time, sums)
@@ -134,8 +169,34 @@ def _even(time: FloatArray, rate: FloatArray, step: float) -> FloatArray:
     return out
 
 
-def _best_lag(a: FloatArray, b: FloatArray, least: int) -> tuple[float, int]:
-    """Return the correlation of ``a[k]`` with ``b[k + lag]`` at the likeliest lag, and that lag."""
+class _Match(NamedTuple):
+    """At which lag, how well correlated, and how likely it is: a logarithm."""
+
+    value: float
+    lag: int
+    likelihood: float
+
+
+def _likeliest_share(a: FloatArray, b: FloatArray, step: float) -> float:
+    """Return the share by which `b`, of ``step`` (s), is to be stretched to match `a` best."""
+    thin = max(1, round(COARSE / step))
+    a, b = (v[: len(v) // thin * thin].reshape(-1, thin).mean(axis=1) for v in (a, b))
+    length = min(len(a), round(LIVELY / (thin * step)))
+    power = np.convolve(np.square(a - np.median(a)), np.ones(length), mode="valid")
+    start = int(np.argmax(power))
+    piece, least = a[start : start + length], length // 2
+    count = int(np.ceil(FASTEST * length / 4))
+    shares = FASTEST * np.arange(-count, count + 1) / count
+    at = np.arange(len(b))
+    found = []
+    for share in shares:
+        stretched = np.interp(np.arange(0.0, len(b) / (1.0 + share)) * (1.0 + share), at, b)
+        found.append(_best_lag(piece, stretched, least).likelihood)
+    return float(shares[int(np.argmax(found))])
+
+
+def _best_lag(a: FloatArray, b: FloatArray, least: int) -> _Match:
+    """Return how ``a[k]`` matches ``b[k + lag]`` at the likeliest lag."""
     from scipy import fft  # only comparisons need it
 
     a, b = a - a.mean(), b - b.mean()
@@ -156,8 +217,9 @@ def _best_lag(a: FloatArray, b: FloatArray, least: int) -> tuple[float, int]:
     value = np.where(usable, match / np.sqrt(np.maximum(energy, floor)), -1.0)
     # Motion that repeats itself matches well in part: what counts is the likelihood of the whole.
     alike = np.clip(value, 0.0, 1.0 - 1e-9)
-    best = int(np.argmax(-(last - first) * np.log1p(-np.square(alike))))
-    return float(value[best]), int(lag[best])
+    likelihood = -0.5 * (last - first) * np.log1p(-np.square(alike))
+    best = int(np.argmax(likelihood))
+    return _Match(float(value[best]), int(lag[best]), float(likelihood[best]))
 
 
 def _within(values: FloatArray, first: IntArray, last: IntArray) -> FloatArray:
@@ -170,7 +232,9 @@ def _parts(a: FloatArray, b: FloatArray, lag: int, step: float) -> list[tuple[fl
 
     Each part is searched about its neighbour's offset, so that clocks may drift apart by far.
     """
-    width, reach = round(PART / step), round(REACH / step)
+    whole = min(len(a), len(b) - lag) - max(0, -lag)
+    width = min(round(PART / step), max(whole // FEWEST, round(LEAST_OVERLAP / step)))
+    reach = round(REACH / step)
     starts = np.arange(max(0, -lag), min(len(a), len(b) - lag) - width + 1, width)
     if not len(starts):
         return []

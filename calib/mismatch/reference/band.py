@@ -15,10 +15,11 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy import sparse
+from scipy.special import binom
 
 from calib.mismatch.noise.hush import least_noise
 from calib.mismatch.reference.alignment import Alignment
-from calib.mismatch.reference.corners import MOVES, is_common, unfollowed
+from calib.mismatch.reference.corners import MOVES, ORDER, is_common, unfollowed
 from calib.mismatch.reference.floor import audible_beside
 from calib.mismatch.reference.scatter import LOUD, QUIETEST
 from calib.mismatch.reference.truths import REACH, RecordingTruth
@@ -62,6 +63,13 @@ ENOUGH = 300
 LESS = 0.9
 """Noise of the differences where it moves, relative to that at rest, below which part of it is in
 the motion. A simulation's own noise hides that; as loud as the recording's it leaves 0.7 to 0.8."""
+
+HEARD = 0.3
+"""Power of a truth's rates beside the recording's noise from which it shows in that."""
+
+KNOWN, SMOOTH = 0.8, 5
+"""Share of the frequencies that the slower of both has, of which the spline knows, and how many of
+a spectrum are taken together: each has an error of a tenth or two."""
 
 BEYOND = 4.0
 """Cut-off of the first low-pass of a captured motion relative to that of what is compared, of which
@@ -112,8 +120,9 @@ def matched(
     if heard is not None:
         return Matched(heard.real, truth, heard.spoilt, stuck=heard.stuck)
     other = truth.recording
-    if (noise_of(other) <= QUIET * noise_of(real)).all():
-        corners = unfollowed(other, noise_of(real))
+    noise = noise_beside_exact(real, truth, alignment, mat)
+    if noise is not None:
+        corners = unfollowed(other, noise)
         if not is_common(corners, other.gyro):
             unknown = None
             if corners.any():
@@ -156,6 +165,64 @@ def beyond(whole: Recording, kept: Recording, bandwidth: float) -> FloatArray:
     window = np.full(width, 1.0 / width)
     mean = np.stack([np.convolve(own, window, mode="same") for own in power.T], axis=1)
     return np.asarray(np.maximum(mean - LOUD * np.quantile(mean, QUIETEST, axis=0), 0.0))
+
+
+def noise_beside_exact(
+    real: Recording, truth: RecordingTruth, alignment: Alignment, mat: FloatArray
+) -> FloatArray | None:
+    """Return the recording's noise (2,) if the truth has little beside it, else None.
+
+    Where a motion never rests, what is fast in a truth may be motion: all of it, if the recording
+    shows it as well, and if differences so high that no motion is in them are quiet.
+    """
+    other = truth.recording
+    noise = noise_of(real)
+    if (noise_of(other) <= QUIET * noise).all():
+        return noise
+    noise = fastest_noise(real)
+    if (fastest_noise(other) > QUIET * noise).any():
+        return None
+    return noise if _shows_all(real, truth, alignment, mat, float(noise[1])) else None
+
+
+def _shows_all(
+    real: Recording, truth: RecordingTruth, alignment: Alignment, mat: FloatArray, noise: float
+) -> bool:
+    """Whether all that is fast in the rates of a truth, and beyond a noise, is in a recording too.
+
+    Of the cross-spectrum with the recording, relative to the truth's own, noise of the truth's
+    takes its share.
+    """
+    from scipy.signal import csd, welch  # half a second to import
+
+    at = alignment.times(real.time)
+    rate = truth.state(np.clip(at, *truth.span)).rate @ mat.T
+    sampling = 1.0 / real.interval
+    length = min(len(rate) // 8, round(2.0 * sampling))
+    if length < 16:
+        return False
+    f, own = welch(rate, sampling, nperseg=length, axis=0)
+    _, both = csd(rate, real.gyro, sampling, nperseg=length, axis=0)
+    reached = 0.5 * min(sampling, 1.0 / truth.recording.interval)
+    heard = own.sum(axis=1) > 3 * 2 * noise**2 / sampling * HEARD
+    counted = np.flatnonzero((f > NARROWEST) & (f < KNOWN * reached) & heard)
+    groups = np.array_split(counted, max(1, len(counted) // SMOOTH))
+    return all(
+        np.abs(both[g].sum(axis=1)).sum() >= COHERENT * own[g].sum() for g in groups if len(g)
+    )
+
+
+def fastest_noise(recording: Recording) -> FloatArray:
+    """Return the standard deviation of the white noise of both triads, (2,), whatever moves.
+
+    By differences so high that they leave nothing slower than a quarter of the rate.
+    """
+    out = []
+    for values in (recording.accel, recording.gyro):
+        high = np.abs(np.diff(values, n=ORDER, axis=0))
+        low = np.quantile(high, 0.2, axis=0) / 0.2533 / np.sqrt(binom(2 * ORDER, ORDER))
+        out.append(float(low.mean()))
+    return np.array(out)
 
 
 def noise_of(recording: Recording) -> FloatArray:

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
+from scipy.interpolate import make_interp_spline
+from scipy.signal import detrend
 
 from calib.faults import values_of
 from calib.mismatch.findings.diagnosis import Interval, Unexplained
 from calib.mismatch.reference.alignment import Alignment
+from calib.mismatch.reference.truths import DEGREE
 from calib.mismatch.samples.resting import look_at_rests
 from calib.mismatch.samples.spectrum import LOUDER_THERE
 from calib.poses import Poses
@@ -23,6 +28,11 @@ FEWEST = 8
 """Samples of a truth in a rest below which they tell nothing of it."""
 
 
+HARDLY = 0.05
+"""Share of the power of a channel at rest below which what a truth explains of it is left in: where
+counts are coarse, to take it off would blur them."""
+
+
 def noise_beside(
     heard: Recording, poses: Poses, truth: Recording | None, alignment: Alignment
 ) -> tuple[Unexplained, ...]:
@@ -32,6 +42,8 @@ def noise_beside(
     no samples of their own: what shakes all axes of an accelerometer may then be motion. Channels
     of ``heard`` that have no noise are made `audible` before.
     """
+    if truth is not None:
+        heard, poses = _without_motion(heard, poses, truth, alignment)
     noisy = look_at_rests(heard, poses)
     if not noisy:
         return ()
@@ -40,6 +52,37 @@ def noise_beside(
     at = alignment.times(poses.interval)
     power = _fast_power(truth, at)
     return tuple(item for item in noisy if not _moves(item, poses.interval, power))
+
+
+def _without_motion(
+    heard: Recording, poses: Poses, truth: Recording, alignment: Alignment
+) -> tuple[Recording, Poses]:
+    """Return a recording whose rests move by what is left beside a truth, where that moves.
+
+    A body held in a hand trembles in all of its rests. How much of each of the truth's signals is
+    in a channel is fitted to all of them: it may be mounted otherwise, and its noise is in none.
+    Rests come back as far as the truth has them.
+    """
+    at = alignment.times(heard.time)
+    first, last = np.searchsorted(at, truth.time[[0, -1]])
+    start, stop = np.clip((poses.start, poses.stop), first, last)
+    rests = [slice(a, b) for a, b in zip(start, stop, strict=True) if b - a >= FEWEST]
+    if not rests or len(truth) <= DEGREE:
+        return heard, poses
+    seen = make_interp_spline(truth.time, values_of(truth), k=DEGREE)
+    motion = [detrend(seen(at[rest]), axis=0) for rest in rests]
+    own = [detrend(values_of(heard)[rest], axis=0) for rest in rests]
+    moves, shown = np.concatenate(motion), np.concatenate(own)
+    shares = np.linalg.lstsq(moves, shown, rcond=1e-10)[0]
+    power = np.square(moves @ shares).sum(axis=0)
+    shares[:, power < HARDLY * np.square(shown).sum(axis=0)] = 0.0
+    if not shares.any():
+        return heard, poses
+    values = values_of(heard).copy()
+    for rest, moved in zip(rests, motion, strict=True):
+        values[rest] -= moved @ shares
+    known = replace(poses, start=start, stop=stop).select(stop - start >= FEWEST)
+    return replace(heard, accel=values[:, :3], gyro=values[:, 3:]), known
 
 
 def _shakes(item: Unexplained) -> bool:

@@ -273,7 +273,7 @@ def counted(q: Quantity) -> Quantity:
 
 def _rivals(a: Accepted) -> tuple[Rival, ...]:
     # Of what has come to be less than is said, rivals are so much more probable, at least.
-    own = a.posterior.get(a.candidate.group, SHOWN)
+    own = max(a.posterior.get(a.candidate.group, SHOWN), SHOWN)
     found = [
         Rival(name, value / own)
         for name, value in a.posterior.items()

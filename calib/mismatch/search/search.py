@@ -95,8 +95,9 @@ def search(problem: Problem, *, skip: tuple[str, ...] = ()) -> Outcome:
             fit = refit(problem, rows, accepted, beside)
         rows, accepted, levels, straight = fit
         extra, base = _superfluous(rows, accepted, levels)
-        gone = [] if extra is None or extra.candidate.group in dropped else [extra]
-        gone = gone or _parts_of_last(rows, accepted)
+        gone = _parts_of_last(rows, accepted)
+        if extra is not None and extra not in gone and extra.candidate.group not in dropped:
+            gone.append(extra)
         if gone:
             # What is found again after that is there, and not dropped in turn.
             dropped.update(a.candidate.group for a in gone if lasting(a.candidate))
@@ -133,12 +134,13 @@ def _parts_of_last(rows: Rows, accepted: list[Accepted]) -> list[Accepted]:
     """Return earlier events that are part of something unexplained that was found last.
 
     What explains more, and reaches over the moment of an event on its channels, is no second cause
-    there: where an output wanders, the first thing to be seen is a step.
+    there: where an output wanders, the first thing to be seen is a step, or several.
     """
     *earlier, last = accepted
     if last.candidate.physical or last.candidate.interval is None:
         return []
-    return [a for a in earlier if a.e_value < last.e_value and is_part(rows, a.candidate, [last])]
+    parts = [a for a in earlier if is_part(rows, a.candidate, [last])]
+    return [a for a in parts if a.e_value < last.e_value or len(parts) > 1]
 
 
 def _superfluous(
