@@ -157,7 +157,8 @@ def compare_simulation(
         folded=common.folded,
         unknown=common.unknown,
     )
-    return problem, ((*_SELDOM_ALONE, "bandwidth") if common.limited else _SELDOM_ALONE)
+    noisy = common.limited and not common.exact
+    return problem, ((*_SELDOM_ALONE, "bandwidth") if noisy else _SELDOM_ALONE)
 
 
 def at_rest(*recordings: Recording) -> str:

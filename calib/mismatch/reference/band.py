@@ -85,6 +85,7 @@ class Matched(NamedTuple):
     noise, ``stuck`` is what rounding does (`calib.mismatch.reference.floor.Heard`). ``folded`` is
     the power (n, 2) of the motion beyond the band, of both triads: unlike samples fold unlike parts
     of it into the band. ``unknown`` (n,) are samples about corners that the truth does not follow.
+    A truth that is ``exact`` has no noise, and was limited because its samples are too few.
     """
 
     real: Recording
@@ -95,10 +96,11 @@ class Matched(NamedTuple):
     stuck: tuple[sparse.csr_matrix, ...] = ()
     folded: FloatArray | None = None
     unknown: BoolArray | None = None
+    exact: bool = False
 
     @property
     def limited(self) -> bool:
-        """Whether the truth has noise, that something was done about."""
+        """Whether the truth has noise, or too few samples, that something was done about."""
         return self.blur > 0 or self.band > 0
 
 
@@ -130,7 +132,7 @@ def matched(
                 unknown = np.interp(alignment.times(real.time), other.time, about) > 0
             return Matched(real, truth, spoilt, unknown=unknown)
         resolved = RESOLVED / max(real.interval, other.interval)
-        return _limited_beside(real, truth, alignment, resolved, spoilt)
+        return _limited_beside(real, truth, alignment, resolved, spoilt)._replace(exact=True)
     bandwidth = common_band(real, truth, alignment, mat, forces=forces)
     if bandwidth is None:
         blur = BLUR * max(real.interval, other.interval)
@@ -201,15 +203,18 @@ def _shows_all(
     length = min(len(rate) // 8, round(2.0 * sampling))
     if length < 16:
         return False
-    f, own = welch(rate, sampling, nperseg=length, axis=0)
-    _, both = csd(rate, real.gyro, sampling, nperseg=length, axis=0)
-    reached = 0.5 * min(sampling, 1.0 / truth.recording.interval)
-    heard = own.sum(axis=1) > 3 * 2 * noise**2 / sampling * HEARD
-    counted = np.flatnonzero((f > NARROWEST) & (f < KNOWN * reached) & heard)
-    groups = np.array_split(counted, max(1, len(counted) // SMOOTH))
-    return all(
-        np.abs(both[g].sum(axis=1)).sum() >= COHERENT * own[g].sum() for g in groups if len(g)
-    )
+    # Through the usual windows slow motion would be seen at all frequencies, and in both.
+    window = "blackmanharris"
+    f, own = welch(rate, sampling, window, nperseg=length, axis=0)
+    _, both = csd(rate, real.gyro, sampling, window, nperseg=length, axis=0)
+    reached = KNOWN * 0.5 * min(sampling, 1.0 / truth.recording.interval)
+    fast = (f > NARROWEST) & (f < reached)
+    for shown, shared in zip(own.T, both.T, strict=True):
+        heard = np.flatnonzero(fast & (shown > HEARD * 2.0 * noise**2 / sampling))
+        for some in np.array_split(heard, max(1, len(heard) // SMOOTH)):
+            if np.abs(shared[some].sum()) < COHERENT * shown[some].sum():
+                return False
+    return True
 
 
 def fastest_noise(recording: Recording) -> FloatArray:

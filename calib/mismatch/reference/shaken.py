@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.interpolate import make_interp_spline
-from scipy.signal import detrend
 
 from calib.faults import values_of
 from calib.mismatch.findings.diagnosis import Interval, Unexplained
@@ -59,10 +57,13 @@ def _without_motion(
 ) -> tuple[Recording, Poses]:
     """Return a recording whose rests move by what is left beside a truth, where that moves.
 
-    A body held in a hand trembles in all of its rests. How much of each of the truth's signals is
-    in a channel is fitted to all of them: it may be mounted otherwise, and its noise is in none.
-    Rests come back as far as the truth has them.
+    A body held in a hand trembles in all of its rests. How much of each of the truth's signals, and
+    of their slopes and bends, is in a channel is fitted to all of them: it may be mounted otherwise
+    or late, and its noise is in none. Rests come back as far as the truth has them.
     """
+    from scipy.interpolate import make_interp_spline  # as the next, needed here only
+    from scipy.signal import detrend
+
     at = alignment.times(heard.time)
     first, last = np.searchsorted(at, truth.time[[0, -1]])
     start, stop = np.clip((poses.start, poses.stop), first, last)
@@ -70,7 +71,8 @@ def _without_motion(
     if not rests or len(truth) <= DEGREE:
         return heard, poses
     seen = make_interp_spline(truth.time, values_of(truth), k=DEGREE)
-    motion = [detrend(seen(at[rest]), axis=0) for rest in rests]
+    orders = [seen, seen.derivative(1), seen.derivative(2)]
+    motion = [detrend(np.hstack([v(at[rest]) for v in orders]), axis=0) for rest in rests]
     own = [detrend(values_of(heard)[rest], axis=0) for rest in rests]
     moves, shown = np.concatenate(motion), np.concatenate(own)
     shares = np.linalg.lstsq(moves, shown, rcond=1e-10)[0]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.mismatch.findings.heldout import FOLDS, fold_of, held_out, leave_out
+from calib.mismatch.findings.heldout import FOLDS, _gain, fold_of, held_out, leave_out
 from calib.mismatch.noise.noise import expected_levels
 from calib.mismatch.rows.rows import Rows
 from calib.mismatch.search.accepted import fitted
@@ -87,3 +87,30 @@ def test_what_the_fit_of_all_findings_says_may_be_known() -> None:
     assert known.gain == pytest.approx(found.gain, rel=1e-6)
     assert known[:3] == pytest.approx(found[:3], rel=1e-6)
     assert known[3:5] == found[3:5]
+
+
+def test_what_one_block_hardly_foretells_has_a_density_all_the_same() -> None:
+    """Its covariance has more digits than a number: the square of it is singular."""
+    pull, turn = np.array([2e9, 3.0]), np.array([[1.0, 1.0], [-1.0, 1.0]]) / np.sqrt(2.0)
+    vague, sure = np.array([1e18, 1.0]), np.array([0.5, 0.25])
+    _, made = problem()
+    rows = made.rows()
+    known = leave_out(
+        rows,
+        fitted(rows, []),
+        rows.residual,
+        levels=expected_levels(rows),
+        contrast=rows.white_diagonal,
+    )
+    before, after = (
+        known._replace(blocks=[(values, vectors, pull)])
+        for values, vectors in ((vague, np.eye(2)), (sure, turn))
+    )
+    gain, errors = _gain(before, after)
+    # Both foretell all directions: what is missed is p' inv(P) p, of the width det(P)^(-1/2).
+    each = (vague, np.eye(2)), (sure, turn)
+    missed = [float((np.square(v.T @ pull) / p).sum()) for p, v in each]
+    width = [0.5 * float(np.log(p).sum()) for p in (vague, sure)]
+    truth = 0.5 * (missed[0] - missed[1]) + width[1] - width[0]
+    assert gain == pytest.approx(truth, rel=1e-9)
+    assert errors == pytest.approx(np.sqrt(np.array(missed) / 2.0), rel=1e-9)

@@ -60,6 +60,26 @@ def test_rests_that_shake_the_truth_as_well_have_no_disturbance(
     assert said == LOUDER_THERE
 
 
+@pytest.mark.parametrize("noise", [NoiseModel(), CONSUMER])
+@pytest.mark.parametrize("seed", [1, 2])
+def test_what_a_hand_does_in_all_rests_is_motion_and_hides_nothing(
+    noise: NoiseModel, seed: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    motion = bench_protocol(rng, poses=20, pose_duration=(3.0, 5.0), hold_tremor=0.1)
+    real = simulate(motion, SensorModel(), CONSUMER, rng=rng, rate=100.0)
+    # It begins late, in the first rest.
+    truth = simulate(motion, SensorModel(), noise, rng=rng, rate=80.0)
+    truth = truth.slice(150, len(truth) - 100)
+    same, poses = Alignment(0.0, 0.0, 0.0), find_poses(real)
+    assert not noise_beside(real, poses, truth, same)
+    line = 1.5 * SIGMA * np.sin(2 * np.pi * 31.0 * real.time)
+    gyro = real.gyro + line[:, None] * [0.0, 1.0, 0.0]
+    (found,) = noise_beside(replace(real, gyro=gyro), poses, truth, same)
+    assert found.channels == ("gyro.y",)
+    assert found.follows.startswith("a line at 31")
+
+
 def test_what_shakes_all_axes_may_be_motion_that_markers_do_not_resolve() -> None:
     same = Alignment(0.0, 0.0, 0.0)
     shaken, _ = pair(1, rate=100.0, noise=CONSUMER, vibration=10.0)

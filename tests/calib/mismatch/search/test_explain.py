@@ -1,5 +1,7 @@
 """What the numbers of a finding must be for its name to stand."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -13,10 +15,12 @@ from calib.mismatch.search.explain import (
     _is_whole,
     _least_squares,
     _of_windows,
+    _rivals,
     counted,
     to_separate,
 )
 from calib.mismatch.search.ranking import make_stack
+from calib.mismatch.search.search import SHOWN
 
 from ..bench import problem
 from .stacked import candidate
@@ -93,3 +97,16 @@ def test_few_windows_tell_less_than_many(stacked):
     assert _of_windows(estimate(3.0, two), 0, found, looks=7)[0] == pytest.approx(7 * few)
     assert _of_windows(estimate(3.0, alike), 0, found, looks=1) == (many, many)
     assert _of_windows(estimate(3.0, None), 0, found, looks=7) == (0.0, 0.0)
+
+
+def test_a_rival_of_what_has_come_to_nothing_is_so_much_more_probable_at_least():
+    _, made = problem()
+    rows = made.rows()
+    stack = make_stack(rows, skip=(), reference=False)
+    first = next(c for c in stack.physics.values() if c.name == "gyro_misalignment")
+    gone = replace(
+        accept(stack, first, 10.0), posterior={first.group: 0.0, "bandwidth": 1.0, "other": 1e-4}
+    )
+    (rival,) = _rivals(gone)
+    assert rival.effect == "bandwidth"
+    assert rival.odds == pytest.approx(1.0 / SHOWN)

@@ -1,0 +1,61 @@
+"""Two clocks that show the same motion: where one starts in the other, and how fast it runs."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from calib.errors import NoCommonMotionError
+from calib.mismatch import diagnose_against
+from calib.mismatch.reference.alignment import align
+from calib.model import SensorModel
+from calib.recording import Recording
+from calib.simulate import simulate
+from calib.simulation.library import make_motion
+from calib.simulation.noise import CONSUMER, NoiseModel
+
+GRAVITY, START = 9.80665, 50.0
+
+
+@cache
+def pair(name: str, seconds: float, seed: int = 2) -> tuple[Recording, Recording]:
+    """Return a recording, and the truth of some seconds less at another rate."""
+    rng = np.random.default_rng(seed)
+    motion = make_motion(name, rng=rng, duration=seconds, gravity=GRAVITY)
+    real = simulate(motion, SensorModel(), CONSUMER, rng=rng, rate=100.0)
+    truth = simulate(motion, SensorModel(), NoiseModel(), rng=rng, rate=80.0)
+    return real, truth.slice(240, len(truth) - 160)
+
+
+@pytest.mark.parametrize("faster", [0.0, -0.002, 0.005, -0.01, 0.02, -0.04, 0.08])
+@pytest.mark.parametrize("name", ["bench", "hand-held", "pendulum", "rate-table"])
+@pytest.mark.parametrize("seconds", [60.0, 120.0])
+def test_clocks_that_run_apart_are_brought_together(
+    name: str, seconds: float, faster: float
+) -> None:
+    """What repeats itself matches at other times nearly as well, unless it is stretched."""
+    real, truth = pair(name, seconds)
+    found = align(real.time, real.gyro, START + (1.0 + faster) * truth.time, truth.gyro)
+    off = found.times(real.time) - (START + (1.0 + faster) * real.time)
+    assert np.abs(off).max() < 0.02
+    assert found.moments(found.times(real.time)) == pytest.approx(real.time, abs=1e-9)
+
+
+def test_a_rate_that_is_named_wrong_by_far_is_the_clock_and_nothing_else() -> None:
+    real, truth = pair("bench", 120.0)
+    late = Recording(1.03 * real.time, real.accel, real.gyro, real.clock)
+    found = diagnose_against(late, truth, gravity=GRAVITY)
+    (item,) = found.findings
+    assert item.effect == "clock_scale"
+    scale = item.parameters["scale"]
+    assert scale.sigma is not None
+    assert scale.value == pytest.approx(0.03, abs=4 * scale.sigma + 1e-6)
+    assert not found.unexplained
+
+
+@pytest.mark.parametrize("seed", [3, 4, 5])
+def test_however_stretched_another_motion_is_another(seed: int) -> None:
+    real, _ = pair("bench", 120.0)
+    _, other = pair("bench", 120.0, seed)
+    with pytest.raises(NoCommonMotionError, match="same motion"):
+        diagnose_against(real, other, gravity=GRAVITY)

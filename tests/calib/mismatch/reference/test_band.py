@@ -1,0 +1,83 @@
+"""What is fast in a truth: motion, if the recording has it too; noise, if it has not."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calib.effects.base import Term
+from calib.mismatch import diagnose_against
+from calib.mismatch.reference.alignment import Alignment
+from calib.mismatch.reference.band import fastest_noise, low_passed, matched, noise_beside_exact
+from calib.mismatch.reference.truths import RecordingTruth
+from calib.model import SensorModel
+from calib.recording import Recording
+from calib.simulate import simulate
+from calib.simulation.library import make_motion
+from calib.simulation.noise import CONSUMER, NoiseModel
+
+GRAVITY = 9.80665
+SAME = Alignment(0.0, 0.0, 0.0)
+
+
+def pair(
+    name: str, *terms: Term, noise: NoiseModel, rate: float = 80.0, seed: int = 1
+) -> tuple[Recording, Recording]:
+    rng = np.random.default_rng(seed)
+    motion = make_motion(name, rng=rng, duration=50.0, gravity=GRAVITY)
+    real = simulate(motion, SensorModel(terms=terms), CONSUMER, rng=rng, rate=100.0)
+    return real, simulate(motion, SensorModel(), noise, rng=rng, rate=rate)
+
+
+@pytest.mark.parametrize("name", ["hand-held", "pendulum"])
+@pytest.mark.parametrize("rate", [80.0, 200.0])
+def test_a_motion_that_never_rests_is_no_noise(name: str, rate: float) -> None:
+    real, exact = pair(name, noise=NoiseModel(), rate=rate)
+    noise = noise_beside_exact(real, RecordingTruth(exact, GRAVITY), SAME, np.eye(3))
+    assert noise is not None
+    density = np.array([CONSUMER.accel_noise_density, CONSUMER.gyro_noise_density])
+    assert noise == pytest.approx(density * np.sqrt(50.0), rel=0.1)
+
+
+@pytest.mark.parametrize("name", ["hand-held", "pendulum"])
+@pytest.mark.parametrize("rate", [80.0, 200.0])
+@pytest.mark.parametrize("cutoff", [None, 25.0])
+def test_noise_is_noise_though_a_low_pass_took_its_fastest_part(
+    name: str, rate: float, cutoff: float | None
+) -> None:
+    real, noisy = pair(name, noise=CONSUMER, rate=rate)
+    if cutoff is not None:
+        noisy = low_passed(noisy, cutoff)
+        assert (fastest_noise(noisy) < 0.1 * fastest_noise(real)).all()
+    truth = RecordingTruth(noisy, GRAVITY)
+    assert noise_beside_exact(real, truth, SAME, np.eye(3)) is None
+    common = matched(real, truth, SAME, np.eye(3), spoilt=np.zeros(len(real), bool))
+    assert common.limited
+    assert not common.exact
+
+
+@pytest.mark.parametrize("name", ["hand-held", "vibrating"])
+def test_a_low_pass_is_found_beside_an_exact_motion_that_trembles_or_is_sampled_seldom(
+    name: str,
+) -> None:
+    term = Term("bandwidth", {"gyro": 1.0, "gyro_cutoff": 30.0, "order": 1.0})
+    real, exact = pair(name, term, noise=NoiseModel())
+    found = diagnose_against(real, exact, gravity=GRAVITY)
+    (item,) = found.findings
+    assert item.effect == "bandwidth"
+    cutoff = item.parameters["gyro_cutoff"]
+    assert cutoff.sigma is not None
+    assert cutoff.value == pytest.approx(30.0, abs=4 * cutoff.sigma)
+    assert not found.unexplained
+    clean = pair(name, noise=NoiseModel())[0]
+    assert diagnose_against(clean, exact, gravity=GRAVITY).verdict == "consistent"
+
+
+def test_noise_of_the_fastest_differences_is_that_of_samples() -> None:
+    rng = np.random.default_rng(1)
+    time = np.arange(4000) / 100.0
+    slow = np.sin(2 * np.pi * 12.0 * time)[:, None] * np.ones(3)
+    still = Recording(time, slow + rng.normal(0, 0.01, (4000, 3)), slow, "device")
+    both = replace(still, gyro=slow + rng.normal(0, 0.002, (4000, 3)))
+    assert fastest_noise(both) == pytest.approx([0.01, 0.002], rel=0.05)
+    assert fastest_noise(still)[1] < 1e-4
