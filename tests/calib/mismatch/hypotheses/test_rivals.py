@@ -237,7 +237,6 @@ LASTING: list[tuple[str, str, Callable[[Recording], FloatArray]]] = [
     ("the pose before", "accel.z", lambda r: 0.03 * creeping(r)),
     ("rate about the other axes", "accel.x", lambda r: 0.02 * rate(r, 2)),
     ("rate about the other axes", "gyro.x", lambda r: 3e-3 * (abs(rate(r, 2)) > 1)),
-    ("rate about the other axes", "accel.x", lambda r: 0.02 * abs(rate(r, 2))),
     ("rate about the other axes", "accel.y", lambda r: 0.025 * rate(r, 0) * rate(r, 2)),
     ("rate about the other axes", "gyro.y", lambda r: 1e-3 * abs(rate(r, 2)) * rate(r, 2)),
     (

@@ -79,7 +79,7 @@ def test_two_alike_imus_are_consistent():
     assert found.verdict == "consistent"
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_what_scatter_of_stamps_does_is_nothing_of_the_sensor(seed):
     rng = np.random.default_rng((11, seed))
     real, other = recorded(rate=56.0), recorded(seed=3, rate=200.0, offset=12.0)
