@@ -26,6 +26,13 @@ FEWEST = 8
 """Samples of a truth in a rest below which they tell nothing of it."""
 
 
+LATE, TAPS = 0.05, 11
+"""s by which a channel may show a motion earlier or later, and moments within that of which what it
+shows is a sum: a low-pass of 15 Hz is one, at what a hand trembles with."""
+
+PART, PARTS = 500, 60
+"""Samples of a rest that are fitted at once, and how many such parts at most: a day is not."""
+
 HARDLY = 0.05
 """Share of the power of a channel at rest below which what a truth explains of it is left in: where
 counts are coarse, to take it off would blur them."""
@@ -57,32 +64,42 @@ def _without_motion(
 ) -> tuple[Recording, Poses]:
     """Return a recording whose rests move by what is left beside a truth, where that moves.
 
-    A body held in a hand trembles in all of its rests. How much of each of the truth's signals, and
-    of their slopes and bends, is in a channel is fitted to all of them: it may be mounted otherwise
-    or late, and its noise is in none. Rests come back as far as the truth has them.
+    A body held in a hand trembles in all of its rests. How much of each of the truth's signals, a
+    little earlier or later too, is in a channel is fitted to all of them: it may be mounted
+    otherwise, late, or behind a low-pass, and its noise is in none. Rests come back as far as the
+    truth has them, without what turns may do to their ends.
     """
     from scipy.interpolate import make_interp_spline  # as the next, needed here only
     from scipy.signal import detrend
 
     at = alignment.times(heard.time)
-    first, last = np.searchsorted(at, truth.time[[0, -1]])
-    start, stop = np.clip((poses.start, poses.stop), first, last)
+    first, last = np.searchsorted(at, truth.time[[0, -1]] + [LATE, -LATE])
+    edge = int(np.ceil(LATE / heard.interval))
+    start, stop = np.clip((poses.start + edge, poses.stop - edge), first, last)
     rests = [slice(a, b) for a, b in zip(start, stop, strict=True) if b - a >= FEWEST]
     if not rests or len(truth) <= DEGREE:
         return heard, poses
     seen = make_interp_spline(truth.time, values_of(truth), k=DEGREE)
-    orders = [seen, seen.derivative(1), seen.derivative(2)]
-    motion = [detrend(np.hstack([v(at[rest]) for v in orders]), axis=0) for rest in rests]
-    own = [detrend(values_of(heard)[rest], axis=0) for rest in rests]
-    moves, shown = np.concatenate(motion), np.concatenate(own)
+    late = np.linspace(-LATE, LATE, TAPS)
+
+    def motion(part: slice) -> FloatArray:
+        return np.asarray(seen(at[part][:, None] + late).reshape(len(at[part]), -1))
+
+    parts = [[slice(k, min(k + PART, r.stop)) for k in range(r.start, r.stop, PART)] for r in rests]
+    every = [part for rest in parts for part in rest]
+    some = every[:: -(-len(every) // PARTS)]
+    moves = np.concatenate([detrend(motion(part), axis=0) for part in some])
+    shown = np.concatenate([detrend(values_of(heard)[part], axis=0) for part in some])
     shares = np.linalg.lstsq(moves, shown, rcond=1e-10)[0]
     power = np.square(moves @ shares).sum(axis=0)
     shares[:, power < HARDLY * np.square(shown).sum(axis=0)] = 0.0
     if not shares.any():
         return heard, poses
     values = values_of(heard).copy()
-    for rest, moved in zip(rests, motion, strict=True):
-        values[rest] -= moved @ shares
+    for rest in parts:
+        level = (motion(rest[0]) @ shares).mean(axis=0)
+        for part in rest:
+            values[part] -= motion(part) @ shares - level
     known = replace(poses, start=start, stop=stop).select(stop - start >= FEWEST)
     return replace(heard, accel=values[:, :3], gyro=values[:, 3:]), known
 
