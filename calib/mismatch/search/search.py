@@ -134,13 +134,14 @@ def _parts_of_last(rows: Rows, accepted: list[Accepted]) -> list[Accepted]:
     """Return earlier events that are part of something unexplained that was found last.
 
     What explains more, and reaches over the moment of an event on its channels, is no second cause
-    there: where an output wanders, the first thing to be seen is a step, or several.
+    there: where an output wanders, the first thing to be seen is a step, or several, all of which
+    go with one of them.
     """
     *earlier, last = accepted
     if last.candidate.physical or last.candidate.interval is None:
         return []
     parts = [a for a in earlier if is_part(rows, a.candidate, [last])]
-    return [a for a in parts if a.e_value < last.e_value or len(parts) > 1]
+    return parts if any(a.e_value < last.e_value for a in parts) else []
 
 
 def _superfluous(
