@@ -66,7 +66,8 @@ class DroppedSamples(TransformEffect):
             # A buffer counts samples: those that come twice are the same to the last bit.
             index = np.arange(len(time)) + int(count) * (time >= parameters["moment"])
             more = time[-1] + _interval(time) * np.arange(1, count + 1)
-            ends = (np.concatenate((x, resample(time, x, more))) for x in signals)
+            # The last samples say how a signal goes on: no spline through all of them is needed.
+            ends = (np.concatenate((x, resample(time[-4:], x[-4:], more))) for x in signals)
             return Signals(*(x[np.maximum(index, 0)] for x in ends))
         at = _true_time(time, parameters)
         return Signals(*(resample(time, values, at) for values in signals))

@@ -222,21 +222,19 @@ def fastest_noise(recording: Recording) -> FloatArray:
 
     By differences so high that they leave nothing slower than a quarter of the rate.
     """
-    out = []
-    for values in (recording.accel, recording.gyro):
-        high = np.abs(np.diff(values, n=ORDER, axis=0))
-        low = np.quantile(high, 0.2, axis=0) / 0.2533 / np.sqrt(binom(2 * ORDER, ORDER))
-        out.append(float(low.mean()))
-    return np.array(out)
+    return noise_of(recording, order=ORDER)
 
 
-def noise_of(recording: Recording) -> FloatArray:
-    """Return the standard deviation of the white noise of both triads, (2,), from quiet samples."""
+def noise_of(recording: Recording, *, order: int = 2) -> FloatArray:
+    """Return the standard deviation of the white noise of both triads, (2,), from quiet samples.
+
+    By their differences of some order, whose variance is ``binom(2 order, order)`` times as large.
+    """
     out = []
     for values in (recording.accel, recording.gyro):
-        second = np.abs(np.diff(values, n=2, axis=0))
+        change = np.abs(np.diff(values, n=order, axis=0))
         # A third of the samples, the quietest, are at rest if anything is.
-        low = np.quantile(second, 0.2, axis=0) / 0.2533 / np.sqrt(6.0)
+        low = np.quantile(change, 0.2, axis=0) / 0.2533 / np.sqrt(binom(2 * order, order))
         out.append(float(low.mean()))
     return np.array(out)
 

@@ -25,7 +25,6 @@ QUIET = 0.25
 FEWEST = 8
 """Samples of a truth in a rest below which they tell nothing of it."""
 
-
 LATE, TAPS = 0.05, 11
 """s by which a channel may show a motion earlier or later, and moments within that of which what it
 shows is a sum: a low-pass of 15 Hz is one, at what a hand trembles with."""
