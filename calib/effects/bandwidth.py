@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
+from functools import lru_cache
 
 import numpy as np
 from scipy import linalg
@@ -77,20 +78,19 @@ class Bandwidth(TransformEffect):
         """
         order = int(shape.get("order", 1))
         both = shape.get("both_cutoff")
-        step = float(np.median(np.diff(state.time))) if len(state.time) > 1 else 1.0
         out: dict[str, Column] = {}
-        for triad, x in (("accel", state.force), ("gyro", state.rate)):
+        for triad in ("accel", "gyro"):
             cutoff = shape.get(f"{triad}_cutoff")
             if cutoff is not None:
-                late = _Spectrum(x, step).passed(cutoff, order=order)
-                out[triad] = triad_column(triad, late - x)
+                out[triad] = triad_column(triad, _change(state, triad, cutoff, order))
         if both is not None:
-            x = np.hstack((state.force, state.rate))
             early = group_delay(both, order)
-            change = _Spectrum(x, step).passed(both, order=order, early=early) - x
             out["both"] = {
-                **triad_column("accel", change[:, :3]),
-                **triad_column("gyro", change[:, 3:]),
+                channel: column
+                for triad in ("accel", "gyro")
+                for channel, column in triad_column(
+                    triad, _change(state, triad, both, order, early)
+                ).items()
             }
         return out
 
@@ -278,6 +278,21 @@ class _Spectrum:
             power = np.square(passed.real) + np.square(passed.imag)
             spectrum = (1 + GONE**2) * passed.conj() / (power + GONE**2) * spectrum
         return np.fft.irfft(spectrum, self._length)[:, : self._number].T
+
+
+@lru_cache(maxsize=2)
+def _spectrum(state: State, triad: str) -> _Spectrum:
+    """Return the spectrum of a triad's true signals, for many cut-offs one after another."""
+    step = float(np.median(np.diff(state.time))) if len(state.time) > 1 else 1.0
+    return _Spectrum(state.force if triad == "accel" else state.rate, step)
+
+
+def _change(
+    state: State, triad: str, cutoff: float, order: int, early: float = 0.0
+) -> FloatArray:
+    """Return what a low-pass, its output `early` seconds before, adds to a triad, (n, 3)."""
+    passed = _spectrum(state, triad).passed(cutoff, order=order, early=early)
+    return passed - (state.force if triad == "accel" else state.rate)
 
 
 def _response(frequency: FloatArray, cutoff: float, *, order: int) -> ComplexArray:

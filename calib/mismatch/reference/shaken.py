@@ -68,8 +68,7 @@ def _without_motion(
     otherwise, late, or behind a low-pass, and its noise is in none. Rests come back as far as the
     truth has them, without what turns may do to their ends.
     """
-    from scipy.interpolate import make_interp_spline  # as the next, needed here only
-    from scipy.signal import detrend
+    from scipy.interpolate import make_interp_spline  # needed here only
 
     at = alignment.times(heard.time)
     first, last = np.searchsorted(at, truth.time[[0, -1]] + [LATE, -LATE])
@@ -87,8 +86,8 @@ def _without_motion(
     parts = [[slice(k, min(k + PART, r.stop)) for k in range(r.start, r.stop, PART)] for r in rests]
     every = [part for rest in parts for part in rest]
     some = every[:: -(-len(every) // PARTS)]
-    moves = np.concatenate([detrend(motion(part), axis=0) for part in some])
-    shown = np.concatenate([detrend(values_of(heard)[part], axis=0) for part in some])
+    moves = np.concatenate([_without_line(motion(part)) for part in some])
+    shown = np.concatenate([_without_line(values_of(heard)[part]) for part in some])
     shares = np.linalg.lstsq(moves, shown, rcond=1e-10)[0]
     power = np.square(moves @ shares).sum(axis=0)
     shares[:, power < HARDLY * np.square(shown).sum(axis=0)] = 0.0
@@ -101,6 +100,13 @@ def _without_motion(
             values[part] -= motion(part) @ shares - level
     known = replace(poses, start=start, stop=stop).select(stop - start >= FEWEST)
     return replace(heard, accel=values[:, :3], gyro=values[:, 3:]), known
+
+
+def _without_line(values: FloatArray) -> FloatArray:
+    """Return (n, k) values without their means and slopes."""
+    place = np.linspace(-1.0, 1.0, len(values))
+    slope = place @ values / (place @ place)
+    return np.asarray(values - values.mean(axis=0) - np.outer(place, slope))
 
 
 def _shakes(item: Unexplained) -> bool:
