@@ -52,7 +52,7 @@ def noise_beside(
     if not noisy:
         return ()
     if truth is None:
-        return tuple(item for item in noisy if not _shakes(item))
+        return tuple(item for item in noisy if not _shakes(item, noisy))
     at = alignment.times(poses.interval)
     power = _fast_power(truth, at)
     return tuple(item for item in noisy if not _moves(item, poses.interval, power))
@@ -109,10 +109,21 @@ def _without_line(values: FloatArray) -> FloatArray:
     return np.asarray(values - values.mean(axis=0) - np.outer(place, slope))
 
 
-def _shakes(item: Unexplained) -> bool:
-    """Whether an item is louder noise on all axes of the accelerometer."""
+def _shakes(item: Unexplained, noisy: tuple[Unexplained, ...]) -> bool:
+    """Whether an item is louder noise where all axes of the accelerometer are louder.
+
+    Each may be so from a rest of its own on: together or in several of the ``noisy`` items.
+    """
     along = {f"accel.{axis}" for axis in "xyz"}
-    return item.follows == LOUDER_THERE and along <= set(item.channels)
+    if item.follows != LOUDER_THERE or not along & set(item.channels):
+        return False
+    there = [
+        other
+        for other in noisy
+        if other.follows == LOUDER_THERE
+        and any(_meet(np.array(a), b) for a in item.intervals for b in other.intervals)
+    ]
+    return along <= {channel for other in there for channel in other.channels}
 
 
 def _fast_power(truth: Recording, rests: FloatArray) -> FloatArray:

@@ -8,6 +8,7 @@ import pytest
 from calib.mismatch import diagnose_against, diagnose_reference
 from calib.mismatch.reference.alignment import Alignment
 from calib.mismatch.reference.shaken import noise_beside
+from calib.mismatch.samples.resting import look_at_rests
 from calib.mismatch.samples.spectrum import LOUDER_THERE
 from calib.mismatch.samples.within import OFF_COURSE
 from calib.model import SensorModel
@@ -104,3 +105,24 @@ def test_single_samples_off_course_are_said_beside_a_simulation_and_another_imu(
         (left,) = found.unexplained
         assert (left.follows, left.channels) == (OFF_COURSE, ("gyro.y",))
     assert not diagnose_against(real, simulation, gravity=GRAVITY).unexplained
+
+
+def test_what_shakes_all_axes_is_motion_though_one_is_loud_from_a_rest_before() -> None:
+    real, _ = pair(1, rate=100.0, noise=NoiseModel())
+    poses, rng = find_poses(real), np.random.default_rng(1)
+    accel = real.accel.copy()
+    for rest, axes, size in ((8, [0, 1, 2], 1.0), (7, [0], 0.05)):
+        part = slice(poses.start[rest], poses.stop[rest])
+        accel[part, axes] += rng.normal(0.0, size, accel[part, axes].shape)
+    shaken = replace(real, accel=accel)
+    poses = find_poses(shaken)
+    same = Alignment(SHOWN, 0.0, 0.0)
+    assert len({item.intervals for item in look_at_rests(shaken, poses)}) == 2
+    assert not noise_beside(shaken, poses, None, same)
+    # One axis alone is no motion.
+    alone = accel.copy()
+    alone[:, 1:] = real.accel[:, 1:]
+    shaken = replace(real, accel=alone)
+    said = noise_beside(shaken, find_poses(shaken), None, same)
+    assert LOUDER_THERE in {item.follows for item in said}
+    assert {item.channels for item in said} == {("accel.x",)}
