@@ -287,9 +287,7 @@ def _spectrum(state: State, triad: str) -> _Spectrum:
     return _Spectrum(state.force if triad == "accel" else state.rate, step)
 
 
-def _change(
-    state: State, triad: str, cutoff: float, order: int, early: float = 0.0
-) -> FloatArray:
+def _change(state: State, triad: str, cutoff: float, order: int, early: float = 0.0) -> FloatArray:
     """Return what a low-pass, its output `early` seconds before, adds to a triad, (n, 3)."""
     passed = _spectrum(state, triad).passed(cutoff, order=order, early=early)
     return passed - (state.force if triad == "accel" else state.rate)

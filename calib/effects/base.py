@@ -138,9 +138,6 @@ class State:
     known_gradient : (n, 3, 3) array, 1/s², or None
         `gradient`, where it is known better than from the rate: that of signals that have passed a
         low-pass is not what a low-pass leaves of it, as it has products of the rate.
-    witnessed : Signals or None
-        Force and rate as nearly as truth and recording together tell, where the truth has noise of
-        its own: derivatives are made of these.
     length : (n,) array, s, or None
         Time about each over which it is a mean; 0, and None, for what is a sample.
     """
@@ -159,7 +156,6 @@ class State:
     temperature_slope: FloatArray | None = None
     gravity: float = G
     known_gradient: FloatArray | None = None
-    witnessed: Signals | None = None
     length: FloatArray | None = None
 
     def since(self, moment: float | FloatArray) -> FloatArray:

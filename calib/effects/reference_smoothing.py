@@ -68,9 +68,8 @@ class ReferenceSmoothing(Effect):
         def in_sensor(values: FloatArray) -> FloatArray:
             return np.asarray(np.einsum("nij,ni->nj", mat, values))
 
-        force, rate = state.witnessed or (state.force, state.rate)
-        slope = state.derivative(in_room(rate))
-        bend = state.derivative(state.derivative(in_room(force)))
+        slope = state.derivative(in_room(state.rate))
+        bend = state.derivative(state.derivative(in_room(state.force)))
         return {
             "orientation": {
                 **triad_column("accel", -np.cross(state.force, in_sensor(slope))),

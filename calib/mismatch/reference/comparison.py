@@ -262,9 +262,9 @@ class ComparisonProblem:
         """Return recording minus model of the truth."""
         state = self.state()
         left = self.residual(state)
-        if self.colours is not None and state.mat_ns is not None:
-            state = replace(state, witnessed=witnessed(state, left, self.colours))
         rate = state.rate
+        if self.colours is not None and state.mat_ns is not None:
+            state = witnessed(state, left, self.colours)
         ramp = round(1.0 / (self.band * self.interval)) if self.band else 0
         state = stilled(state, self.rests, ramp=ramp)
         # The sensor's errors act on what it feels where it is. Of a motion that is not resolved

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib.effects.base import Signals, State
+from calib.effects.base import State
 from calib.recording import Recording
 from calib.statics import find_poses
 from calib.types import BoolArray, FloatArray, IntArray
@@ -31,7 +31,6 @@ def stilled(state: State, rests: IntArray, *, ramp: int = 0) -> State:
     force, rate = state.force.copy(), state.rate.copy()
     turning, gradient = state.rate_dot.copy(), state.gradient.copy()
     mat = None if state.mat_ns is None else state.mat_ns.copy()
-    seen = state.witnessed and Signals(*(values.copy() for values in state.witnessed))
     for a, b in rests:
         if b > a:
             end = np.minimum(np.arange(b - a), np.arange(b - a)[::-1]) + 1.0
@@ -42,8 +41,6 @@ def stilled(state: State, rests: IntArray, *, ramp: int = 0) -> State:
             if mat is not None:
                 u, _, vt = np.linalg.svd(mat[a:b].mean(axis=0))
                 mat[a:b] = u @ vt
-            for values in seen or ():
-                values[a:b] = values[a:b].mean(axis=0)
     return replace(
         state,
         force=force,
@@ -51,7 +48,6 @@ def stilled(state: State, rests: IntArray, *, ramp: int = 0) -> State:
         mat_ns=mat,
         angular_acceleration=turning,
         known_gradient=gradient,
-        witnessed=seen,
     )
 
 

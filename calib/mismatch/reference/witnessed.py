@@ -1,9 +1,10 @@
 """The motion between two witnesses of it: a truth with noise of its own, and the recording.
 
-Both err. With the noise n of the truth the differences hold ``-n``, and what is made of its second
-derivative ``d²n/dt²``: these go together, and a truth that was not smoothed looks sharpened.
-Weighed against each other by what either errs by, so that the variance is least, the two leave an
-error that has nothing in common with their difference.
+Both err. With the noise n of the truth the differences hold ``-n``, and so does whatever effects
+make of its signals: these go together. A scale factor looks smaller than it is, by the power of
+that noise relative to the motion's; of its second derivative ``d²n/dt²`` a truth that was not
+smoothed looks sharpened. Weighed against each other by what either errs by, so that the variance is
+least, the two leave an error that has nothing in common with their difference.
 
 References
 ----------
@@ -13,18 +14,19 @@ References
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
-from calib.effects.base import Signals, State
+from calib.effects.base import State
 from calib.mismatch.reference.band import filtered
 from calib.mismatch.reference.colour import Colour
 from calib.types import FloatArray
 
 
-def witnessed(state: State, left: FloatArray, colours: list[Colour]) -> Signals:
-    """Return force and rate as truth and recording have them between them.
+def witnessed(state: State, left: FloatArray, colours: list[Colour]) -> State:
+    """Return a state with force and rate as truth and recording have them between them.
 
     The sensor's noise is white, the truth's is that of derivatives. So of the spectrum ``1 + a f² +
     b f⁴`` of the differences the first term counts as the sensor's, and the others as the truth's.
@@ -42,7 +44,7 @@ def witnessed(state: State, left: FloatArray, colours: list[Colour]) -> Signals:
         filtered(state.time, own, partial(_of_truth, colour))
         for own, colour in zip((left[:, :3], left[:, 3:]), colours, strict=True)
     )
-    return Signals(state.force + force, state.rate + rate)
+    return replace(state, force=state.force + force, rate=state.rate + rate)
 
 
 def _of_truth(colour: Colour, frequency: FloatArray) -> FloatArray:
