@@ -96,6 +96,23 @@ def rotvec_from_mat(mat: FloatArray) -> FloatArray:
     return rotvec.reshape(*mat.shape[:-2], 3)
 
 
+def rotvec_slope(rotvec: FloatArray) -> FloatArray:
+    """Return d log(exp(a) exp(v)) / da at a = 0, (3, 3): how a small turn a moves a vector (3,).
+
+    ``I - V/2 + (1 - (|v|/2) cot(|v|/2)) (V/|v|)²`` with V = skew(v): the inverse of the left
+    Jacobian.
+
+    References
+    ----------
+    .. [1] Chirikjian, "Stochastic Models, Information Theory, and Lie Groups", vol. 2, 2011,
+       section 10.7.
+    """
+    half = 0.5 * float(np.linalg.norm(rotvec))
+    cross = skew(rotvec)
+    bend = (1.0 - half / np.tan(half)) / (2.0 * half) ** 2 if half > 1e-4 else 1.0 / 12.0
+    return np.asarray(np.eye(3) - 0.5 * cross + bend * cross @ cross)
+
+
 def rate_increments(time: FloatArray, rate: FloatArray) -> FloatArray:
     """Return the rotation vector over each step, (n - 1, 3) rad, from the rate at its ends.
 

@@ -1,6 +1,7 @@
 """Rotations against scipy's own and against closed forms."""
 
 import numpy as np
+import pytest
 from scipy.spatial.transform import Rotation
 
 from calib.rotation import (
@@ -12,6 +13,7 @@ from calib.rotation import (
     quat_from_rotvec,
     rotate,
     rotvec_from_mat,
+    rotvec_slope,
     skew,
 )
 
@@ -66,3 +68,14 @@ def test_vectors_turn_as_by_the_matrix() -> None:
     vec = rng.normal(size=(20, 3))
     expected = np.einsum("nij,nj->ni", mat_from_quat(quat), vec)
     np.testing.assert_allclose(rotate(quat, vec), expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("size", [0.0, 1e-5, 0.6, 3.0])
+def test_a_small_turn_moves_a_rotation_vector_by_its_slope(size: float) -> None:
+    rng = np.random.default_rng(1)
+    vector = rng.normal(size=3)
+    vector *= size / np.linalg.norm(vector)
+    turn = 1e-6 * rng.normal(size=3)
+    moved = (Rotation.from_rotvec(turn) * Rotation.from_rotvec(vector)).as_rotvec()
+    expected = vector + rotvec_slope(vector) @ turn
+    np.testing.assert_allclose(moved, expected, atol=1e-11)

@@ -20,6 +20,7 @@ from typing import NamedTuple
 import numpy as np
 
 from calib.errors import NoCommonMotionError
+from calib.mismatch.reference.stilled import BIASED
 from calib.types import FloatArray, IntArray
 
 LEAST_CORRELATION = 0.5
@@ -158,9 +159,12 @@ def _interval(time: FloatArray) -> float:
 def _even(time: FloatArray, rate: FloatArray, step: float) -> FloatArray:
     """Return the size of the rate on even times."""
     at = np.arange(time[0], time[-1], step)
-    # What moves all along differs from its median, and by another one where it begins later.
-    off = rate - np.median(rate, axis=0)
+    # What moves all along differs from its median, and by another one where it begins later. So
+    # does a table that spins at one speed for long.
+    usual = np.median(rate, axis=0)
+    off = rate - usual
     at_rest = np.mean(np.abs(off).max(axis=1) < MOVING) > RESTING
+    at_rest &= np.linalg.norm(usual) < BIASED
     size = np.linalg.norm(off if at_rest else rate, axis=1)
     sums = np.concatenate(([0.0], np.cumsum(0.5 * (size[1:] + size[:-1]) * np.diff(time))))
     # Means over a step about each time: no aliases where the recording is faster.

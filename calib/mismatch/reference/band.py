@@ -77,6 +77,10 @@ it takes 2e-5. A rate is a product of orientations, and a force of one and an ac
 noise of one times that of the other would be noise at any frequency."""
 
 
+ABOUT = 31
+"""Frequencies of a spectrum whose mean power is that of the one in their middle."""
+
+
 class Matched(NamedTuple):
     """A recording and its truth, limited to what both know.
 
@@ -373,6 +377,27 @@ def filtered(
         whole = np.arange(at[-1] + 1)
         values = np.stack([np.interp(whole, at, column) for column in values.T], axis=1)
     return _passed(values, lambda f: response(f / step))[at]
+
+
+def denoised(values: FloatArray, noise: float) -> FloatArray:
+    """Return (n, k) even values without frequencies at which white noise is most of them.
+
+    By Wiener's filter ``1 - N / P``, P their power about each frequency and N that of noise of this
+    standard deviation.
+    """
+    from scipy.fft import dct, idct  # only comparisons need them
+
+    spectrum = dct(values, axis=0)
+    width = min(ABOUT, len(values))
+    power = np.stack(
+        [np.convolve(own, np.full(width, 1.0 / width), mode="same") for own in spectrum.T**2],
+        axis=1,
+    )
+    floor = 2.0 * len(values) * noise**2
+    gain = np.maximum(1.0 - floor / np.maximum(power, np.finfo(float).tiny), 0.0)
+    # What stands, and what is as slow as the whole of them, is no noise.
+    gain[:width] = 1.0
+    return np.asarray(idct(gain * spectrum, axis=0))
 
 
 def zero_phase(values: FloatArray, cutoff: float) -> FloatArray:

@@ -33,10 +33,10 @@ import numpy as np
 from calib.calibrate import calibrate
 from calib.effects.base import Column, State, Term
 from calib.errors import ImuError
+from calib.mismatch.reference.stilled import find_rests
 from calib.mismatch.twin.twin import ACCEL_MISALIGNMENT
 from calib.model import SensorModel
 from calib.recording import AXES, Recording
-from calib.statics import find_poses
 from calib.types import FloatArray
 
 ARM = "accel_lever_arm"
@@ -91,7 +91,7 @@ def settled(other: Recording) -> Recording:
     What that multiplies would be an effect of its own: beside a bias b the cube of a rate has
     ``3 b w²`` in it.
     """
-    poses = find_poses(other)
+    poses = find_rests(other)
     if not len(poses.start):
         return other
     return replace(other, gyro=other.gyro - np.median(poses.gyro, axis=0))
@@ -106,7 +106,7 @@ def known_errors(
     calibration. They are those in the sensor's frame, to which ``mat_sr`` (3, 3) leads.
     """
     sizes = SIZES.copy()
-    poses = find_poses(other)
+    poses = find_rests(other)
     if not len(poses.start):
         sizes[:3] = UNSETTLED
     try:

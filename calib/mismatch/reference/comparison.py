@@ -47,16 +47,15 @@ from calib.mismatch.reference.setup import BASELINE, GYRO_ANGLES, LOOSE, Setup
 from calib.mismatch.reference.shapes import Shapes, find_shapes
 from calib.mismatch.reference.steadied import steadied
 from calib.mismatch.reference.step import robust_step
-from calib.mismatch.reference.stilled import gradient_in, resting, stilled
+from calib.mismatch.reference.stilled import find_rests, gradient_in, resting, stilled
 from calib.mismatch.reference.truths import RecordingTruth
 from calib.mismatch.reference.visible import catalogue_shapes
 from calib.mismatch.reference.windowed import make_rows
-from calib.mismatch.reference.witnessed import witnessed
+from calib.mismatch.reference.witnessed import between, witnessed
 from calib.mismatch.rows.rows import Rows
 from calib.mismatch.twin.twin import baseline_column
 from calib.model import SensorModel
 from calib.recording import AXES, CHANNELS, Recording
-from calib.statics import find_poses
 from calib.thermometer import smooth_temperature
 from calib.types import BoolArray, FloatArray
 
@@ -100,6 +99,8 @@ class ComparisonProblem:
         signals takes them as they are.
     other : two (18,) arrays, optional
         Of another IMU as the truth: its errors, and how far they may be off (`known_errors`).
+    densities : (2, 2) array, optional
+        Of the white noise of both (`white_noise`).
     notes : mapping, optional
         What was done to the truth before, for the summary.
     """
@@ -126,6 +127,7 @@ class ComparisonProblem:
         folded: FloatArray | None = None,
         unknown: BoolArray | None = None,
         other: tuple[FloatArray, FloatArray] | None = None,
+        densities: FloatArray | None = None,
         notes: Mapping[str, object] | None = None,
     ) -> None:
         self.notes = notes or {}
@@ -162,7 +164,7 @@ class ComparisonProblem:
         self.thin = max(1, round(real.interval / shaken.interval))
         self.rests = self.settled = np.zeros((0, 2), np.int64)
         if raw is not None:
-            poses = find_poses(raw)
+            poses = find_rests(raw)
             if truth.quat is not None and band:
                 self.densities = sensor_densities(raw, np.stack((poses.start, poses.stop), axis=1))
             edges = np.stack((raw.time[poses.start], raw.time[poses.stop - 1]), axis=1)
@@ -188,7 +190,7 @@ class ComparisonProblem:
         self.given = start.terms
         self.power_on = float(real.time[0])
         mat = np.eye(3) if mat_sr is None else mat_sr
-        self.gyroscopic = other is not None
+        self.gyroscopic, self.white = other is not None, densities
         errors, own = (np.zeros(len(NAMES)), np.zeros(0)) if other is None else other
         self.setup = Setup(start, alignment, mat, errors)
         self.full_gyro = bool(start.gyro.misalignment.any())
@@ -265,6 +267,8 @@ class ComparisonProblem:
         rate = state.rate
         if self.colours is not None and state.mat_ns is not None:
             state = witnessed(state, left, self.colours)
+        elif self.white is not None:
+            state = between(state, left, self.white)
         ramp = round(1.0 / (self.band * self.interval)) if self.band else 0
         state = stilled(state, self.rests, ramp=ramp)
         # The sensor's errors act on what it feels where it is. Of a motion that is not resolved

@@ -31,6 +31,7 @@ from calib.mismatch.reference.comparison import ComparisonProblem
 from calib.mismatch.reference.shaken import noise_beside
 from calib.mismatch.reference.swaps import swapped
 from calib.mismatch.reference.truths import DEGREE, RecordingTruth
+from calib.mismatch.reference.witnessed import white_noise
 from calib.mismatch.samples.samples import Samples, look_at_samples
 from calib.model import SensorModel
 from calib.recording import Recording
@@ -251,7 +252,7 @@ def compared(
 ) -> tuple[ComparisonProblem, tuple[str, ...], Recording | ReferenceMotion]:
     """Return what `compare_reference` does, and the reference as it was used."""
     notes: dict[str, object] = {}
-    other = None
+    other, densities = None, None
     if isinstance(reference, Recording):
         known = look_at_samples(reference, find_poses(audible(reference)))
         if known.fatal:
@@ -264,6 +265,7 @@ def compared(
         alignment = align(real.time, real.gyro, reference.time, reference.gyro)
         mat = mounting(real, RecordingTruth(reference, gravity), alignment)[0]
         other = known_errors(reference, mat, gravity=gravity)
+        densities = white_noise(real, reference)
         truth = RecordingTruth(reference, gravity, known.spoilt)
         common = matched(real, truth, alignment, mat, spoilt=seen.spoilt)
     else:
@@ -283,6 +285,7 @@ def compared(
         folded=common.folded,
         unknown=common.unknown,
         other=other,
+        densities=densities,
         notes=notes,
     )
     skip = []
@@ -350,9 +353,11 @@ def _placed_below(
 def mounting(
     real: Recording, truth: RecordingTruth, alignment: Alignment
 ) -> tuple[FloatArray, float]:
-    """Return the rotation from the truth's frame to s, and the share of rotation that it leaves.
+    """Return the rotation from the truth's frame to s, and what share of the signals it leaves.
 
-    Wahba's problem over rates and specific forces, by singular values.
+    Wahba's problem over rates and specific forces, by singular values. What is left is the power of
+    the rates' differences relative to the rates', and the same of forces: of turns about one axis
+    alone, the other way round and turned over are the same for a gyroscope.
 
     References
     ----------
@@ -364,11 +369,15 @@ def mounting(
     state = truth.state(at[inside])
     gyro = real.gyro[inside] - np.median(real.gyro[inside], axis=0)
     rate = state.rate - np.median(state.rate, axis=0)
+    accel = real.accel[inside]
     product = gyro.T @ rate / max(float(np.square(rate).sum()), 1e-12)
-    product += real.accel[inside].T @ state.force / float(np.square(state.force).sum())
+    product += accel.T @ state.force / float(np.square(state.force).sum())
     # A turn that nothing tells of (heading, on a table) is none.
     product += UNTURNED * np.linalg.norm(product) * np.eye(3)
     u, _, vt = np.linalg.svd(product)
     mat = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
-    left = np.square(gyro - rate @ mat.T).sum() / max(float(np.square(gyro).sum()), 1e-12)
-    return mat, float(left)
+    left = [
+        np.square(seen - true @ mat.T).sum() / max(float(np.square(seen).sum()), 1e-12)
+        for seen, true in ((gyro, rate), (accel, state.force))
+    ]
+    return mat, float(sum(left))

@@ -15,7 +15,7 @@ from calib.mismatch.search.estimate import Estimate
 from calib.mismatch.search.ranking import CLAIM, chance
 from calib.mismatch.search.search import Outcome
 from calib.recording import CHANNELS
-from calib.rotation import rotvec_from_mat
+from calib.rotation import rotvec_from_mat, rotvec_slope
 from calib.types import FloatArray
 
 _LINEAR = {"time_offset": 0.02, "clock_scale": 1e-4, "reference_misalignment": 0.1}
@@ -45,7 +45,11 @@ def find_setups(
     step = fit.step[p : p + len(slugs)]
     turn = rotvec_from_mat(mat)
     value = np.array([-alignment.offset, 1.0 / (1.0 + alignment.stretch) - 1.0, *(-turn)])
-    value = value[: len(slugs)] + step
+    # Steps turn the frame where it is by now, and what is said is one vector from the start.
+    slope = np.eye(5)
+    slope[2:, 2:] = rotvec_slope(turn)
+    slope = slope[: len(slugs), : len(slugs)]
+    value = value[: len(slugs)] + slope @ step
     prior = PHYSICAL / len(tried_effects(reference=True))
     for slug in dict.fromkeys(slugs):
         if slug not in setups:
@@ -54,7 +58,8 @@ def find_setups(
         names = [problem.alignments[i].split(".")[1] for i in own]
         sizes = {x.name: x.typical for x in get_effect(slug).parameters}
         typical = np.array([sizes[n] for n in names])
-        covariance = fit.covariance[np.ix_(p + own, p + own)]
+        covariance = slope[np.ix_(own, own)] @ fit.covariance[np.ix_(p + own, p + own)]
+        covariance = covariance @ slope[np.ix_(own, own)].T
         if slug in _STAMPED:
             covariance = covariance + clocks[_STAMPED[slug]] ** 2
         e_value = prior * bayes_factor(value[own], covariance, typical)

@@ -7,15 +7,28 @@ from dataclasses import replace
 import numpy as np
 
 from calib.effects.base import State
+from calib.poses import Poses
 from calib.recording import Recording
 from calib.statics import find_poses
 from calib.types import BoolArray, FloatArray, IntArray
+
+BIASED = 0.5
+"""rad/s that no gyroscope shows at rest: data sheets allow 20 dps an axis."""
+
+
+def find_rests(recording: Recording) -> Poses:
+    """Return the static poses of a recording in rad/s, without turns at one speed.
+
+    On a table that spins about the vertical nothing that a sensor reads changes either.
+    """
+    poses = find_poses(recording)
+    return poses.select(np.linalg.norm(poses.gyro, axis=1) < BIASED)
 
 
 def resting(time: FloatArray, shaken: Recording, *, felt: float) -> BoolArray:
     """Return which of (n,) times are at rest, and so far (s) from motion that none is felt."""
     out = np.zeros(len(time), bool)
-    poses = find_poses(shaken)
+    poses = find_rests(shaken)
     for a, b in zip(poses.start, poses.stop, strict=True):
         out |= (time >= shaken.time[a] + felt) & (time <= shaken.time[b - 1] - felt)
     return out

@@ -20,9 +20,21 @@ from functools import partial
 import numpy as np
 
 from calib.effects.base import State
-from calib.mismatch.reference.band import filtered
+from calib.mismatch.reference.band import denoised, filtered, noise_of
+from calib.mismatch.reference.captured import sensor_densities
 from calib.mismatch.reference.colour import Colour
+from calib.mismatch.reference.stilled import find_rests
+from calib.recording import Recording
 from calib.types import FloatArray
+
+ABOUT = 0.5
+"""s over which differences are averaged."""
+
+FAR = 25.0
+"""Power of differences, relative to that of the noise of both, beyond which they are none."""
+
+ORDER = 6
+"""Of differences: of what swings once in eight samples they have less than a hundredth."""
 
 
 def witnessed(state: State, left: FloatArray, colours: list[Colour]) -> State:
@@ -45,6 +57,55 @@ def witnessed(state: State, left: FloatArray, colours: list[Colour]) -> State:
         for own, colour in zip((left[:, :3], left[:, 3:]), colours, strict=True)
     )
     return replace(state, force=state.force + force, rate=state.rate + rate)
+
+
+def between(state: State, left: FloatArray, densities: FloatArray) -> State:
+    """Return the same beside another sensor, whose noise is white as well.
+
+    What both have for noise at a frequency is none of the motion's. Where effects are nearly alike
+    (a swing in one plane: the square of its rate is nearly a force) the little that they differ by
+    would be that noise.
+
+    Parameters
+    ----------
+    state, left : State, (n, 6) array
+        As `witnessed` has them.
+    densities : (2, 2) array
+        Of recording and truth, of accelerometer and gyroscope, as `white_noise` has them.
+    """
+    interval = float(np.median(np.diff(state.time)))
+    white = np.square(densities) / (2.0 * interval)
+    both = white.sum(axis=0)
+    shares = white[1] / np.maximum(both, np.finfo(float).tiny)
+    width = max(1, round(ABOUT / interval))
+    found = []
+    for own, off, share, total in zip(
+        (state.force, state.rate), (left[:, :3], left[:, 3:]), shares, both, strict=True
+    ):
+        # What is far more than noise is in the recording alone: an arm, or what neither resolves.
+        power = np.convolve(np.square(off).mean(axis=1), np.full(width, 1.0 / width), mode="same")
+        noisy = (power < FAR * total)[:, None]
+        found.append(
+            denoised(own + noisy * share * off, float(np.sqrt(share * (total - share * total))))
+        )
+    return replace(state, force=found[0], rate=found[1])
+
+
+def white_noise(real: Recording, other: Recording) -> FloatArray:
+    """Return the densities of the white noise of both triads of two recordings, (2, 2) SI/√Hz.
+
+    By what changes at their rests; else by differences so high that little motion is in them.
+    """
+    found = []
+    for each in (real, other):
+        poses = find_rests(each)
+        rests = np.stack((poses.start, poses.stop), axis=1)
+        found.append(sensor_densities(each, rests))
+    known = [own for own in found if own is not None]
+    if len(known) == len(found):
+        return np.array(known)
+    noise = [noise_of(each, order=ORDER) for each in (real, other)]
+    return np.array(noise) * np.sqrt([[2.0 * real.interval], [2.0 * other.interval]])
 
 
 def _of_truth(colour: Colour, frequency: FloatArray) -> FloatArray:

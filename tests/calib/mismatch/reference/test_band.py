@@ -8,7 +8,13 @@ import pytest
 from calib.effects.base import Term
 from calib.mismatch import diagnose_against
 from calib.mismatch.reference.alignment import Alignment
-from calib.mismatch.reference.band import fastest_noise, low_passed, matched, noise_beside_exact
+from calib.mismatch.reference.band import (
+    denoised,
+    fastest_noise,
+    low_passed,
+    matched,
+    noise_beside_exact,
+)
 from calib.mismatch.reference.truths import RecordingTruth
 from calib.model import SensorModel
 from calib.recording import Recording
@@ -81,3 +87,15 @@ def test_noise_of_the_fastest_differences_is_that_of_samples() -> None:
     both = replace(still, gyro=slow + rng.normal(0, 0.002, (4000, 3)))
     assert fastest_noise(both) == pytest.approx([0.01, 0.002], rel=0.05)
     assert fastest_noise(still)[1] < 1e-4
+
+
+def test_slow_motion_stays_where_white_noise_is_taken_away() -> None:
+    rng = np.random.default_rng(1)
+    time = np.arange(0.0, 60.0, 0.02)
+    slow = np.stack((np.sin(3.0 * time), 9.8 + 0.1 * time, time > 30.0), axis=1)
+    noisy = slow + rng.normal(0.0, 0.05, slow.shape)
+    error = denoised(noisy, 0.05) - slow
+    assert (np.abs(error.mean(axis=0)) < 3 * 0.05 / np.sqrt(len(time))).all()
+    assert (error.std(axis=0) < [0.02, 0.02, 0.04]).all()
+    # Without noise all of it stays.
+    np.testing.assert_allclose(denoised(slow, 0.0), slow, atol=1e-9)

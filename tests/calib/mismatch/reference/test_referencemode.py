@@ -10,14 +10,18 @@ from calib.effects.base import Term
 from calib.errors import NoCommonMotionError
 from calib.mismatch import ReferenceMotion, diagnose_reference
 from calib.mismatch.reference.band import BEYOND, limited
+from calib.mismatch.reference.referencemode import compare_reference
+from calib.mismatch.samples.samples import look_at_samples
 from calib.model import SensorModel, Triad
 from calib.recording import Recording
 from calib.rotation import mat_from_rotvec, quat_from_rotvec, quat_multiply
 from calib.simulate import Sampling, simulate
 from calib.simulation.bench import bench_protocol
 from calib.simulation.kinematics import Motion
+from calib.simulation.motions import pendulum
 from calib.simulation.noise import CONSUMER, NoiseModel
 from calib.simulation.turntable import turntable
+from calib.statics import find_poses
 
 GRAVITY = 9.80665
 LOWER = np.tril(np.ones((3, 3)), -1)
@@ -379,3 +383,44 @@ def test_the_cube_of_a_rate_has_no_square_beside_an_imu_with_a_bias():
     real = recorded(Term("gyro_scale_nonlinearity", cube), rate=104.0)
     found = diagnose_reference(real, other, gravity=GRAVITY)
     assert set(named(found)) == {"gyro_scale_nonlinearity"}
+
+
+@pytest.mark.parametrize("seed", [1, 4])
+@pytest.mark.parametrize("name", ["swing", "spin"])
+def test_turns_about_one_axis_leave_little_that_two_imus_differ_by(name, seed):
+    """There the square of a rate is nearly a force: a scale factor could be an arm's, or axes'."""
+    made = {
+        "swing": pendulum(amplitude=1.0, length=0.8),
+        "spin": turntable([3.49, -3.49, 4.71], faces=["+z"], offset=(0.1, 0.02, 0.0), spin=20.0),
+    }[name]
+    rng = np.random.default_rng(seed)
+    sensor = SensorModel(
+        Triad(rng.normal(0, 0.2, 3), rng.normal(0, 0.01, 3), 0.01 * LOWER),
+        Triad(rng.normal(0, 0.01, 3), rng.normal(0, 0.01, 3)),
+    )
+    real = simulate(made, sensor, CONSUMER, rng=rng, rate=100.0)
+    other = simulate(made, SensorModel(), CONSUMER, rng=rng, rate=64.0)
+    turn = np.array([0.03, -0.02, 0.6])
+    mat = mat_from_rotvec(turn)
+    other = replace(other, accel=other.accel @ mat, gyro=other.gyro @ mat)
+    found = diagnose_reference(real, other, gravity=GRAVITY)
+    assert not {"accel_lever_arm", "accel_size_effect"} & set(named(found))
+    for name, value in zip(("rx", "ry", "rz"), -turn, strict=True):
+        q = named(found)["reference_misalignment"][name]
+        assert abs(q.value - value) < 3.5 * q.sigma
+
+
+@pytest.mark.parametrize("seed", [0, 2])
+def test_a_captured_swing_is_not_taken_for_its_mirror_image(seed):
+    """To a gyroscope the other way round is the same as upside down."""
+    made, rng = pendulum(amplitude=1.0, duration=60.0), np.random.default_rng(seed)
+    real = simulate(made, SensorModel(), CONSUMER, rng=rng, rate=100.0)
+    time = np.arange(0.0, made.duration, 0.01)
+    turning, path = made.kinematics(time)
+    assert path is not None
+    quat = quat_multiply(turning.quat, quat_from_rotvec(rng.normal(0.0, 2e-3, (len(time), 3))))
+    seen = ReferenceMotion(time, quat, path.position + rng.normal(0.0, 2e-4, (len(time), 3)))
+    samples = look_at_samples(real, find_poses(real))
+    for reference in (seen, seen.inverted()):
+        problem = compare_reference(real, reference, samples, gravity=GRAVITY)[0]
+        assert np.abs(problem.setup.mat_sr - np.eye(3)).max() < 0.02
