@@ -425,10 +425,9 @@ def test_a_quiet_sensor_that_flickers_has_nothing_else(seed: int):
     assert found.verdict == "consistent", [f.effect for f in found.findings]
 
 
-@pytest.mark.parametrize("seed", [2, 6])
-def test_an_output_that_wanders_does_not_step(seed: int) -> None:
+def test_an_output_that_wanders_does_not_step() -> None:
     """The first thing to be found is a step, or four, and the rest is what these were part of."""
-    real, rng = recorded(seed=seed), np.random.default_rng(seed)
+    real, rng = recorded(seed=2), np.random.default_rng(2)
     accel = real.accel.copy()
     part = slice(int(0.6 * len(real)), len(real))
     steps = rng.normal(0.0, 0.02, accel[part].shape)

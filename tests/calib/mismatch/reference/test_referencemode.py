@@ -83,9 +83,8 @@ def test_two_alike_imus_are_consistent():
     assert found.verdict == "consistent"
 
 
-@pytest.mark.parametrize("seed", range(2))
-def test_what_scatter_of_stamps_does_is_nothing_of_the_sensor(seed):
-    rng = np.random.default_rng((11, seed))
+def test_what_scatter_of_stamps_does_is_nothing_of_the_sensor():
+    rng = np.random.default_rng((11, 0))
     real, other = recorded(rate=56.0), recorded(seed=3, rate=200.0, offset=12.0)
     scatter = np.clip(rng.normal(0, 0.3, len(real)), -0.4, 0.4) / 56.0
     shown = replace(real, time=real.time + scatter, clock="host")
@@ -385,15 +384,14 @@ def test_the_cube_of_a_rate_has_no_square_beside_an_imu_with_a_bias():
     assert set(named(found)) == {"gyro_scale_nonlinearity"}
 
 
-@pytest.mark.parametrize("seed", [1, 4])
 @pytest.mark.parametrize("name", ["swing", "spin"])
-def test_turns_about_one_axis_leave_little_that_two_imus_differ_by(name, seed):
+def test_turns_about_one_axis_leave_little_that_two_imus_differ_by(name):
     """There the square of a rate is nearly a force: a scale factor could be an arm's, or axes'."""
     made = {
         "swing": pendulum(amplitude=1.0, length=0.8),
         "spin": turntable([3.49, -3.49, 4.71], faces=["+z"], offset=(0.1, 0.02, 0.0), spin=20.0),
     }[name]
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(1)
     sensor = SensorModel(
         Triad(rng.normal(0, 0.2, 3), rng.normal(0, 0.01, 3), 0.01 * LOWER),
         Triad(rng.normal(0, 0.01, 3), rng.normal(0, 0.01, 3)),
