@@ -48,7 +48,7 @@ def test_what_changes_within_few_rests_has_its_name() -> None:
     assert found.unexplained == ()
 
 
-@pytest.mark.parametrize("seed", [4, 6, 7])
+@pytest.mark.parametrize("seed", [4, 6])
 def test_of_few_shaken_poses_nothing_is_said_but_where_they_shake(seed: int) -> None:
     """What shakes their means allowed for sensors of many g, and no fit came back from there."""
     rng = np.random.default_rng(seed)

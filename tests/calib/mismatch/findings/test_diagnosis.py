@@ -67,9 +67,7 @@ def test_a_large_warm_up_is_not_the_temperature_that_rises_as_fast():
     assert [r.effect for r in found.rivals] == ["accel_bias_temperature"]
 
 
-@pytest.mark.parametrize(
-    ("size", "moment"), [(0.01, 30.03), (0.01, 44.0), (0.05, 40.15), (0.05, 51.3)]
-)
+@pytest.mark.parametrize(("size", "moment"), [(0.01, 30.03), (0.05, 51.3)])
 def test_a_large_step_beside_a_misalignment_is_one_and_at_its_moment(size, moment):
     """A turn that closes badly for another reason draws it away from there, at first."""
     terms = (

@@ -235,10 +235,8 @@ LASTING: list[tuple[str, str, Callable[[Recording], FloatArray]]] = [
     ("wave throughout", "gyro.x", lambda r: 6e-4 * swing(r)),
     ("the pose before", "accel.y", lambda r: 0.02 * before(r)[:, 0]),
     ("the pose before", "accel.z", lambda r: 0.03 * creeping(r)),
-    ("rate about the other axes", "accel.x", lambda r: 0.02 * rate(r, 2)),
     ("rate about the other axes", "gyro.x", lambda r: 3e-3 * (abs(rate(r, 2)) > 1)),
     ("rate about the other axes", "accel.y", lambda r: 0.025 * rate(r, 0) * rate(r, 2)),
-    ("rate about the other axes", "gyro.y", lambda r: 1e-3 * abs(rate(r, 2)) * rate(r, 2)),
     (
         "rate and direction of gravity",
         "accel.z",

@@ -53,7 +53,7 @@ def test_a_rate_that_is_named_wrong_by_far_is_the_clock_and_nothing_else() -> No
     assert not found.unexplained
 
 
-@pytest.mark.parametrize("seed", [3, 4, 5])
+@pytest.mark.parametrize("seed", [3, 4])
 def test_however_stretched_another_motion_is_another(seed: int) -> None:
     real, _ = pair("bench", 120.0)
     _, other = pair("bench", 120.0, seed)

@@ -61,8 +61,6 @@ def test_the_motion_of_these_tests_is_one():
     ("rates", "noise"),
     [
         ((50.0, 200.0), NOISE),
-        ((100.0, 50.0), NOISE),
-        ((100.0, 200.0), 0.1 * NOISE),
         ((100.0, 50.0), 0.1 * NOISE),
     ],
 )

@@ -99,7 +99,7 @@ def farthest(rows: Rows) -> float:
     return float(np.bincount(rows.segment[: rows.n_dense][turns], square[turns]).max())
 
 
-@pytest.mark.parametrize("seed", [1, 2, 4, 5])
+@pytest.mark.parametrize("seed", [1, 4])
 def test_turns_that_err_by_more_than_others_stand_out_no_more(seed: int):
     rows = rows_of(brisk())
     segments = rows.segment[rows.turns.index[:, 0]]
