@@ -86,11 +86,8 @@ class Bandwidth(TransformEffect):
         if both is not None:
             early = group_delay(both, order)
             out["both"] = {
-                channel: column
-                for triad in ("accel", "gyro")
-                for channel, column in triad_column(
-                    triad, _change(state, triad, both, order, early)
-                ).items()
+                **triad_column("accel", _change(state, "accel", both, order, early)),
+                **triad_column("gyro", _change(state, "gyro", both, order, early)),
             }
         return out
 

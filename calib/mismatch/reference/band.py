@@ -385,19 +385,18 @@ def denoised(values: FloatArray, noise: float) -> FloatArray:
     By Wiener's filter ``1 - N / P``, P their power about each frequency and N that of noise of this
     standard deviation.
     """
-    from scipy.fft import dct, idct  # only comparisons need them
-
-    spectrum = dct(values, axis=0)
     width = min(ABOUT, len(values))
-    power = np.stack(
-        [np.convolve(own, np.full(width, 1.0 / width), mode="same") for own in spectrum.T**2],
-        axis=1,
-    )
+    window = np.full(width, 1.0 / width)
     floor = 2.0 * len(values) * noise**2
-    gain = np.maximum(1.0 - floor / np.maximum(power, np.finfo(float).tiny), 0.0)
-    # What stands, and what is as slow as the whole of them, is no noise.
-    gain[:width] = 1.0
-    return np.asarray(idct(gain * spectrum, axis=0))
+
+    def gain(spectrum: FloatArray) -> FloatArray:
+        power = [np.convolve(own, window, mode="same") for own in np.square(spectrum).T]
+        left = 1.0 - floor / np.maximum(np.stack(power, axis=1), np.finfo(float).tiny)
+        # What stands, and what is as slow as the whole of them, is no noise.
+        left[:width] = 1.0
+        return np.asarray(np.maximum(left, 0.0))
+
+    return _weighed(values, gain)
 
 
 def zero_phase(values: FloatArray, cutoff: float) -> FloatArray:
@@ -411,13 +410,17 @@ def zero_phase(values: FloatArray, cutoff: float) -> FloatArray:
 
 def _passed(values: FloatArray, response: Callable[[FloatArray], FloatArray]) -> FloatArray:
     """Return (n, k) values through a response to frequencies in cycles per sample."""
+    frequency = np.arange(len(values)) / (2 * len(values))
+    return _weighed(values, lambda _: response(frequency)[:, None])
+
+
+def _weighed(values: FloatArray, gain: Callable[[FloatArray], FloatArray]) -> FloatArray:
+    """Return (n, k) values of which frequencies have a gain that their spectrum (n, k) says."""
     from scipy.fft import dct, idct  # only comparisons need them
 
     # Mirrored at both ends: there noise makes no step, and what moves does not jump.
     spectrum = dct(values, axis=0)
-    frequency = np.arange(len(values)) / (2 * len(values))
-    out: FloatArray = idct(spectrum * response(frequency)[:, None], axis=0)
-    return out
+    return np.asarray(idct(spectrum * gain(spectrum), axis=0))
 
 
 def thinned(recording: Recording, step: int) -> Recording:

@@ -99,8 +99,8 @@ class ComparisonProblem:
         signals takes them as they are.
     other : two (18,) arrays, optional
         Of another IMU as the truth: its errors, and how far they may be off (`known_errors`).
-    densities : (2, 2) array, optional
-        Of the white noise of both (`white_noise`).
+    white : (2, 2) array, optional
+        Densities of the noise of both (`white_noise`).
     notes : mapping, optional
         What was done to the truth before, for the summary.
     """
@@ -127,7 +127,7 @@ class ComparisonProblem:
         folded: FloatArray | None = None,
         unknown: BoolArray | None = None,
         other: tuple[FloatArray, FloatArray] | None = None,
-        densities: FloatArray | None = None,
+        white: FloatArray | None = None,
         notes: Mapping[str, object] | None = None,
     ) -> None:
         self.notes = notes or {}
@@ -190,7 +190,7 @@ class ComparisonProblem:
         self.given = start.terms
         self.power_on = float(real.time[0])
         mat = np.eye(3) if mat_sr is None else mat_sr
-        self.gyroscopic, self.white = other is not None, densities
+        self.gyroscopic, self.white = other is not None, white
         errors, own = (np.zeros(len(NAMES)), np.zeros(0)) if other is None else other
         self.setup = Setup(start, alignment, mat, errors)
         self.full_gyro = bool(start.gyro.misalignment.any())

@@ -252,7 +252,7 @@ def compared(
 ) -> tuple[ComparisonProblem, tuple[str, ...], Recording | ReferenceMotion]:
     """Return what `compare_reference` does, and the reference as it was used."""
     notes: dict[str, object] = {}
-    other, densities = None, None
+    other, white = None, None
     if isinstance(reference, Recording):
         known = look_at_samples(reference, find_poses(audible(reference)))
         if known.fatal:
@@ -265,7 +265,7 @@ def compared(
         alignment = align(real.time, real.gyro, reference.time, reference.gyro)
         mat = mounting(real, RecordingTruth(reference, gravity), alignment)[0]
         other = known_errors(reference, mat, gravity=gravity)
-        densities = white_noise(real, reference)
+        white = white_noise(real, reference)
         truth = RecordingTruth(reference, gravity, known.spoilt)
         common = matched(real, truth, alignment, mat, spoilt=seen.spoilt)
     else:
@@ -285,7 +285,7 @@ def compared(
         folded=common.folded,
         unknown=common.unknown,
         other=other,
-        densities=densities,
+        white=white,
         notes=notes,
     )
     skip = []

@@ -50,6 +50,7 @@ def find_setups(
     slope[2:, 2:] = rotvec_slope(turn)
     slope = slope[: len(slugs), : len(slugs)]
     value = value[: len(slugs)] + slope @ step
+    errors = slope @ fit.covariance[p : p + len(slugs), p : p + len(slugs)] @ slope.T
     prior = PHYSICAL / len(tried_effects(reference=True))
     for slug in dict.fromkeys(slugs):
         if slug not in setups:
@@ -58,8 +59,7 @@ def find_setups(
         names = [problem.alignments[i].split(".")[1] for i in own]
         sizes = {x.name: x.typical for x in get_effect(slug).parameters}
         typical = np.array([sizes[n] for n in names])
-        covariance = slope[np.ix_(own, own)] @ fit.covariance[np.ix_(p + own, p + own)]
-        covariance = covariance @ slope[np.ix_(own, own)].T
+        covariance = errors[np.ix_(own, own)]
         if slug in _STAMPED:
             covariance = covariance + clocks[_STAMPED[slug]] ** 2
         e_value = prior * bayes_factor(value[own], covariance, typical)

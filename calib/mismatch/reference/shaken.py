@@ -121,7 +121,7 @@ def _shakes(item: Unexplained, noisy: tuple[Unexplained, ...]) -> bool:
         other
         for other in noisy
         if other.follows == LOUDER_THERE
-        and any(_meet(np.array(a), b) for a in item.intervals for b in other.intervals)
+        and any(_meet(a, b) for a in item.intervals for b in other.intervals)
     ]
     return along <= {channel for other in there for channel in other.channels}
 
@@ -153,5 +153,5 @@ def _moves(item: Unexplained, rests: FloatArray, power: FloatArray) -> bool:
     return bool((power[here][:, triads] > MOVES).any())
 
 
-def _meet(one: FloatArray, other: Interval) -> bool:
+def _meet(one: FloatArray | Interval, other: Interval) -> bool:
     return bool(one[0] <= other[1] and other[0] <= one[1])

@@ -85,9 +85,8 @@ def between(state: State, left: FloatArray, densities: FloatArray) -> State:
         # What is far more than noise is in the recording alone: an arm, or what neither resolves.
         power = np.convolve(np.square(off).mean(axis=1), np.full(width, 1.0 / width), mode="same")
         noisy = (power < FAR * total)[:, None]
-        found.append(
-            denoised(own + noisy * share * off, float(np.sqrt(share * (total - share * total))))
-        )
+        noise = float(np.sqrt(share * (1.0 - share) * total))
+        found.append(denoised(own + noisy * share * off, noise))
     return replace(state, force=found[0], rate=found[1])
 
 
