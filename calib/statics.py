@@ -40,6 +40,9 @@ from calib.types import BoolArray, FloatArray, IntArray
 SCALES: tuple[int, ...] = (1, 5, 10, 20)
 """Lengths over which a run is compared with rest, in blocks."""
 
+SPIN = 0.1
+"""Share of the fastest rate of a recording by which the rates of rests do not differ."""
+
 
 def find_poses(recording: Recording, *, minimum_duration: float = 1.0) -> Poses:
     """Return the static poses of a recording; none if it only moves.
@@ -133,7 +136,11 @@ class RestFinder:
 
 
 def stillest_rate(blocks: Blocks) -> FloatArray:
-    """Return the median rate of the tenth of the windows in which the sensor was stillest, (3,)."""
+    """Return the median rate of the tenth of the windows in which the sensor was stillest, (3,).
+
+    Of those the slowest, where they fall apart: on a table that spins at one speed about the
+    vertical nothing changes either.
+    """
     levels = slide(blocks, np.zeros(3))
     mean = moving_mean(blocks.gyro, WIDTH)
     scatter = np.sqrt(np.maximum(levels.rate**2 - np.square(mean).sum(axis=1), 0.0))
@@ -141,8 +148,17 @@ def stillest_rate(blocks: Blocks) -> FloatArray:
         scatter / max(float(np.median(scatter)), 1e-300),
         levels.force / max(float(np.median(levels.force)), 1e-300),
     )
-    still = rank <= np.quantile(rank, 0.1)
-    return np.asarray(np.median(mean[still], axis=0), np.float64)
+    still = mean[rank <= np.quantile(rank, 0.1)]
+    speed = np.linalg.norm(still, axis=1)
+    order = np.argsort(speed)
+    gap = np.diff(speed[order])
+    least = SPIN * float(np.linalg.norm(mean, axis=1).max())
+    if (gap > least).any():
+        unit = find_units(blocks, still[order[0]]).rate
+        gap[gap <= max(least, TREMOR_RATE / unit if unit else 0.0)] = 0.0
+        if gap.any():
+            still = still[order[: int(np.argmax(gap > 0.0)) + 1]]
+    return np.asarray(np.median(still, axis=0), np.float64)
 
 
 @dataclass(frozen=True)

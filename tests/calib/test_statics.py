@@ -69,6 +69,21 @@ def test_every_pose_is_found_and_no_turn_is_in_one(rate: float, noise: float) ->
     assert (poses.stop - poses.start > 1.5 * rate).all()
 
 
+@pytest.mark.parametrize(("speed", "most"), [(0.3, 120.0), (3.49, 120.0), (3.49, 600.0)])
+@pytest.mark.parametrize(("accel_unit", "gyro_unit"), [(1.0, 1.0), (1 / 1670, 1 / 939)])
+def test_a_spin_at_one_speed_is_no_rest_however_long(speed, most, accel_unit, gyro_unit):
+    """About the vertical nothing changes that a sensor reads, but the rests are slower."""
+    rng = np.random.default_rng(4)
+    time = np.arange(int((most + 14) * 50)) / 50
+    spin = speed * np.clip(np.minimum(time - 5, most + 9 - time) / 2, 0, 1)
+    gyro = BIAS + np.outer(spin, [0.0, 0.01, 1.0]) + rng.normal(0, 0.002, (len(time), 3))
+    accel = np.array([0.0, 0.1, GRAVITY]) + rng.normal(0, 0.02, (len(time), 3))
+    poses = find_poses(Recording(time, accel / accel_unit, gyro / gyro_unit, clock="host"))
+    assert_allclose(time[poses.start], [0.0, most + 9], atol=0.5)
+    assert_allclose(time[poses.stop - 1], [5.0, most + 14], atol=0.5)
+    assert_allclose(poses.gyro * gyro_unit, [BIAS, BIAS], atol=1e-3)
+
+
 def test_units_do_not_matter() -> None:
     poses = find_poses(recording(*TURNS)[0])
     for units in ((16384 / GRAVITY, 16.4 * 180 / np.pi), (1 / GRAVITY, 180 / np.pi)):
