@@ -19,7 +19,7 @@ from scipy.special import binom
 
 from calib.mismatch.noise.hush import least_noise
 from calib.mismatch.reference.alignment import Alignment
-from calib.mismatch.reference.corners import MOVES, ORDER, is_common, unfollowed
+from calib.mismatch.reference.corners import MOVES, ORDER, is_common, shared_jumps, unfollowed
 from calib.mismatch.reference.floor import audible_beside
 from calib.mismatch.reference.scatter import LOUD, QUIETEST
 from calib.mismatch.reference.truths import REACH, RecordingTruth
@@ -89,6 +89,7 @@ class Matched(NamedTuple):
     noise, ``stuck`` is what rounding does (`calib.mismatch.reference.floor.Heard`). ``folded`` is
     the power (n, 2) of the motion beyond the band, of both triads: unlike samples fold unlike parts
     of it into the band. ``unknown`` (n,) are samples about corners that the truth does not follow.
+    ``jumps`` of the motion are spoilt too: those of the recording as it was, before it was thinned.
     A truth that is ``exact`` has no noise, and was limited because its samples are too few.
     """
 
@@ -100,6 +101,7 @@ class Matched(NamedTuple):
     stuck: tuple[sparse.csr_matrix, ...] = ()
     folded: FloatArray | None = None
     unknown: BoolArray | None = None
+    jumps: BoolArray | None = None
     exact: bool = False
 
     @property
@@ -142,7 +144,16 @@ def matched(
         blur = BLUR * max(real.interval, other.interval)
         return Matched(real, truth, spoilt, blur=blur)
     bandwidth = min(bandwidth, RESOLVED / max(real.interval, other.interval))
-    return _limited_beside(real, truth, alignment, bandwidth, spoilt)
+    kept, seen = low_passed(real, bandwidth), replace(truth, recording=low_passed(other, bandwidth))
+    state = seen.state(np.clip(alignment.times(real.time), *truth.span))
+    jumps = shared_jumps(
+        real,
+        noise_of(real),
+        np.hstack((kept.accel, kept.gyro)),
+        np.hstack((state.force @ mat.T, state.rate @ mat.T)),
+        round(0.5 / bandwidth / real.interval),
+    )
+    return _limited_beside(real, truth, alignment, bandwidth, spoilt | jumps)._replace(jumps=jumps)
 
 
 def _limited_beside(
@@ -395,6 +406,29 @@ def denoised(values: FloatArray, noise: float) -> FloatArray:
         # What stands, and what is as slow as the whole of them, is no noise.
         left[:width] = 1.0
         return np.asarray(np.maximum(left, 0.0))
+
+    return _weighed(values, gain)
+
+
+def echoed(values: FloatArray, other: FloatArray) -> FloatArray:
+    """Return (n, k) even values with as much of each frequency as others (n, k) have of it.
+
+    That is the regression of the others on them, over the frequencies about each.
+    """
+    from scipy.fft import dct  # only comparisons need it
+
+    width = min(ABOUT, len(values))
+    window = np.full(width, 1.0 / width)
+    theirs = dct(other, axis=0)
+
+    def gain(spectrum: FloatArray) -> FloatArray:
+        both, own = (
+            np.stack([np.convolve(c, window, mode="same") for c in power.T], axis=1)
+            for power in (spectrum * theirs, np.square(spectrum))
+        )
+        share = np.clip(both / np.maximum(own, np.finfo(float).tiny), 0.0, 1.0)
+        share[:width] = 1.0
+        return np.asarray(share)
 
     return _weighed(values, gain)
 

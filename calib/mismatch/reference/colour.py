@@ -76,10 +76,14 @@ class Blur(NamedTuple):
 
 
 class Colour(NamedTuple):
-    """Spectral density of noise relative to that of slow noise: ``1 + square f² + fourth f⁴``."""
+    """Spectral density of noise relative to that of slow noise: ``1 + square f² + fourth f⁴``.
+
+    The ``density`` of slow noise, SI/√Hz, is nan where it was not looked for.
+    """
 
     square: float
     fourth: float
+    density: float = np.nan
 
     def at(self, frequency: FloatArray) -> FloatArray:
         """Return the density at (n,) frequencies, Hz."""
@@ -181,7 +185,8 @@ def find_colour(
     if even.sum() < 8:
         return WHITE
     parts = np.stack([left[a : a + length] for a in starts[even]])
-    parts = (parts - parts.mean(axis=1, keepdims=True)) * np.hanning(length)[:, None]
+    window = np.hanning(length)
+    parts = (parts - parts.mean(axis=1, keepdims=True)) * window[:, None]
     density = np.median(np.square(np.abs(fft.rfft(parts, axis=1))), axis=0).mean(axis=1)
     frequency = fft.rfftfreq(length, interval)
     own = (frequency >= SLOWEST) & (frequency <= 0.9 * band)
@@ -195,7 +200,9 @@ def find_colour(
         found = nnls(design / expected[:, None], density / expected)[0]
         expected = design @ found
     slow = max(float(found[0]), float(found[1]) / steepest, float(expected[-1]) / STEEPEST)
-    return Colour(float(found[1]) / slow, float(found[2]) / slow)
+    # Half of the squares of a frequency are below log 2 of their mean.
+    level = 2.0 * interval * slow / np.log(2.0) / np.square(window).sum()
+    return Colour(float(found[1]) / slow, float(found[2]) / slow, float(np.sqrt(level)))
 
 
 def _away(time: FloatArray, reach: int, interval: float) -> IntArray:

@@ -51,7 +51,7 @@ from calib.mismatch.reference.stilled import find_rests, gradient_in, resting, s
 from calib.mismatch.reference.truths import RecordingTruth
 from calib.mismatch.reference.visible import catalogue_shapes
 from calib.mismatch.reference.windowed import make_rows
-from calib.mismatch.reference.witnessed import between, witnessed
+from calib.mismatch.reference.witnessed import between, fast_densities, shared, witnessed
 from calib.mismatch.rows.rows import Rows
 from calib.mismatch.twin.twin import baseline_column
 from calib.model import SensorModel
@@ -166,7 +166,8 @@ class ComparisonProblem:
         if raw is not None:
             poses = find_rests(raw)
             if truth.quat is not None and band:
-                self.densities = sensor_densities(raw, np.stack((poses.start, poses.stop), axis=1))
+                rests = np.stack((poses.start, poses.stop), axis=1)
+                self.densities = sensor_densities(raw, rests) or fast_densities(raw)
             edges = np.stack((raw.time[poses.start], raw.time[poses.stop - 1]), axis=1)
             self.rests = np.searchsorted(self.time, edges)
             if self.densities is not None:
@@ -201,6 +202,7 @@ class ComparisonProblem:
         self.late = 0.0
         self.shapes: Shapes | None = None
         self.colours: list[Colour] | None = None
+        self.known: Known | None = None
         self._at: tuple[Setup, State] | None = None
         self.fit()
 
@@ -265,8 +267,10 @@ class ComparisonProblem:
         state = self.state()
         left = self.residual(state)
         rate = state.rate
-        if self.colours is not None and state.mat_ns is not None:
-            state = witnessed(state, left, self.colours)
+        if self.known is not None:
+            state = witnessed(state, left / self._gain(), self.known)
+        elif self.densities is not None:
+            state = shared(state, self.measured)
         elif self.white is not None:
             state = between(state, left, self.white)
         ramp = round(1.0 / (self.band * self.interval)) if self.band else 0
@@ -295,7 +299,8 @@ class ComparisonProblem:
             self.shapes = find_shapes(
                 self.time, left, columns, blur=self.blur, scatter=rough, still=still
             )
-        known = self._known(self.shapes)
+        noise = np.median(self.shapes.noise, axis=0).reshape(2, 3).mean(axis=1)
+        known = self._known(*np.sqrt(2.0 * self.interval * noise).tolist())
         steady = None
         if known is not None:
             steady = steadied(
@@ -338,12 +343,13 @@ class ComparisonProblem:
         plain[:, len(self.names) : own] = rows.nuisance[:, : len(self.alignments)]
         return replace(rows, plain=plain)
 
-    def _known(self, shapes: Shapes) -> Known | None:
-        """Return what is known of the noise of a captured motion once its colour is."""
-        if self.densities is None or self.colours is None:
+    def _known(self, accel: float, gyro: float) -> Known | None:
+        """Return what is known of the noise of a captured motion once its colour is.
+
+        Beside differences of these densities where they are slow, SI/√Hz.
+        """
+        if self.densities is None or self.colours is None or not np.isfinite(accel + gyro):
             return None
-        noise = np.median(shapes.noise, axis=0).reshape(2, 3).mean(axis=1)
-        accel, gyro = np.sqrt(2.0 * self.interval * noise).tolist()
         cutoff = min(BEYOND * self.band, 0.5 / self.truth.recording.interval)
         return known_noise(
             self.densities, (accel, gyro), self.colours, interval=self.interval, cutoff=cutoff
@@ -469,6 +475,7 @@ class ComparisonProblem:
         ]
         self.blur = self._judging(whitening(self.time, colours, self.interval, self.band))
         self.colours = colours
+        self.known = self._known(*(own.density for own in colours))
 
     def _carried(self, state: State) -> list[Column]:
         if not self.gyroscopic:

@@ -29,24 +29,73 @@ LONG, SHARE = 2 * ORDER, 0.02
 """Samples of a run that corners do not make, not even two, and the share of the samples in such
 runs from which on it is no exception."""
 
+JUMP = 25.0
+"""Power of the differences, relative to that of noise, from which on a recording jumped: a step of
+fifty times its noise. Noise alone never has as much."""
+
+ALIKE = 0.1
+"""Share of a jump's power, seen through a low-pass, that two that saw the same one do not share."""
+
 MOVES, HALF = 0.5, 0.5
 """rad/s from which on a motion is one, and the share of it that must be followed."""
 
 
 def unfollowed(recording: Recording, noise: FloatArray) -> BoolArray:
     """Return the samples (n,) about which a spline errs beside noise (2,) of both triads."""
+    limits = 3.0 * np.square(FOLLOWED * noise)
+    each = zip((recording.accel, recording.gyro), limits, strict=True)
+    return np.asarray(np.any([_differences(own) > limit for own, limit in each], axis=0))
+
+
+def _differences(signals: FloatArray) -> FloatArray:
+    """Return the power of the differences of (n, 3) signals about each sample, (n,)."""
     kernel = binom(ORDER, np.arange(ORDER + 1)) * np.resize([1.0, -1.0], ORDER + 1) / 2.0**ORDER
-    out = np.zeros(len(recording), bool)
-    inner = slice(ORDER // 2, -(ORDER // 2))
-    window = np.full(SPREAD, 1.0 / SPREAD)
-    for signals, usual in zip((recording.accel, recording.gyro), noise, strict=True):
-        square = np.zeros(len(recording))
-        if len(recording) <= ORDER:
-            continue
+    square = np.zeros(len(signals))
+    if len(signals) > ORDER:
+        inner = slice(ORDER // 2, -(ORDER // 2))
         for own in signals.T:
             square[inner] += np.square(np.convolve(own, kernel, mode="valid"))
-        out |= np.convolve(square, window, mode="same") > 3.0 * (FOLLOWED * usual) ** 2
+    return np.convolve(square, np.full(SPREAD, 1.0 / SPREAD), mode="same")
+
+
+def shared_jumps(
+    recording: Recording, noise: FloatArray, kept: FloatArray, seen: FloatArray, reach: int
+) -> BoolArray:
+    """Return the samples (n,) near which a motion jumped between two samples, for both to see.
+
+    A body is let go, or strikes: when between the samples it was neither tells, and at most rates
+    a jump in an uncertain moment is a pulse. What a sensor does alone (a step, a spike, lost
+    samples) its reference does not show.
+
+    Parameters
+    ----------
+    recording : Recording
+        With noise (2,) of both triads.
+    kept, seen : (n, 6) arrays
+        What a low-pass leaves of it, and of its reference at its times.
+    reach : int
+        Samples over which the low-pass spreads a jump.
+    """
+    out = np.zeros(len(recording), bool)
+    alone = _variance_left()
+    for k, signals in enumerate((recording.accel, recording.gyro)):
+        jumps = _differences(signals) > JUMP * 3.0 * alone * noise[k] ** 2
+        edges = np.flatnonzero(np.diff(jumps, prepend=False, append=False)).reshape(-1, 2)
+        if (np.diff(edges, axis=1) > LONG).any():
+            continue
+        own, other = kept[:, 3 * k : 3 * k + 3], seen[:, 3 * k : 3 * k + 3]
+        for a, b in edges:
+            about = slice(max(a - reach, 0), b + reach)
+            shown = own[about] - own[about].mean(axis=0)
+            left = (own - other)[about]
+            left = left - left.mean(axis=0)
+            out[about] |= np.square(left).sum() < ALIKE * np.square(shown).sum()
     return out
+
+
+def _variance_left() -> float:
+    """Return the share of white noise's variance that the differences have."""
+    return float(np.square(binom(ORDER, np.arange(ORDER + 1)) / 2.0**ORDER).sum())
 
 
 def is_common(unfollowed: BoolArray, rate: FloatArray) -> bool:

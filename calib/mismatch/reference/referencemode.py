@@ -317,6 +317,8 @@ def _captured(
     common = matched(real, truth, alignment, mat, spoilt=spoilt, forces=forces)
     if common.band and BEYOND * common.band < 0.5 / truth.recording.interval:
         truth = reference.truth(gravity=gravity, bandwidth=BEYOND * common.band)
+        if common.jumps is not None:
+            spoilt = spoilt | common.jumps
         common = limited(real, truth, common.band, spoilt)._replace(folded=common.folded)
     return common, alignment, mat, notes, reference
 

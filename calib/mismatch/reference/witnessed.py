@@ -14,21 +14,24 @@ References
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 
 from calib.effects.base import State
-from calib.mismatch.reference.band import denoised, filtered, noise_of
-from calib.mismatch.reference.captured import sensor_densities
-from calib.mismatch.reference.colour import Colour
+from calib.mismatch.reference.band import denoised, echoed, filtered, noise_of
+from calib.mismatch.reference.captured import Known, sensor_densities
 from calib.mismatch.reference.stilled import find_rests
 from calib.recording import Recording
+from calib.rotation import mat_from_quat, quat_from_rotvec, skew
 from calib.types import FloatArray
 
 ABOUT = 0.5
 """s over which differences are averaged."""
+
+SLOW = 0.3
+"""Hz: turns by hand last a second or two, and what a gyroscope gets wrong in one is forgotten."""
 
 FAR = 25.0
 """Power of differences, relative to that of the noise of both, beyond which they are none."""
@@ -37,11 +40,11 @@ ORDER = 6
 """Of differences: of what swings once in eight samples they have less than a hundredth."""
 
 
-def witnessed(state: State, left: FloatArray, colours: list[Colour]) -> State:
+def witnessed(state: State, left: FloatArray, known: Known) -> State:
     """Return a state with force and rate as truth and recording have them between them.
 
-    The sensor's noise is white, the truth's is that of derivatives. So of the spectrum ``1 + a f² +
-    b f⁴`` of the differences the first term counts as the sensor's, and the others as the truth's.
+    The sensor's noise is white. That of the truth is of derivatives, and of a frame that is off: by
+    angles that the gyroscope tells better than the accelerometer, but for slow ones.
 
     Parameters
     ----------
@@ -49,14 +52,93 @@ def witnessed(state: State, left: FloatArray, colours: list[Colour]) -> State:
         The truth at the n points.
     left : (n, 6) array
         Recording minus model.
-    colours : two of Colour
-        Of the differences of accelerometer and gyroscope.
+    known : Known
+        Of the noise of both.
     """
-    force, rate = (
-        filtered(state.time, own, partial(_of_truth, colour))
-        for own, colour in zip((left[:, :3], left[:, 3:]), colours, strict=True)
-    )
-    return replace(state, force=state.force + force, rate=state.rate + rate)
+
+    def carried(frequency: FloatArray) -> FloatArray:
+        return np.square(known.position * np.square(2.0 * np.pi * frequency))
+
+    def turned(frequency: FloatArray) -> FloatArray:
+        return np.square(known.angle * 2.0 * np.pi * frequency)
+
+    def tilted(frequency: FloatArray) -> FloatArray:
+        return known.angle**2 * _slow(frequency)
+
+    def angled(frequency: FloatArray) -> FloatArray:
+        return np.full(len(frequency), known.angle**2)
+
+    rate = _between(state.time, state.rate, left[:, 3:], known.gyro, turned, angled)
+    mat, force, off = state.mat_ns, state.force, left[:, :3]
+    if state.mat_ns is not None:
+        mat = _turned_by(state.time, state.mat_ns, rate - state.rate)
+        force = np.asarray(np.einsum("nji,njk,nk->ni", mat, state.mat_ns, force), np.float64)
+        off = off - (force - state.force)
+    force = _between(state.time, force, off, known.accel, carried, tilted)
+    return replace(_with_rate(state, rate), force=force, mat_ns=mat)
+
+
+def _with_rate(state: State, rate: FloatArray) -> State:
+    """Return a state with another rate (n, 3), and what is made of that."""
+    slope = state.derivative(rate - state.rate)
+    known, gradient = state.angular_acceleration, state.known_gradient
+    if known is not None:
+        known = known + slope
+    if gradient is not None:
+        before, after = skew(state.rate), skew(rate)
+        gradient = gradient + after @ after - before @ before + skew(slope)
+    return replace(state, rate=rate, angular_acceleration=known, known_gradient=gradient)
+
+
+def _between(
+    time: FloatArray,
+    signals: FloatArray,
+    left: FloatArray,
+    own: float,
+    derived: Callable[[FloatArray], FloatArray],
+    across: Callable[[FloatArray], FloatArray],
+) -> FloatArray:
+    """Return (n, 3) signals with their share of what is left.
+
+    The spectral density of their noise is what is ``derived``, and for what they have ``across``
+    each axis in proportion.
+    """
+    square = np.square(signals).mean(axis=0)
+    out = signals.copy()
+    for axis, others in enumerate(square.sum() - square):
+
+        def share(frequency: FloatArray, others: float = others) -> FloatArray:
+            noise = derived(frequency) + others * across(frequency)
+            return np.asarray(noise / (noise + own**2))
+
+        out[:, axis : axis + 1] += filtered(time, left[:, axis : axis + 1], share)
+    return out
+
+
+def _turned_by(time: FloatArray, mat: FloatArray, rate: FloatArray) -> FloatArray:
+    """Return (n, 3, 3) orientations with the angles that rates (n, 3) beside theirs make.
+
+    Slow ones are left: those are where a gyroscope is no witness.
+    """
+    step = np.diff(time, prepend=time[0])[:, None]
+    angle = np.cumsum(np.einsum("nij,nj->ni", mat, rate) * step, axis=0)
+    angle = filtered(time, angle, lambda f: 1.0 - np.sqrt(_slow(f)), SLOW)
+    return np.asarray(mat_from_quat(quat_from_rotvec(angle)) @ mat)
+
+
+def _slow(frequency: FloatArray) -> FloatArray:
+    """Return the share of the power of angles, (n,), that the gyroscope does not tell."""
+    return np.asarray(np.square(1.0 / (1.0 + (frequency / SLOW) ** 4)))
+
+
+def shared(state: State, measured: FloatArray) -> State:
+    """Return a state with what of its force and rate a recording (n, 6) has as well.
+
+    That is rough, but tells noise of a truth from motion before the differences do: of an axis that
+    hardly turns a truth may have nothing else.
+    """
+    force, rate = echoed(state.force, measured[:, :3]), echoed(state.rate, measured[:, 3:])
+    return replace(state, force=force, rate=rate)
 
 
 def between(state: State, left: FloatArray, densities: FloatArray) -> State:
@@ -93,20 +175,21 @@ def between(state: State, left: FloatArray, densities: FloatArray) -> State:
 def white_noise(real: Recording, other: Recording) -> FloatArray:
     """Return the densities of the white noise of both triads of two recordings, (2, 2) SI/√Hz.
 
-    By what changes at their rests; else by differences so high that little motion is in them.
+    By what changes at their rests; else by what of either is too fast for most motion.
     """
-    found = []
+    known = []
     for each in (real, other):
         poses = find_rests(each)
-        rests = np.stack((poses.start, poses.stop), axis=1)
-        found.append(sensor_densities(each, rests))
-    known = [own for own in found if own is not None]
-    if len(known) == len(found):
-        return np.array(known)
-    noise = [noise_of(each, order=ORDER) for each in (real, other)]
-    return np.array(noise) * np.sqrt([[2.0 * real.interval], [2.0 * other.interval]])
+        known.append(sensor_densities(each, np.stack((poses.start, poses.stop), axis=1)))
+    if None in known:
+        known = [fast_densities(each) for each in (real, other)]
+    return np.array(known)
 
 
-def _of_truth(colour: Colour, frequency: FloatArray) -> FloatArray:
-    """Return the truth's share of the variance of differences at (n,) frequencies, Hz."""
-    return np.asarray(1.0 - 1.0 / colour.at(frequency))
+def fast_densities(recording: Recording) -> tuple[float, float]:
+    """Return the noise densities of both triads by differences so high that few motions have any.
+
+    For what hardly ever rests.
+    """
+    accel, gyro = noise_of(recording, order=ORDER) * np.sqrt(2.0 * recording.interval)
+    return float(accel), float(gyro)

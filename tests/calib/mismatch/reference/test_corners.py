@@ -6,7 +6,8 @@ from scipy.interpolate import make_interp_spline
 from scipy.spatial.transform import Rotation
 
 from calib.mismatch import diagnose_against
-from calib.mismatch.reference.corners import is_common, unfollowed
+from calib.mismatch.reference.band import smoothed
+from calib.mismatch.reference.corners import is_common, shared_jumps, unfollowed
 from calib.mismatch.reference.truths import DEGREE
 from calib.recording import Recording
 
@@ -106,3 +107,46 @@ def test_what_is_too_short_has_no_corners():
     time = np.arange(20) / 100.0
     still = np.zeros((20, 3))
     assert not unfollowed(Recording(time, still, still, "device"), NOISE).any()
+
+
+def let_go(time: np.ndarray, *, force: float = 5.0) -> np.ndarray:
+    """Return (n, 6) signals of what feels another force from one moment on, and then swings."""
+    since = np.clip(time - 10.003, 0.0, None)
+    out = np.zeros((len(time), 6))
+    out[:, 0] = np.where(since > 0, force * np.cos(2.0 * since), 0.0)
+    out[:, 2] = GRAVITY
+    out[:, 3] = np.sin(2.0 * since)
+    return out
+
+
+def jumps_of(sensed: np.ndarray, seen: np.ndarray, time: np.ndarray) -> np.ndarray:
+    noise = np.random.default_rng(2).normal(size=(len(time), 6)) * np.repeat(NOISE, 3)
+    measured = sensed + noise
+    recording = Recording(time, measured[:, :3], measured[:, 3:], "device")
+    band = 5.0
+    kept, other = (smoothed(time, values, band) for values in (measured, seen))
+    return shared_jumps(recording, NOISE, kept, other, round(0.5 / band / (time[1] - time[0])))
+
+
+@pytest.mark.parametrize("rate", [50.0, 200.0])
+def test_what_is_let_go_jumps_for_both_at_that_moment_alone(rate):
+    time = np.arange(0.0, 60.0, 1 / rate)
+    found = jumps_of(let_go(time), let_go(time), time)
+    assert found[np.searchsorted(time, 10.003)]
+    assert np.abs(time[found] - 10.003).max() < 0.1 + 24 / rate
+    # As it swings it does not, nor where it is let go gently.
+    assert not jumps_of(*2 * (let_go(time, force=0.2),), time).any()
+
+
+def test_what_a_sensor_does_alone_is_no_jump_of_the_motion():
+    time = np.arange(0.0, 60.0, 0.01)
+    still = np.tile([0.0, 0.0, GRAVITY, 0.0, 0.0, 0.0], (len(time), 1))
+    stepped, spiked, loud = still.copy(), still.copy(), still.copy()
+    stepped[3000:, 0] += 3.0
+    spiked[3000, 1] += 30.0
+    loud[3000:3300, :3] += np.random.default_rng(1).normal(0, 3.0, (300, 3))
+    for sensed in (stepped, spiked, loud):
+        assert not jumps_of(sensed, still, time).any()
+    # What shakes all the while has no corner, though both feel it.
+    shaken = still + np.random.default_rng(1).normal(0, 3.0, still.shape)
+    assert not jumps_of(shaken, shaken, time).any()
