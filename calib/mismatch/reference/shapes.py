@@ -177,9 +177,8 @@ def find_shapes(
     found: list[tuple[float, int, int, FloatArray]] = []
     slow: list[dict[int, Slow]] = [{} for _ in CHANNELS]
     for c, name in enumerate(CHANNELS):
-        own = blur.see(np.array([v for channel, v in columns if channel == name]).T, c)
-        if scatter is not None:
-            own /= size[:, c, None]
+        mine = [blur.see(values, c) for channel, values in columns if channel == name]
+        own = np.stack(mine if scatter is None else [values / size[:, c] for values in mine])
         seen = blur.see(left[:, c], c) / size[:, c]
         counts = blur.counts(c)
         counts = counts[2:] & counts[:-2] if counts.any() else ~counts[2:]
@@ -188,29 +187,33 @@ def find_shapes(
         if scatter is None:
             counted = _counted(own, size[:, c], first, last, rough)
         else:
-            counted = np.full(own.shape[1], 1.0 / rough)
+            counted = np.full(len(own), 1.0 / rough)
         for s, (a, b) in enumerate(zip(first, last, strict=True)):
             if not judged[s, c]:
                 noise[s, c], free[s, c] = 0.0, 1.0
                 continue
             mean = 1.0 / size[a:b, c]
             mean /= np.linalg.norm(mean)
-            part = own[a:b] - np.outer(mean, mean @ own[a:b])
-            values, vectors = np.linalg.eigh(part.T @ part)
-            strength = np.sqrt(np.maximum(values[::-1], 0.0)) / rough
+            part = own[:, a:b]
+            level = part @ mean
+            values, vectors = np.linalg.eigh(part @ part.T - np.outer(level, level))
+            values, mixing = np.maximum(values[::-1], 0.0), vectors.T[::-1]
+            strength = np.sqrt(values) / rough
             keep = (strength > VISIBLE) & (strength > 1e-6 * strength[0])
             keep[max((b - a) // 3, 1) :] = False
-            shapes = part @ vectors[:, ::-1][:, keep]
-            shapes /= np.linalg.norm(shapes, axis=0)
+            mixing = mixing[keep]
+            shapes = mixing @ part - np.outer(mixing @ level, mean)
+            long = np.linalg.norm(shapes, axis=1, keepdims=True)
+            shapes /= long
             y = seen[a:b] - mean * (mean @ seen[a:b])
-            rest = y - shapes @ (shapes.T @ y)
+            rest = y - (shapes @ y) @ shapes
             # So many of its samples are independent; the mean and the shapes take up one each.
             many = independent[s, c]
-            free[s, c] = max(many - 1 - shapes.shape[1], LEAST_FREE * many)
+            free[s, c] = max(many - 1 - len(shapes), LEAST_FREE * many)
             noise[s, c] = float(rest @ rest) / free[s, c]
-            tell = np.linalg.norm(shapes.T @ part * counted, axis=1)
-            found += [(float(v), s, c, x) for v, x in zip(tell, shapes.T, strict=True)]
-            slow[c][s] = slow_left(rest, mean, shapes)
+            tell = np.linalg.norm(values[keep, None] / long * mixing * counted, axis=1)
+            found += [(float(v), s, c, x) for v, x in zip(tell, shapes, strict=True)]
+            slow[c][s] = slow_left(rest, mean, shapes.T)
     noise = _levelled(noise, free, independent, blur.white, judged)
     strongest = sorted(found, key=lambda item: -item[0])[:SHAPES]
     strongest.sort(key=lambda item: (item[2], item[1]))
@@ -238,12 +241,13 @@ def find_shapes(
 def _counted(
     columns: FloatArray, size: FloatArray, first: IntArray, last: IntArray, rough: float
 ) -> FloatArray:
-    """Return by how much each of (m, k) columns counts, (k,): all of them to `ENOUGH` at most."""
-    power = np.zeros(columns.shape[1])
+    """Return by how much each of k columns (k, m) counts: all of them to `ENOUGH` at most."""
+    power = np.zeros(len(columns))
     for a, b in zip(first, last, strict=True):
         mean = 1.0 / size[a:b]
         mean /= np.linalg.norm(mean)
-        power += np.square(columns[a:b]).sum(axis=0) - np.square(mean @ columns[a:b])
+        part = columns[:, a:b]
+        power += np.einsum("kn,kn->k", part, part) - np.square(part @ mean)
     return np.asarray(ENOUGH / np.maximum(np.sqrt(np.maximum(power, 0.0)) / rough, ENOUGH) / rough)
 
 
