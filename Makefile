@@ -1,4 +1,5 @@
-# imu-cal: `make demo` runs the main job, `make test` runs lint, types and every test.
+# imu-cal: `make demo` runs the main job, `make test` runs lint, types and the tests,
+# `make test-long` and `make test-kernel` those that take long or need a kernel.
 # Both set up .venv by themselves; nothing but Python 3.11+ and make is assumed.
 
 PYTHON ?= python3
@@ -6,7 +7,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 
-.PHONY: demo test lint types unit test-kernel bench docs venv clean
+.PHONY: demo test lint types unit test-long test-kernel bench docs venv clean
 
 demo: venv
 	$(BIN)/imu-cal demo
@@ -22,7 +23,10 @@ types: venv
 
 # One more process than cores: some tests wait for emulated devices.
 unit: venv
-	$(BIN)/python -m pytest -n 3 --dist worksteal -m "not kernel"
+	$(BIN)/python -m pytest -n 3 --dist worksteal -m "not kernel and not long"
+
+test-long: venv
+	$(BIN)/python -m pytest -n 3 --dist worksteal -m long
 
 test-kernel: venv
 	$(BIN)/python -m pytest -m kernel

@@ -34,6 +34,7 @@ def test_whole_samples_of_a_delay_are_undone(delay: float) -> None:
     np.testing.assert_allclose(found.gyro, left.gyro[a:b], atol=1e-9)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("delay", [0.24, -0.16])
 def test_a_gyroscope_that_was_held_back_is_diagnosed_with_all_else(delay: float) -> None:
     step = Term("gyro_g_sensitivity", {"gxx": 3e-4, "gyy": -2e-4, "gzx": 2e-4})

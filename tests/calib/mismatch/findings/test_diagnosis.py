@@ -56,6 +56,7 @@ def test_two_effects_are_found_and_proven_and_become_a_calibration():
     assert {t.effect for t in again.model.terms} == set(truth)
 
 
+@pytest.mark.long
 def test_a_large_warm_up_is_not_the_temperature_that_rises_as_fast():
     """Between two time constants that are tried it leaves more than temperature squared does."""
     tau = 110.0
@@ -67,6 +68,7 @@ def test_a_large_warm_up_is_not_the_temperature_that_rises_as_fast():
     assert [r.effect for r in found.rivals] == ["accel_bias_temperature"]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("size", "moment"), [(0.01, 30.03), (0.05, 51.3)])
 def test_a_large_step_beside_a_misalignment_is_one_and_at_its_moment(size, moment):
     """A turn that closes badly for another reason draws it away from there, at first."""

@@ -27,6 +27,7 @@ def stepped(
     return simulate(motion, sensor, CONSUMER.scaled(noise), rng=rng, rate=60.0), moment
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("seed", "which", "share", "rest", "noise"), [(2, 10, 0.4, 20.0, 0.3), (8, 5, 0.15, 8.0, 1.0)]
 )

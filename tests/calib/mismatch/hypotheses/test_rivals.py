@@ -89,6 +89,7 @@ def test_what_fades_from_the_start_is_warming_up_but_faster():
     assert not rivals(make_stack(rows, skip=("time",), reference=False), FROM_START)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("triad", "size"), [("accel", 0.06), ("gyro", 0.01)])
 def test_a_first_rest_that_settles_has_not_warmed_up(triad, size):
     real = recording(seed=22)
@@ -250,6 +251,7 @@ LASTING: list[tuple[str, str, Callable[[Recording], FloatArray]]] = [
 ]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("name", "channel", "make"), LASTING)
 def test_what_is_there_throughout_is_unexplained_by_what_it_follows(name, channel, make):
     real = recording(seed=8, poses=18)
@@ -258,6 +260,7 @@ def test_what_is_there_throughout_is_unexplained_by_what_it_follows(name, channe
     assert [(u.follows, u.channels) for u in found.unexplained] == [(name, (channel,))]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("size", [0.01, 0.02])
 def test_steps_of_a_converter_on_its_own_axis_follow_the_direction_of_gravity(size):
     # Nor does a cubic stand beside it, which is left of steps that are no pure ripple.

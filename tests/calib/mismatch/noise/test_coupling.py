@@ -91,6 +91,7 @@ def test_drift_within_rests_is_as_large_as_levels_say() -> None:
         assert np.square(whitener.whiten(y)[own]).mean() == pytest.approx(1.0, abs=0.12)
 
 
+@pytest.mark.long
 def test_what_drifts_slowly_is_no_effect(monkeypatch: pytest.MonkeyPatch) -> None:
     """Where a drift is three times as large as most parts'; what it is in rests is no news."""
     rows, rng = slow(), np.random.default_rng(2)

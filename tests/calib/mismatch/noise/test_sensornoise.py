@@ -72,6 +72,7 @@ def test_rests_that_are_not_shaken_keep_their_noise(every: int) -> None:
     assert (beside[1::every] > 3.0 * quiet[1::every]).all()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("rate", [25.0, 100.0, 200.0])
 def test_white_noise_is_known_to_a_few_percent(rate: float) -> None:
     ratio = []

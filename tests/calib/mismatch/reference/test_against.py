@@ -197,6 +197,7 @@ def test_other_effects_are_found_beside_a_delay_of_tens_of_milliseconds():
             assert abs(q.value - truth.get(name, 0.0)) < 3.5 * q.sigma
 
 
+@pytest.mark.long
 def test_a_scale_factor_hides_no_delay():
     """What is late is what the sensor puts out: else 2 % of scale leave 2 % of all that is fast."""
     long = bench_protocol(np.random.default_rng(4), poses=40, pose_duration=(2.0, 3.0))
@@ -218,6 +219,7 @@ def test_a_scale_factor_hides_no_delay():
     assert not found.unexplained
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("triad", "cutoff", "order", "seed"),
     [
@@ -249,6 +251,7 @@ def noisy_simulation(rate: float = 100.0, seed: int = 55) -> Recording:
     return simulate(motion(), SensorModel(), CONSUMER, rng=rng, rate=rate, sampling=sampling)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("triad", "seed"), [("gyro", 2), ("accel", 3)])
 def test_a_low_pass_is_found_beside_a_simulation_as_noisy_as_the_recording(triad, seed):
     """It was a delay, with things beside it that are not there."""
@@ -264,6 +267,7 @@ def test_a_low_pass_is_found_beside_a_simulation_as_noisy_as_the_recording(triad
     assert found.verdict == "explained"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("delay", [0.012, -0.006])
 def test_a_delay_is_no_low_pass_of_a_noisy_simulation(delay):
     real = recorded(Term("time_offset", {"gyro_delay": delay}), seed=2)
@@ -404,6 +408,7 @@ def test_a_recording_beside_itself_is_no_comparison(part: slice):
         diagnose_reference(real, real, gravity=GRAVITY)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", range(2))
 def test_a_quiet_sensor_that_flickers_has_nothing_else(seed: int):
     """White noise says little of what it does over seconds."""
@@ -422,6 +427,7 @@ def test_a_quiet_sensor_that_flickers_has_nothing_else(seed: int):
     assert found.verdict == "consistent", [f.effect for f in found.findings]
 
 
+@pytest.mark.long
 def test_an_output_that_wanders_does_not_step() -> None:
     """The first thing to be found is a step, or four, and the rest is what these were part of."""
     real, rng = recorded(seed=2), np.random.default_rng(2)

@@ -62,6 +62,7 @@ def test_noise_is_noise_though_a_low_pass_took_its_fastest_part(
     assert not common.exact
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["hand-held", "vibrating"])
 def test_a_low_pass_is_found_beside_an_exact_motion_that_trembles_or_is_sampled_seldom(
     name: str,

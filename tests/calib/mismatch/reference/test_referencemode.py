@@ -164,6 +164,7 @@ def test_half_a_metre_from_what_is_captured_there_is_an_arm_and_no_other_gravity
     assert not found.unexplained
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("error", "possible"), [(0.08, True), (2.0, False)])
 def test_gravity_is_not_what_it_is_nowhere_on_earth(error, possible):
     """What mimics another gravity that no place has is said otherwise, or not explained."""
@@ -346,6 +347,7 @@ def test_what_the_other_gyroscope_gets_wrong_is_no_error_of_the_accelerometer_at
     assert q.value == pytest.approx(arm["rx"], abs=4 * q.sigma)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("turn", [0.02, 0.6])
 def test_beside_an_imu_that_nobody_calibrated_an_arm_is_no_size_effect(turn):
     """What its scale factors make of gravity they do not make of what an arm feels.
@@ -384,6 +386,7 @@ def test_the_cube_of_a_rate_has_no_square_beside_an_imu_with_a_bias():
     assert set(named(found)) == {"gyro_scale_nonlinearity"}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["swing", "spin"])
 def test_turns_about_one_axis_leave_little_that_two_imus_differ_by(name):
     """There the square of a rate is nearly a force: a scale factor could be an arm's, or axes'."""

@@ -95,6 +95,7 @@ def test_what_shakes_all_axes_may_be_motion_that_markers_do_not_resolve() -> Non
     assert found.channels == ("accel.z",)
 
 
+@pytest.mark.long
 def test_single_samples_off_course_are_said_beside_a_simulation_and_another_imu() -> None:
     real, simulation = pair(5, rate=80.0, noise=NoiseModel())
     other = pair(5, rate=80.0, noise=CONSUMER)[1]

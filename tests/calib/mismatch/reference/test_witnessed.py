@@ -131,6 +131,7 @@ def test_a_swing_in_one_plane_is_nothing_else_beside_markers(seed, amplitude):
     assert {item.effect for item in found.findings} <= {"time_offset"}
 
 
+@pytest.mark.long
 def test_noise_of_a_captured_motion_is_no_sharpening():
     """Slow hands, cameras that see 0.3 degrees: three standard errors, were other columns its."""
     effect, found = get_effect("reference_smoothing"), []

@@ -113,6 +113,7 @@ def test_a_hand_at_the_end_of_a_recording_gets_no_name(seed):
     assert not found.findings
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("rate", "tone"), [(100.0, 40.0), (200.0, 25.3)])
 def test_what_a_tone_rectifies_is_found_in_its_size(rate: float, tone: float) -> None:
     """Second differences of samples would have 0.1 to 2.4 times the variance of these tones."""

@@ -62,6 +62,7 @@ def test_ends_of_turns_have_no_differences_of_their_own() -> None:
     assert found[6, 1] == pytest.approx(np.diff(values[4:9, 1], 4)[0])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", [7000, 7012])
 def test_what_samples_do_not_resolve_is_no_low_pass(seed: int) -> None:
     found = diagnose_recording(shaky(25.0, 3.0, seed=seed), gravity=GRAVITY)

@@ -176,6 +176,7 @@ def paused(whole: Recording, *turns: int) -> tuple[Recording, list[float]]:
     return made, before
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("turns", [(5,), (3, 9, 14)])
 def test_turns_that_a_logger_slept_through_are_said_and_left_out(turns: tuple[int, ...]) -> None:
     term = Term("gyro_g_sensitivity", {"gxx": 1e-3, "gyy": -1e-3, "gzx": 1e-3})

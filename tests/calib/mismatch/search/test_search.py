@@ -34,6 +34,7 @@ def test_what_an_exponential_leaves_is_not_named_after_it_again():
     assert "Cool the sensor" in warm.to_separate
 
 
+@pytest.mark.long
 def test_a_twin_of_a_strong_effect_is_a_rival_though_its_column_is_a_derivative(monkeypatch):
     # While the temperature goes as an exponential, it and its rate differ by a constant only.
     sizes = {"kx": 10.0, "ky": -10.0, "kz": 20.0}

@@ -42,6 +42,7 @@ def candidate(stack: Stack, name: str, parameter: str) -> Candidate:
     return next(c for c in stack if c.name == name and c.parameters == (parameter,))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("delay", [-0.05, 0.02])
 def test_a_late_gyroscope_is_named_alone(delay: float) -> None:
     found = diagnose_recording(recording(late(delay), seed=6), gravity=GRAVITY)
