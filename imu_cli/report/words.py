@@ -85,6 +85,12 @@ def notes(document: Mapping[str, Any]) -> list[str]:
             f"{left['samples']} samples of the reference were left out: one marker was taken for "
             f"another at {spans(left['intervals'], digits=2)}."
         )
+    if "jumps" in recording:
+        left = recording["jumps"]
+        out.append(
+            f"{left['samples']} samples were left out: the motion jumped between two of them at "
+            f"{spans(left['intervals'], digits=2)}, as what is let go does, and neither tells when."
+        )
     if "corners" in recording:
         out.append(
             f"{recording['corners']} samples were left out: those of the simulation are too few to "

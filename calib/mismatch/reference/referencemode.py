@@ -62,6 +62,9 @@ BRIDGE = 8
 SWAPPED = "swapped_markers"
 """Of the summary: what was left out, as one marker was taken for another."""
 
+JUMPS = "jumps"
+"""Of the summary: what was left out, as the motion jumped between two samples there."""
+
 SETUPS = ("time_offset", "clock_scale", "reference_misalignment")
 
 
@@ -268,6 +271,7 @@ def compared(
         white = white_noise(real, reference)
         truth = RecordingTruth(reference, gravity, known.spoilt)
         common = matched(real, truth, alignment, mat, spoilt=seen.spoilt)
+        notes |= _jumps(real, common)
     else:
         common, alignment, mat, notes, reference = _captured(real, reference, gravity, seen.spoilt)
     problem = ComparisonProblem(
@@ -315,12 +319,23 @@ def _captured(
         reference, truth, alignment, mat, _ = _placed(real, seen, gravity)
     forces = reference.position is not None
     common = matched(real, truth, alignment, mat, spoilt=spoilt, forces=forces)
+    notes |= _jumps(real, common)
     if common.band and BEYOND * common.band < 0.5 / truth.recording.interval:
         truth = reference.truth(gravity=gravity, bandwidth=BEYOND * common.band)
-        if common.jumps is not None:
-            spoilt = spoilt | common.jumps
+        spoilt = spoilt if common.jumps is None else spoilt | common.jumps
         common = limited(real, truth, common.band, spoilt)._replace(folded=common.folded)
     return common, alignment, mat, notes, reference
+
+
+def _jumps(real: Recording, common: Matched) -> dict[str, object]:
+    """Return at which jumps of the motion samples are left out; nothing if there are none."""
+    if common.jumps is None or not common.jumps.any():
+        return {}
+    edges = np.flatnonzero(np.diff(common.jumps, prepend=False, append=False)).reshape(-1, 2)
+    times = real.time[edges - [0, 1]]
+    return {
+        JUMPS: {"samples": int(common.jumps.sum()), "intervals": times.round(3).tolist()},
+    }
 
 
 def _left_out(

@@ -13,6 +13,7 @@ DOCUMENT = {
         "poses_used": 80,
         "stamps": "1.2 ms",
         "swapped_markers": {"samples": 3, "intervals": [[1.0, 1.25]]},
+        "jumps": {"samples": 38, "intervals": [[4.85, 5.15]]},
         "corners": 41,
         "silent": "gyro.x",
     },
@@ -21,7 +22,15 @@ DOCUMENT = {
 
 def test_everything_that_was_done_to_a_recording_is_said_on_the_page() -> None:
     said = notes(DOCUMENT)
-    for words in ("80 of 92 poses", "1.2 ms", "3 samples", "1.00 to 1.25 s", "41", "gyro.x"):
+    for words in (
+        "80 of 92 poses",
+        "1.2 ms",
+        "3 samples",
+        "1.00 to 1.25 s",
+        "5.15 s",
+        "41",
+        "gyro.x",
+    ):
         assert any(words in sentence for sentence in said)
     pages = [b for b in diagnosis_report(DOCUMENT).blocks if isinstance(b, Paragraph)]
     assert tuple(said) in [page.sentences for page in pages]

@@ -129,6 +129,8 @@ def test_a_swing_in_one_plane_is_nothing_else_beside_markers(seed, amplitude):
     found = diagnose_reference(real, seen, gravity=GRAVITY)
     assert not found.unexplained
     assert {item.effect for item in found.findings} <= {"time_offset"}
+    ((start, stop),) = found.summary["jumps"]["intervals"]
+    assert start < 5.0 < stop
 
 
 @pytest.mark.long
