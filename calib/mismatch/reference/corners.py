@@ -36,6 +36,9 @@ fifty times its noise. Noise alone never has as much."""
 ALIKE = 0.1
 """Share of a jump's power, seen through a low-pass, that two that saw the same one do not share."""
 
+SELDOM = 0.05
+"""Share of the samples about jumps from which on they are how a body moves, and no exception."""
+
 MOVES, HALF = 0.5, 0.5
 """rad/s from which on a motion is one, and the share of it that must be followed."""
 
@@ -65,7 +68,7 @@ def shared_jumps(
 
     A body is let go, or strikes: when between the samples it was neither tells, and at most rates
     a jump in an uncertain moment is a pulse. What a sensor does alone (a step, a spike, lost
-    samples) its reference does not show.
+    samples) its reference does not show. Of a hand that jerks all the while there are none.
 
     Parameters
     ----------
@@ -90,7 +93,7 @@ def shared_jumps(
             left = (own - other)[about]
             left = left - left.mean(axis=0)
             out[about] |= np.square(left).sum() < ALIKE * np.square(shown).sum()
-    return out
+    return out if out.sum() < SELDOM * len(out) else np.zeros(len(out), bool)
 
 
 def _variance_left() -> float:

@@ -147,6 +147,9 @@ def test_what_a_sensor_does_alone_is_no_jump_of_the_motion():
     loud[3000:3300, :3] += np.random.default_rng(1).normal(0, 3.0, (300, 3))
     for sensed in (stepped, spiked, loud):
         assert not jumps_of(sensed, still, time).any()
-    # What shakes all the while has no corner, though both feel it.
+    # What jerks all the while, or shakes, has no corner, though both feel it.
+    jerked = still + [5.0, 0.0, 0.0, 0.0, 0.0, 0.0] * (time[:, None] // 2.0 % 2.0)
+    assert not jumps_of(jerked, jerked, time).any()
+    assert jumps_of(*2 * (np.where(time[:, None] < 5.0, jerked, jerked[-1]),), time).any()
     shaken = still + np.random.default_rng(1).normal(0, 3.0, still.shape)
     assert not jumps_of(shaken, shaken, time).any()
