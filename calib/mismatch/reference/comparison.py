@@ -59,6 +59,9 @@ from calib.recording import AXES, CHANNELS, Recording
 from calib.thermometer import smooth_temperature
 from calib.types import BoolArray, FloatArray
 
+HALF = 0.5
+"""What a sensor makes at least of its true signals."""
+
 SETTLED = 3.0
 """Periods of the cut-off after which a low-pass leaves so little of a quarter turn that markers see
 nothing of it: 0.01 %."""
@@ -268,7 +271,8 @@ class ComparisonProblem:
         left = self.residual(state)
         rate = state.rate
         if self.known is not None:
-            state = witnessed(state, left / self._gain(), self.known)
+            gain = np.maximum(self._gain(), HALF)
+            state = witnessed(state, left / gain, self.known)
         elif self.densities is not None:
             state = shared(state, self.measured)
         elif self.white is not None:

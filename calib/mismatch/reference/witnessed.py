@@ -20,6 +20,7 @@ from dataclasses import replace
 import numpy as np
 
 from calib.effects.base import State
+from calib.mismatch.noise.hush import least_noise
 from calib.mismatch.reference.band import denoised, echoed, filtered, noise_of
 from calib.mismatch.reference.captured import Known, sensor_densities
 from calib.mismatch.reference.stilled import find_rests
@@ -109,7 +110,7 @@ def _between(
 
         def share(frequency: FloatArray, others: float = others) -> FloatArray:
             noise = derived(frequency) + others * across(frequency)
-            return np.asarray(noise / (noise + own**2))
+            return np.asarray(noise / np.maximum(noise + own**2, np.finfo(float).tiny))
 
         out[:, axis : axis + 1] += filtered(time, left[:, axis : axis + 1], share)
     return out
@@ -189,7 +190,8 @@ def white_noise(real: Recording, other: Recording) -> FloatArray:
 def fast_densities(recording: Recording) -> tuple[float, float]:
     """Return the noise densities of both triads by differences so high that few motions have any.
 
-    For what hardly ever rests.
+    For what hardly ever rests. No sensor is without any.
     """
-    accel, gyro = noise_of(recording, order=ORDER) * np.sqrt(2.0 * recording.interval)
+    noise = np.maximum(noise_of(recording, order=ORDER), least_noise(recording.interval)[::3])
+    accel, gyro = noise * np.sqrt(2.0 * recording.interval)
     return float(accel), float(gyro)

@@ -11,9 +11,10 @@ from calib.mismatch.noise.noise import expected_levels, make_whitener
 from calib.mismatch.reference.band import smoothed
 from calib.mismatch.reference.captured import Known
 from calib.mismatch.reference.referencemode import compare_reference
-from calib.mismatch.reference.witnessed import shared, witnessed
+from calib.mismatch.reference.witnessed import fast_densities, shared, witnessed
 from calib.mismatch.samples.samples import look_at_samples
 from calib.model import SensorModel, Triad
+from calib.recording import Recording
 from calib.rotation import (
     mat_from_quat,
     quat_from_rotvec,
@@ -97,6 +98,18 @@ def test_what_is_made_of_a_rate_follows_it():
     found = witnessed(given, left, Known(1e-5 * white, 1e-5 * white, 2e-3 * white, STEP))
     assert np.std(found.rate_dot) < 0.1 * np.std(plain.rate_dot)
     assert np.std(found.gradient) < 0.1 * np.std(plain.gradient)
+
+
+def test_the_noise_of_what_never_rests_is_that_of_its_fastest_changes():
+    rng, n = np.random.default_rng(1), 20_000
+    time = STEP * np.arange(n)
+    swing = np.sin(2 * time)[:, None] * np.ones(3)
+    for level in (0.02, 0.0):
+        noise = level * rng.normal(size=(2, n, 3))
+        found = fast_densities(Recording(time, 9.8 * swing + noise[0], swing + noise[1], "device"))
+        # Without any it is as the quietest sensor has it.
+        assert np.allclose(found, level * np.sqrt(2 * STEP), rtol=0.05, atol=1e-3 * (level == 0.0))
+        assert min(found) > 0.0
 
 
 def test_of_an_axis_that_hardly_turns_a_truth_has_nothing_to_say():
