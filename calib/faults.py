@@ -14,6 +14,7 @@ from scipy.special import ndtr
 
 from calib.errors import RecordingError
 from calib.recording import CHANNELS, Recording
+from calib.stillness import runs
 from calib.types import BoolArray, FloatArray, IntArray
 
 BLOCK = 64
@@ -417,12 +418,6 @@ def noise_at_rest(values: FloatArray) -> FloatArray:
         return np.asarray(values.std(axis=0), np.float64)
     scatter = values[: count * BLOCK].reshape(count, BLOCK, -1).std(axis=1)
     return np.asarray(np.quantile(scatter, 0.1, axis=0), np.float64)
-
-
-def runs(mask: BoolArray) -> tuple[IntArray, IntArray]:
-    """Return the index ranges ``[start, stop)`` of the runs of True."""
-    edge = np.diff(np.concatenate(([0], mask.astype(np.int8), [0])))
-    return np.flatnonzero(edge == 1), np.flatnonzero(edge == -1)
 
 
 def _equal_share(channel: FloatArray) -> FloatArray:

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import pdtrc
 
-from calib.faults import BLOCK, FALSE_ALARM, block_sums, runs
+from calib.faults import BLOCK, FALSE_ALARM, block_sums
+from calib.stillness import runs
 from calib.types import BoolArray, FloatArray, IntArray
 
 MOST = 32

@@ -151,13 +151,12 @@ def stillest_rate(blocks: Blocks) -> FloatArray:
     still = mean[rank <= np.quantile(rank, 0.1)]
     speed = np.linalg.norm(still, axis=1)
     order = np.argsort(speed)
-    gap = np.diff(speed[order])
+    apart = np.diff(speed[order])
     least = SPIN * float(np.linalg.norm(mean, axis=1).max())
-    if (gap > least).any():
+    if (apart > least).any():
         unit = find_units(blocks, still[order[0]]).rate
-        gap[gap <= max(least, TREMOR_RATE / unit if unit else 0.0)] = 0.0
-        if gap.any():
-            still = still[order[: int(np.argmax(gap > 0.0)) + 1]]
+        far = apart > max(least, TREMOR_RATE / unit if unit else 0.0)
+        still = still[order[: int(np.argmax(far)) + 1]] if far.any() else still
     return np.asarray(np.median(still, axis=0), np.float64)
 
 

@@ -377,7 +377,7 @@ def filtered(
     ----------
     time, values : (n,) and (n, k) arrays
     response : function
-        Of frequencies, Hz.
+        Of frequencies (m,), Hz: (m,), or (m, k) where columns have their own.
     slowest : float, Hz
         What it changes lasts a few of its periods: longer gaps are cut to that, and all are bridged
         by straight lines.
@@ -396,15 +396,12 @@ def denoised(values: FloatArray, noise: float) -> FloatArray:
     By Wiener's filter ``1 - N / P``, P their power about each frequency and N that of noise of this
     standard deviation.
     """
-    width = min(ABOUT, len(values))
-    window = np.full(width, 1.0 / width)
     floor = 2.0 * len(values) * noise**2
 
     def gain(spectrum: FloatArray) -> FloatArray:
-        power = [np.convolve(own, window, mode="same") for own in np.square(spectrum).T]
-        left = 1.0 - floor / np.maximum(np.stack(power, axis=1), np.finfo(float).tiny)
+        left = 1.0 - floor / np.maximum(_about(np.square(spectrum)), np.finfo(float).tiny)
         # What stands, and what is as slow as the whole of them, is no noise.
-        left[:width] = 1.0
+        left[:ABOUT] = 1.0
         return np.asarray(np.maximum(left, 0.0))
 
     return _weighed(values, gain)
@@ -417,20 +414,22 @@ def echoed(values: FloatArray, other: FloatArray) -> FloatArray:
     """
     from scipy.fft import dct  # only comparisons need it
 
-    width = min(ABOUT, len(values))
-    window = np.full(width, 1.0 / width)
     theirs = dct(other, axis=0)
 
     def gain(spectrum: FloatArray) -> FloatArray:
-        both, own = (
-            np.stack([np.convolve(c, window, mode="same") for c in power.T], axis=1)
-            for power in (spectrum * theirs, np.square(spectrum))
-        )
+        both, own = _about(spectrum * theirs), _about(np.square(spectrum))
         share = np.clip(both / np.maximum(own, np.finfo(float).tiny), 0.0, 1.0)
-        share[:width] = 1.0
+        share[:ABOUT] = 1.0
         return np.asarray(share)
 
     return _weighed(values, gain)
+
+
+def _about(power: FloatArray) -> FloatArray:
+    """Return the means of (n, k) powers over the frequencies about each."""
+    width = min(ABOUT, len(power))
+    window = np.full(width, 1.0 / width)
+    return np.stack([np.convolve(own, window, mode="same") for own in power.T], axis=1)
 
 
 def zero_phase(values: FloatArray, cutoff: float) -> FloatArray:
@@ -445,7 +444,7 @@ def zero_phase(values: FloatArray, cutoff: float) -> FloatArray:
 def _passed(values: FloatArray, response: Callable[[FloatArray], FloatArray]) -> FloatArray:
     """Return (n, k) values through a response to frequencies in cycles per sample."""
     frequency = np.arange(len(values)) / (2 * len(values))
-    return _weighed(values, lambda _: response(frequency)[:, None])
+    return _weighed(values, lambda _: response(frequency).reshape(len(frequency), -1))
 
 
 def _weighed(values: FloatArray, gain: Callable[[FloatArray], FloatArray]) -> FloatArray:

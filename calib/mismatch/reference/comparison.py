@@ -59,7 +59,7 @@ from calib.recording import AXES, CHANNELS, Recording
 from calib.thermometer import smooth_temperature
 from calib.types import BoolArray, FloatArray
 
-HALF = 0.5
+LEAST_GAIN = 0.5
 """What a sensor makes at least of its true signals."""
 
 SETTLED = 3.0
@@ -271,7 +271,7 @@ class ComparisonProblem:
         left = self.residual(state)
         rate = state.rate
         if self.known is not None:
-            gain = np.maximum(self._gain(), HALF)
+            gain = np.maximum(self._gain(), LEAST_GAIN)
             state = witnessed(state, left / gain, self.known)
         elif self.densities is not None:
             state = shared(state, self.measured)

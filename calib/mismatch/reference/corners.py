@@ -11,6 +11,7 @@ import numpy as np
 from scipy.special import binom
 
 from calib.recording import Recording
+from calib.stillness import runs
 from calib.types import BoolArray, FloatArray
 
 ORDER = 24
@@ -80,14 +81,15 @@ def shared_jumps(
         Samples over which the low-pass spreads a jump.
     """
     out = np.zeros(len(recording), bool)
-    alone = _variance_left()
+    # What the differences leave of white noise, of its variance.
+    alone = binom(2 * ORDER, ORDER) / 4.0**ORDER
     for k, signals in enumerate((recording.accel, recording.gyro)):
         jumps = _differences(signals) > JUMP * 3.0 * alone * noise[k] ** 2
-        edges = np.flatnonzero(np.diff(jumps, prepend=False, append=False)).reshape(-1, 2)
-        if (np.diff(edges, axis=1) > LONG).any():
+        first, last = runs(jumps)
+        if (last - first > LONG).any():
             continue
         own, other = kept[:, 3 * k : 3 * k + 3], seen[:, 3 * k : 3 * k + 3]
-        for a, b in edges:
+        for a, b in zip(first, last, strict=True):
             about = slice(max(a - reach, 0), b + reach)
             shown = own[about] - own[about].mean(axis=0)
             left = (own - other)[about]
@@ -96,18 +98,13 @@ def shared_jumps(
     return out if out.sum() < SELDOM * len(out) else np.zeros(len(out), bool)
 
 
-def _variance_left() -> float:
-    """Return the share of white noise's variance that the differences have."""
-    return float(np.square(binom(ORDER, np.arange(ORDER + 1)) / 2.0**ORDER).sum())
-
-
 def is_common(unfollowed: BoolArray, rate: FloatArray) -> bool:
     """Whether samples (n,) that a spline does not follow are more than corners here and there.
 
     ``rate`` (n, 3) are their rates of rotation, of which most must be left.
     """
-    edges = np.flatnonzero(np.diff(unfollowed, prepend=False, append=False)).reshape(-1, 2)
-    length = np.diff(edges, axis=1)
+    first, last = runs(unfollowed)
+    length = last - first
     moves = np.linalg.norm(rate - np.median(rate, axis=0), axis=1) > MOVES
     long = length[length > LONG].sum() > SHARE * len(unfollowed)
     return bool(long or unfollowed[moves].sum() > HALF * moves.sum())

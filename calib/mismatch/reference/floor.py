@@ -22,6 +22,7 @@ from calib.mismatch.reference.alignment import Alignment
 from calib.mismatch.reference.truths import DEGREE, RecordingTruth
 from calib.mismatch.rows.rows import Rows
 from calib.recording import CHANNELS, Recording
+from calib.stillness import runs
 from calib.types import BoolArray, FloatArray
 
 EXACT = 0.1
@@ -110,7 +111,7 @@ def _stuck(channel: FloatArray) -> sparse.csr_matrix:
 
     What rounding makes of a value is the same whenever it is the same.
     """
-    start, stop = faults.runs(np.diff(channel) == 0)
+    start, stop = runs(np.diff(channel) == 0)
     long = stop - start >= STUCK
     start, stop = start[long], stop[long] + 1
     value, which = np.unique(channel[start], return_inverse=True)

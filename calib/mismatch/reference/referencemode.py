@@ -37,6 +37,7 @@ from calib.model import SensorModel
 from calib.recording import Recording
 from calib.rotation import mat_from_quat, quat_multiply
 from calib.statics import find_poses
+from calib.stillness import runs
 from calib.threads import one_thread
 from calib.timing import clock_errors, even_times, evened
 from calib.types import BoolArray, FloatArray
@@ -271,9 +272,10 @@ def compared(
         white = white_noise(real, reference)
         truth = RecordingTruth(reference, gravity, known.spoilt)
         common = matched(real, truth, alignment, mat, spoilt=seen.spoilt)
-        notes |= _jumps(real, common)
     else:
         common, alignment, mat, notes, reference = _captured(real, reference, gravity, seen.spoilt)
+    if common.jumps is not None and common.jumps.any():
+        notes[JUMPS] = _left_out(real.time, common.jumps, common.jumps)
     problem = ComparisonProblem(
         common.real,
         common.truth,
@@ -314,37 +316,24 @@ def _captured(
     bad = swapped(reference.time, reference.quat, real, alignment, mat)
     notes: dict[str, object] = {}
     if bad.any():
-        notes[SWAPPED] = _left_out(reference, bad, alignment)
+        at = alignment.moments(reference.time)
+        notes[SWAPPED] = _left_out(at, bad, bad & reference.known)
         seen = replace(reference, quat=np.where(bad[:, None], np.nan, reference.quat))
         reference, truth, alignment, mat, _ = _placed(real, seen, gravity)
     forces = reference.position is not None
     common = matched(real, truth, alignment, mat, spoilt=spoilt, forces=forces)
-    notes |= _jumps(real, common)
     if common.band and BEYOND * common.band < 0.5 / truth.recording.interval:
         truth = reference.truth(gravity=gravity, bandwidth=BEYOND * common.band)
         spoilt = spoilt if common.jumps is None else spoilt | common.jumps
-        common = limited(real, truth, common.band, spoilt)._replace(folded=common.folded)
+        kept = limited(real, truth, common.band, spoilt)
+        common = kept._replace(folded=common.folded, jumps=common.jumps)
     return common, alignment, mat, notes, reference
 
 
-def _jumps(real: Recording, common: Matched) -> dict[str, object]:
-    """Return at which jumps of the motion samples are left out; nothing if there are none."""
-    if common.jumps is None or not common.jumps.any():
-        return {}
-    edges = np.flatnonzero(np.diff(common.jumps, prepend=False, append=False)).reshape(-1, 2)
-    times = real.time[edges - [0, 1]]
-    return {
-        JUMPS: {"samples": int(common.jumps.sum()), "intervals": times.round(3).tolist()},
-    }
-
-
-def _left_out(
-    reference: ReferenceMotion, bad: BoolArray, alignment: Alignment
-) -> dict[str, object]:
-    """Return how many samples are left out, and when, in the recording's time."""
-    edges = np.flatnonzero(np.diff(bad, prepend=False, append=False)).reshape(-1, 2) - [0, 1]
-    at = alignment.moments(reference.time[edges])
-    return {"samples": int((bad & reference.known).sum()), "intervals": at.round(3).tolist()}
+def _left_out(time: FloatArray, bad: BoolArray, missing: BoolArray) -> dict[str, object]:
+    """Return how many samples are missing, and when they are bad, in the recording's time (n,)."""
+    edges = np.stack(runs(bad), axis=1) - [0, 1]
+    return {"samples": int(missing.sum()), "intervals": time[edges].round(3).tolist()}
 
 
 def _placed(real: Recording, reference: ReferenceMotion, gravity: float) -> _Placed:

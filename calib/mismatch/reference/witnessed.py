@@ -56,26 +56,28 @@ def witnessed(state: State, left: FloatArray, known: Known) -> State:
     known : Known
         Of the noise of both.
     """
-
-    def carried(frequency: FloatArray) -> FloatArray:
-        return np.square(known.position * np.square(2.0 * np.pi * frequency))
-
-    def turned(frequency: FloatArray) -> FloatArray:
-        return np.square(known.angle * 2.0 * np.pi * frequency)
-
-    def tilted(frequency: FloatArray) -> FloatArray:
-        return known.angle**2 * _slow(frequency)
-
-    def angled(frequency: FloatArray) -> FloatArray:
-        return np.full(len(frequency), known.angle**2)
-
-    rate = _between(state.time, state.rate, left[:, 3:], known.gyro, turned, angled)
+    angle = known.angle**2
+    rate = _between(
+        state.time,
+        state.rate,
+        left[:, 3:],
+        known.gyro,
+        derived=lambda f: angle * np.square(2.0 * np.pi * f),
+        across=lambda f: np.full(len(f), angle),
+    )
     mat, force, off = state.mat_ns, state.force, left[:, :3]
     if state.mat_ns is not None:
         mat = _turned_by(state.time, state.mat_ns, rate - state.rate)
         force = np.asarray(np.einsum("nji,njk,nk->ni", mat, state.mat_ns, force), np.float64)
         off = off - (force - state.force)
-    force = _between(state.time, force, off, known.accel, carried, tilted)
+    force = _between(
+        state.time,
+        force,
+        off,
+        known.accel,
+        derived=lambda f: np.square(known.position * np.square(2.0 * np.pi * f)),
+        across=lambda f: angle * _slow(f),
+    )
     return replace(_with_rate(state, rate), force=force, mat_ns=mat)
 
 
@@ -96,6 +98,7 @@ def _between(
     signals: FloatArray,
     left: FloatArray,
     own: float,
+    *,
     derived: Callable[[FloatArray], FloatArray],
     across: Callable[[FloatArray], FloatArray],
 ) -> FloatArray:
@@ -105,15 +108,12 @@ def _between(
     each axis in proportion.
     """
     square = np.square(signals).mean(axis=0)
-    out = signals.copy()
-    for axis, others in enumerate(square.sum() - square):
 
-        def share(frequency: FloatArray, others: float = others) -> FloatArray:
-            noise = derived(frequency) + others * across(frequency)
-            return np.asarray(noise / np.maximum(noise + own**2, np.finfo(float).tiny))
+    def share(frequency: FloatArray) -> FloatArray:
+        noise = np.outer(across(frequency), square.sum() - square) + derived(frequency)[:, None]
+        return np.asarray(noise / np.maximum(noise + own**2, np.finfo(float).tiny))
 
-        out[:, axis : axis + 1] += filtered(time, left[:, axis : axis + 1], share)
-    return out
+    return signals + filtered(time, left, share)
 
 
 def _turned_by(time: FloatArray, mat: FloatArray, rate: FloatArray) -> FloatArray:
