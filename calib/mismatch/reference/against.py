@@ -30,6 +30,7 @@ from calib.mismatch.reference.truths import RecordingTruth
 from calib.mismatch.reference.twinned import UNSIGNED, diagnose_twin
 from calib.mismatch.samples.resting import unsaid
 from calib.mismatch.samples.samples import Samples, look_at_samples
+from calib.mismatch.samples.within import look_beside
 from calib.mismatch.search.estimate import Estimate
 from calib.mismatch.search.explain import changes, explain, verdict
 from calib.mismatch.search.search import Outcome, search
@@ -203,6 +204,9 @@ def conclude(
     begin = outcome.rows.interval[:, 0]
     findings = [f for f in findings if not any(_the_same(f, g, begin) for g in seen.findings)]
     findings = [*seen.findings, *found, *findings]
+    left = problem.left()
+    if left is not None:
+        noisy = (*noisy, *look_beside(*left))
     noisy = unsaid(noisy, findings)
     unexplained = [*seen.unexplained, *gathered(joined([*unexplained, *noisy]))]
     slugs = {f.effect for f in findings}

@@ -18,6 +18,7 @@ from calib.effects import get_effect
 from calib.effects.base import Column, State, Term
 from calib.effects.observed import observed
 from calib.errors import NoCommonMotionError
+from calib.faults import noise_at_rest, resolution, values_of
 from calib.mismatch.reference.alignment import LEAST_OVERLAP, Alignment
 from calib.mismatch.reference.alike import check_motion, check_units
 from calib.mismatch.reference.band import BEYOND, FELT
@@ -184,6 +185,10 @@ class ComparisonProblem:
             if band
             else gaussian(self.time, blur, real.interval)
         )
+        recorded = [values_of(shaken)]
+        if other is not None:
+            recorded.append(values_of(truth.recording))
+        self.coarse = np.any([resolution(v) >= noise_at_rest(v) for v in recorded], axis=0)
         level = start.gyro.bias if not len(self.rests) else np.median(poses.gyro, axis=0)
         still = State(shaken.time, shaken.accel, shaken.gyro - level)
         variance = observed(still, ("vibration",)).vibration
@@ -364,6 +369,24 @@ class ComparisonProblem:
         predicted = self.setup.model.distort(state)
         gyro = self._late_gyro(state) if self._gyro_delay() else predicted.gyro
         return np.asarray(self.measured - np.hstack((predicted.accel, gyro)))
+
+    def left(self) -> tuple[FloatArray, FloatArray] | None:
+        """Return what is left of samples, relative to how they scatter: (m,) s, (m, 6).
+
+        None where that is no noise: of a motion that samples, or a simulation, do not resolve. Of
+        channels that are coarse, as it steps in counts there, it is 0.
+        """
+        if self.judged is not None or self.unresolved or (self.noisy and not self.turned):
+            return None
+        every = self.residual(self.state())
+        seen = np.stack([self.blur.see(own, c) for c, own in enumerate(every.T)], axis=1)
+        time, known = self.time[self.blur.seen], np.ones(len(seen), bool)
+        if self.unknown is not None:
+            known = ~self.unknown[self.blur.seen]
+        assert self.shapes is not None
+        if self.noisy and (scatters := self.shapes.scatter) is not None:
+            seen = seen / np.sqrt(scatters.variance[self.blur.seen] * scatters.seen)
+        return time[known], np.where(self.coarse, 0.0, seen[known])
 
     def _late_gyro(self, state: State) -> FloatArray:
         """Return what a gyroscope that is late puts out: the motion before, as the truth has it.

@@ -62,6 +62,12 @@ CAP = 6.0
 FEWEST = 8
 """Rests below which none is unusual."""
 
+LOOKED_AT = 6
+"""Rests that are long enough for a width of windows, at least."""
+
+NEARBY = 5.0
+"""s of differences from a truth that have noise of their own: a turn and what is beside it."""
+
 
 class _Look(NamedTuple):
     """Differences of means over windows of one width: their rest, time (s) and size in noise."""
@@ -87,18 +93,48 @@ def look_within(recording: Recording, poses: Poses) -> tuple[Unexplained, ...]:
     # The mean, as a median of few counts is off by up to half of one.
     noise = np.sqrt(np.pi) / 2.0 * np.abs(change).mean(axis=0)
     step[noise <= step] = np.inf
-    widths = _widths(recording, poses)
-    tried = [_look(recording.time, values, poses, width, step) for width in widths]
+    margin = round(MARGIN / max(recording.interval, 1e-9))
+    pieces = np.stack((poses.start + margin, poses.stop - margin), axis=1)
+    longest = float(np.median(poses.stop - poses.start)) / 8
+    tried = [
+        _look(recording.time, values, pieces, width, step, least=LOOKED_AT)
+        for width in _widths(recording.interval, longest)
+    ]
     looks = [look for look in tried if look is not None]
     if not looks:
         return tuple(spikes)
-    pulses = spikes + _pulses(looks, recording)
+    pulses = spikes + _pulses(looks, recording.time)
     return tuple(pulses + _stretches(looks, poses, {u.channels for u in pulses}))
 
 
-def _widths(recording: Recording, poses: Poses) -> list[int]:
-    """Return windows of 1, 2, 4 ... samples."""
-    longest = min(WIDEST / max(recording.interval, 1e-9), np.median(poses.stop - poses.start) / 8)
+def look_beside(time: FloatArray, left: FloatArray) -> tuple[Unexplained, ...]:
+    """Return channels that have pulses beside a truth, at rest or in motion.
+
+    Parameters
+    ----------
+    time : (n,) array, s
+        Increasing; a gap is seen as one.
+    left : (n, 6) array
+        What is left of samples beside the truth: noise, about as large throughout and white. On a
+        channel on which it is nothing, nothing is seen.
+    """
+    if len(time) < 2:
+        return ()
+    interval = float(np.median(np.diff(time)))
+    whole = np.array([[0, len(time)]])
+    none = np.where(left.any(axis=0), 0.0, np.inf)
+    looks = []
+    for width in _widths(interval, len(time) / FEWEST):
+        look = _look(time, left, whole, width, none, least=1)
+        if look is not None:
+            place = ((look.time - time[0]) / NEARBY).astype(np.int64)
+            looks.append(look._replace(rest=place))
+    return tuple(_pulses(looks, time)) if looks else ()
+
+
+def _widths(interval: float, longest: float) -> list[int]:
+    """Return windows of 1, 2, 4 ... samples, up to the longest and to `WIDEST`."""
+    longest = min(WIDEST / max(interval, 1e-9), longest)
     return [1 << k for k in range(int(np.log2(max(longest, 1.0))) + 1)]
 
 
@@ -131,17 +167,24 @@ def _without_spikes(values: FloatArray, alone: BoolArray) -> FloatArray:
 
 
 def _look(
-    time: FloatArray, values: FloatArray, poses: Poses, width: int, step: FloatArray
+    time: FloatArray,
+    values: FloatArray,
+    pieces: IntArray,
+    width: int,
+    step: FloatArray,
+    *,
+    least: int,
 ) -> _Look | None:
     """Look at (n, 6) values through windows of one width, every half of it.
 
-    ``step`` is a count of each channel, infinite where nothing is to be seen.
+    That is in ``pieces`` ``[start, stop)`` (k, 2) of samples; nothing is returned if fewer than
+    ``least`` are long enough. ``step`` is a count of each channel, infinite where nothing is to be
+    seen.
     """
     half = max(1, width // 2)
     interval = float(np.median(np.diff(time)))
-    margin = round(MARGIN / max(interval, 1e-9))
     rest, at, rows = [], [], []
-    for k, (a, b) in enumerate(zip(poses.start + margin, poses.stop - margin, strict=True)):
+    for k, (a, b) in enumerate(pieces.tolist()):
         first = np.arange(width, b - a - 2 * width + 1, half)
         # Not across a gap: what was left out of a long rest, or lost.
         spans = time[a + first + 2 * width - 1] - time[a + first - width]
@@ -154,7 +197,7 @@ def _look(
         rows.append(mean[first] - 0.5 * (mean[first - width] + mean[first + width]))
         rest.append(np.full(len(first), k))
         at.append(a + first + width // 2)
-    if len(rest) < 6:
+    if len(rest) < least:
         return None
     off, which = np.concatenate(rows), np.concatenate(rest)
     # Counts make these multiples of half a count over the width, and their median off by half that.
@@ -162,9 +205,9 @@ def _look(
     return _Look(width, which, time[np.concatenate(at)], off / usual)
 
 
-def _pulses(looks: list[_Look], recording: Recording) -> list[Unexplained]:
+def _pulses(looks: list[_Look], time: FloatArray) -> list[Unexplained]:
     """Return channels with several pulses or jumps that no other shows, from first to last."""
-    start, stop = float(recording.time[0]), float(recording.time[-1])
+    start, stop = float(time[0]), float(time[-1])
     number = sum(look.size.size for look in looks)
     limit = -float(ndtri(CHANCE / (number / len(CHANNELS)) / 2))
     moments = int((stop - start) / APART) + 3

@@ -438,3 +438,25 @@ def test_an_output_that_wanders_does_not_step() -> None:
     found = diagnose_against(replace(real, accel=accel), simulation(), gravity=GRAVITY)
     assert not found.findings
     assert {c.split(".")[0] for u in found.unexplained for c in u.channels} == {"accel"}
+
+
+@pytest.mark.parametrize("count", [0.0, 0.1])
+def test_shorts_within_turns_are_pulses_where_they_are(count: float) -> None:
+    """Rests hold one or none of them; where counts are coarse, steps of them are no pulses."""
+    real = recorded()
+    rests = find_poses(real)
+    gyro = real.gyro.copy()
+    for a, b in zip(rests.stop[1:-1], rests.start[2:], strict=True):
+        middle = (a + b) // 2
+        gyro[middle : middle + 5, 1] += 0.02
+    if count:
+        gyro = count * np.round(gyro / count)
+    found = diagnose_against(replace(real, gyro=gyro), simulation(), gravity=GRAVITY)
+    there = [u for u in found.unexplained if u.follows == "the time: pulses there"]
+    if count:
+        assert not there
+        return
+    (item,) = there
+    assert item.channels == ("gyro.y",)
+    assert item.intervals[0][0] < real.time[rests.start[2]]
+    assert item.intervals[0][1] > real.time[rests.stop[-3]]

@@ -15,7 +15,7 @@ from calib.effects.base import Term
 from calib.mismatch import diagnose_recording
 from calib.mismatch.findings.diagnosis import Unexplained
 from calib.mismatch.hypotheses.places import joined
-from calib.mismatch.samples.within import OFF_COURSE, look_within
+from calib.mismatch.samples.within import OFF_COURSE, look_beside, look_within
 from calib.model import SensorModel
 from calib.recording import CHANNELS, Recording
 from calib.simulate import simulate
@@ -242,3 +242,39 @@ def test_counts_that_flip_in_one_part_are_not_off_course_there() -> None:
     accel[half & (np.arange(len(real)) % 61 == 0), 0] += 3 * count
     (found,) = look_within(replace(real, accel=accel), find_poses(real))
     assert found.channels == ("accel.x",)
+
+
+def shorts(channels: list[int], seed: int) -> tuple[FloatArray, FloatArray]:
+    """Return times and noise of one, with shorts of a tenth of a second from 20 to 40 s."""
+    rng = np.random.default_rng(seed)
+    time = 5.0 + 0.01 * np.arange(6000)
+    left = rng.normal(size=(6000, 6))
+    for moment in rng.uniform(20.0, 40.0, 12):
+        left[np.ix_((time >= moment) & (time < moment + 0.1), channels)] += 4.0
+    return time, left
+
+
+@pytest.mark.parametrize("channel", [1, 5])
+def test_pulses_beside_a_truth_are_found_on_their_channel_and_where_they_are(channel: int) -> None:
+    time, left = shorts([channel], channel)
+    (found,) = look_beside(time, left * SIGMA.repeat(3))
+    assert found.channels == (CHANNELS[channel],)
+    assert found.follows == "the time: pulses there"
+    ((start, stop),) = found.intervals
+    assert 17.0 < start < 24.0 < 36.0 < stop < 43.0
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_noise_beside_a_truth_and_what_all_channels_show_are_no_pulses(seed: int) -> None:
+    assert look_beside(*shorts([], seed)) == ()
+    assert look_beside(*shorts([0, 1, 2, 3, 4, 5], seed)) == ()
+    assert look_beside(*(part[:1] for part in shorts([], seed))) == ()
+
+
+def test_a_channel_of_which_nothing_is_left_says_nothing_beside_a_truth() -> None:
+    time, left = shorts([2], 3)
+    left[:, 4] = 0.0
+    (found,) = look_beside(time, left)
+    assert found.channels == ("accel.z",)
+    left[:, 2] = 0.0
+    assert look_beside(time, left) == ()
