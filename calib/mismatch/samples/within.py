@@ -65,8 +65,15 @@ FEWEST = 8
 LOOKED_AT = 6
 """Rests that are long enough for a width of windows, at least."""
 
-NEARBY = 5.0
-"""s of differences from a truth that have noise of their own: a turn and what is beside it."""
+NEARBY, STRETCH = 5.0, 1.5
+"""s of differences from a truth that have noise of their own: a turn and what is beside it; and
+those between which it may differ, as between rests."""
+
+STRETCHES = 200
+"""Such parts of a recording, at most: those of a longer one are longer."""
+
+UNLIKELY = 1e-3
+"""Windows less probable than the best by this factor are left out."""
 
 
 class _Look(NamedTuple):
@@ -104,7 +111,7 @@ def look_within(recording: Recording, poses: Poses) -> tuple[Unexplained, ...]:
     if not looks:
         return tuple(spikes)
     pulses = spikes + _pulses(looks, recording.time)
-    return tuple(pulses + _stretches(looks, poses, {u.channels for u in pulses}))
+    return tuple(pulses + _stretches(looks, poses.interval, {u.channels for u in pulses}))
 
 
 def look_beside(time: FloatArray, left: FloatArray) -> tuple[Unexplained, ...]:
@@ -123,13 +130,24 @@ def look_beside(time: FloatArray, left: FloatArray) -> tuple[Unexplained, ...]:
     interval = float(np.median(np.diff(time)))
     whole = np.array([[0, len(time)]])
     none = np.where(left.any(axis=0), 0.0, np.inf)
-    looks = []
-    for width in _widths(interval, len(time) / FEWEST):
-        look = _look(time, left, whole, width, none, least=1)
-        if look is not None:
-            place = ((look.time - time[0]) / NEARBY).astype(np.int64)
-            looks.append(look._replace(rest=place))
-    return tuple(_pulses(looks, time)) if looks else ()
+    tried = [
+        _look(time, left, whole, width, none, least=1)
+        for width in _widths(interval, len(time) / FEWEST)
+    ]
+    looks = [look for look in tried if look is not None]
+    if not looks:
+        return ()
+
+    def by(seconds: float) -> list[_Look]:
+        return [
+            look._replace(rest=((look.time - time[0]) / seconds).astype(np.int64)) for look in looks
+        ]
+
+    pulses = _pulses(by(NEARBY), time)
+    each = max(STRETCH, (time[-1] - time[0]) / STRETCHES)
+    edges = np.arange(time[0], time[-1] + each, each)
+    ends = np.stack((edges[:-1], np.minimum(edges[1:], time[-1])), axis=1)
+    return tuple(pulses + _stretches(by(each), ends, {u.channels for u in pulses}))
 
 
 def _widths(interval: float, longest: float) -> list[int]:
@@ -312,15 +330,20 @@ def _own_scale(look: _Look) -> FloatArray:
     return out
 
 
-def _stretches(looks: list[_Look], poses: Poses, known: set[tuple[str, ...]]) -> list[Unexplained]:
-    """Return stretches of rests in which a channel is restless, and neither before nor after."""
+def _stretches(
+    looks: list[_Look], intervals: FloatArray, known: set[tuple[str, ...]]
+) -> list[Unexplained]:
+    """Return stretches of rests in which a channel is restless, and neither before nor after.
+
+    The rests are those ``intervals`` (k, 2), s.
+    """
     rests = np.unique(looks[0].rest)
     some = [w for w in windows(len(rests)) if w[1] - w[0] >= 2]
     if len(rests) < FEWEST:
         return []
     found = [_louder(look, rests, some) for look in looks]
     stands, chances, stirred = (np.stack(part) for part in zip(*found, strict=True))
-    ends = poses.interval[rests]
+    ends = intervals[rests]
     companion = -float(ndtri(MISSED / (5 * len(looks))))
     first, last = np.array(some).T
     out = []
@@ -334,7 +357,10 @@ def _stretches(looks: list[_Look], poses: Poses, known: set[tuple[str, ...]]) ->
             continue
         gain = 0.5 * np.square(stands[k, :, c])
         weight = np.where(stands[k, :, c] > 0, np.exp(gain - gain.max()), 0.0)
-        where = expected_overlap(ends[first, 0], ends[last - 1, 1], weight)
+        probable = np.flatnonzero(weight > UNLIKELY)
+        where = expected_overlap(
+            ends[first[probable], 0], ends[last[probable] - 1, 1], weight[probable]
+        )
         out.append(Unexplained((channel,), (where,), "the time: it is restless there", p))
     return out
 

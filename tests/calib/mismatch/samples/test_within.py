@@ -264,6 +264,20 @@ def test_pulses_beside_a_truth_are_found_on_their_channel_and_where_they_are(cha
     assert 17.0 < start < 24.0 < 36.0 < stop < 43.0
 
 
+def test_a_stretch_that_is_restless_beside_a_truth_is_found_where_it_is() -> None:
+    rng = np.random.default_rng(8)
+    time, left = 0.01 * np.arange(6000), rng.normal(size=(6000, 6))
+    inside = (time >= 15.0) & (time < 30.0)
+    left[inside, 3] *= 1.6
+    (found,) = look_beside(time, left)
+    assert found.channels == ("gyro.x",)
+    assert found.follows == "the time: it is restless there"
+    assert found.intervals[0] == pytest.approx((15.0, 30.0), abs=2.0)
+    # What shakes several channels may well be motion.
+    left[inside, :3] *= 1.6
+    assert look_beside(time, left) == ()
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_noise_beside_a_truth_and_what_all_channels_show_are_no_pulses(seed: int) -> None:
     assert look_beside(*shorts([], seed)) == ()
