@@ -169,7 +169,7 @@ class ComparisonProblem:
         self.rests = self.settled = np.zeros((0, 2), np.int64)
         if raw is not None:
             poses = find_rests(raw)
-            if truth.quat is not None and band:
+            if truth.quat is not None and band and other is None:
                 rests = np.stack((poses.start, poses.stop), axis=1)
                 self.densities = sensor_densities(raw, rests) or fast_densities(raw)
             edges = np.stack((raw.time[poses.start], raw.time[poses.stop - 1]), axis=1)

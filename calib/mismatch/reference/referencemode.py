@@ -28,6 +28,7 @@ from calib.mismatch.reference.alike import check_apart
 from calib.mismatch.reference.band import BEYOND, Matched, limited, low_passed, matched, smoothed
 from calib.mismatch.reference.carried import known_errors, settled
 from calib.mismatch.reference.comparison import ComparisonProblem
+from calib.mismatch.reference.oriented import oriented_at_rests
 from calib.mismatch.reference.shaken import noise_beside
 from calib.mismatch.reference.swaps import swapped
 from calib.mismatch.reference.truths import DEGREE, RecordingTruth
@@ -272,6 +273,7 @@ def compared(
         white = white_noise(real, reference)
         truth = RecordingTruth(reference, gravity, known.spoilt)
         common = matched(real, truth, alignment, mat, spoilt=seen.spoilt)
+        common = common._replace(truth=oriented_at_rests(common.truth))
     else:
         common, alignment, mat, notes, reference = _captured(real, reference, gravity, seen.spoilt)
     if common.jumps is not None and common.jumps.any():
@@ -294,15 +296,16 @@ def compared(
         white=white,
         notes=notes,
     )
-    skip = []
+    # Two on one body turn with the Earth alike, and know up from nothing but each other.
+    skip = ["earth_rate", "reference_tilt"] if isinstance(reference, Recording) else []
     if common.limited:
         # What both were limited to hides the sensor's own low-pass.
         skip.append("bandwidth")
     if common.blur:
         # Where samples do not resolve the motion, one that is lost cannot be told from motion.
         skip.append("dropped_samples")
-    if isinstance(reference, ReferenceMotion) and reference.position is None and reference.placed:
-        # A table is commanded, not captured.
+    if isinstance(reference, Recording) or (reference.position is None and reference.placed):
+        # A table is commanded, not captured; nor is what another IMU feels.
         skip.append("reference_smoothing")
     return problem, tuple(skip), reference
 
