@@ -37,6 +37,9 @@ SLOW = 0.3
 FAR = 25.0
 """Power of differences, relative to that of the noise of both, beyond which they are none."""
 
+QUIET = 0.25
+"""Share of a recording that is quiet beside a truth, at least."""
+
 ORDER = 6
 """Of differences: of what swings once in eight samples they have less than a hundredth."""
 
@@ -113,7 +116,18 @@ def _between(
         noise = np.outer(across(frequency), square.sum() - square) + derived(frequency)[:, None]
         return np.asarray(noise / np.maximum(noise + own**2, np.finfo(float).tiny))
 
-    return signals + filtered(time, left, share)
+    return signals + filtered(time, _noisy(time, left), share)
+
+
+def _noisy(time: FloatArray, left: FloatArray) -> FloatArray:
+    """Return what is left, (n, 3), where it is noise; 0 where it is far more than in quiet parts.
+
+    That is in the recording alone, or in the truth: neither witnesses the other there.
+    """
+    width = max(1, round(ABOUT / float(np.median(np.diff(time)))))
+    window = np.full(width, 1.0 / width)
+    power = np.convolve(np.square(left).mean(axis=1), window, mode="same")
+    return np.where((power < FAR * np.quantile(power, QUIET))[:, None], left, 0.0)
 
 
 def _turned_by(time: FloatArray, mat: FloatArray, rate: FloatArray) -> FloatArray:

@@ -79,6 +79,21 @@ def test_angles_that_cameras_err_by_are_those_that_the_gyroscope_tells():
     assert np.std(found.rate - rate) < 0.2 * slope.std()
 
 
+def test_what_shakes_one_of_them_is_no_motion_of_either():
+    """A truth that took it over would look smoothed, by as much as it shakes."""
+    rng, n = np.random.default_rng(1), 6000
+    time, white = STEP * np.arange(n), np.sqrt(2 * STEP)
+    known = Known(0.02 * white, 1e-3 * white, 1e-3 * white, STEP, position=1e-4 * white)
+    left = rng.normal(size=(n, 6)) * [*[0.02] * 3, *[1e-3] * 3]
+    shaken = (time > 40.0) & (time < 60.0)
+    left[shaken, :3] += rng.normal(size=(shaken.sum(), 3))
+    still = np.zeros((n, 3))
+    found = witnessed(State(time, still, still), left, known)
+    inside = (time > 42.0) & (time < 58.0)
+    assert found.force[~shaken].std() > 1e-3
+    assert found.force[inside].std() < 0.01
+
+
 def test_what_is_made_of_a_rate_follows_it():
     """A gradient holds the noise of the rate's slope: an arm of -g / (2 pi f)², by gravity."""
     rng, n = np.random.default_rng(1), 5000
