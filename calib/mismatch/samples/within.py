@@ -220,6 +220,7 @@ def _look(
     off, which = np.concatenate(rows), np.concatenate(rest)
     # Counts make these multiples of half a count over the width, and their median off by half that.
     usual = ROBUST * (np.median(np.abs(off), axis=0) + 0.25 * step / width)
+    usual[usual == 0.0] = np.inf
     return _Look(width, which, time[np.concatenate(at)], off / usual)
 
 

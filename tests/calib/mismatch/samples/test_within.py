@@ -292,3 +292,5 @@ def test_a_channel_of_which_nothing_is_left_says_nothing_beside_a_truth() -> Non
     assert found.channels == ("accel.z",)
     left[:, 2] = 0.0
     assert look_beside(time, left) == ()
+    left[1000:1100, 2] = 1.0
+    assert look_beside(time, left) == ()
