@@ -88,6 +88,7 @@ def test_a_table_whose_every_pose_is_known_is_consistent(tmp_path: Path) -> None
     assert not document["missing"]
 
 
+@pytest.mark.long
 def test_orientations_alone_of_a_body_that_may_be_carried_about_say_what_they_lack(
     tmp_path: Path,
 ) -> None:

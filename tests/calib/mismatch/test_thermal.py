@@ -104,6 +104,7 @@ def test_a_cube_comes_only_with_all_lower_powers():
     assert sum(c.weight for c in own) == pytest.approx(PHYSICAL / len(tried_effects()))
 
 
+@pytest.mark.long
 def test_what_warms_up_and_its_rate_fade_alike_and_neither_is_preferred():
     """A rate that is late where it is fastest lost that by 1 in 40."""
     rng = np.random.default_rng(1)

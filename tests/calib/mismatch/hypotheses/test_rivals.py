@@ -300,6 +300,7 @@ def test_a_gain_that_grows_in_a_window_and_snaps_back_is_unexplained_there():
     assert overlap(left.intervals[0], (start, stop)) > 0.6
 
 
+@pytest.mark.long
 def test_a_gain_that_every_turn_makes_anew_is_unexplained_throughout():
     real = recording(seed=8)
     turn = np.searchsorted(find_poses(real).stop, np.arange(len(real)))
@@ -312,6 +313,7 @@ def test_a_gain_that_every_turn_makes_anew_is_unexplained_throughout():
     assert overlap(left.intervals[0], (0.0, real.time[-1])) > 0.95
 
 
+@pytest.mark.long
 def test_a_gain_that_changes_at_a_moment_is_unexplained_in_the_shorter_part():
     real = recording(seed=8, poses=18)
     begin = 0.4 * real.time[-1]
@@ -324,6 +326,7 @@ def test_a_gain_that_changes_at_a_moment_is_unexplained_in_the_shorter_part():
     assert overlap(left.intervals[0], (0.0, begin)) > 0.7
 
 
+@pytest.mark.long
 def test_a_gain_that_grows_for_good_is_unexplained_from_then_on():
     real = recording(seed=8, poses=18)
     begin, end = 0.55 * real.time[-1], float(real.time[-1])

@@ -55,6 +55,7 @@ def drifting(rows: Rows, rng: np.random.Generator, size: float, *, first: int = 
     return out
 
 
+@pytest.mark.long
 def test_nothing_is_left_in_contrasts_of_what_means_have_said() -> None:
     rows, rng = slow(), np.random.default_rng(1)
     y = np.stack([drifting(rows, rng, 9.0) for _ in range(40)], axis=1)
@@ -73,6 +74,7 @@ def test_nothing_is_left_in_contrasts_of_what_means_have_said() -> None:
     assert abs(after) < 0.5 * abs(before)
 
 
+@pytest.mark.long
 def test_drift_within_rests_is_as_large_as_levels_say() -> None:
     rows, rng = slow(), np.random.default_rng(9)
     levels = np.array(

@@ -146,6 +146,7 @@ def test_a_delay_that_a_low_pass_mimics_is_a_tie_and_nothing_is_left(seed):
     assert not found.unexplained
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("delay", [0.01, -0.012])
 def test_a_delay_that_is_no_line_is_found_whichever_triad_is_late(delay):
     """An accelerometer that is 12 ms late was two low-passes, and something else."""
@@ -159,6 +160,7 @@ def test_a_delay_that_is_no_line_is_found_whichever_triad_is_late(delay):
     assert not found.unexplained
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("delay", "seed"), [(-0.045, 10), (0.08, 3)])
 def test_a_delay_of_tens_of_milliseconds_is_found_as_it_is_and_alone(delay, seed):
     """Beside one a hand's tremor was noise, and columns were off by as much."""

@@ -83,6 +83,7 @@ def test_two_alike_imus_are_consistent():
     assert found.verdict == "consistent"
 
 
+@pytest.mark.long
 def test_what_scatter_of_stamps_does_is_nothing_of_the_sensor():
     rng = np.random.default_rng((11, 0))
     real, other = recorded(rate=56.0), recorded(seed=3, rate=200.0, offset=12.0)
@@ -263,6 +264,7 @@ def test_a_repeated_sample_is_one_finding_though_all_that_follows_is_late():
     assert item.parameters["moment"].value == pytest.approx(turn.mean(), abs=0.03)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("count", "turn"), [(3.0, 1), (2.0, 4)])
 def test_samples_lost_at_rest_are_lost_anywhere_in_it(count, turn):
     """Where the next turn sets in the line of a delay is off: it said when, to a sample."""

@@ -224,6 +224,7 @@ def shaken_pair(seed: int) -> tuple[Recording, Recording]:
     return sensed(felt, 260.0, 0.0), sensed(force, 120.0, 0.0006)
 
 
+@pytest.mark.long
 def test_the_arm_between_two_imus_is_right_when_they_are_shaken_harder_than_they_resolve():
     found = diagnose_reference(*shaken_pair(5), gravity=9.80665)
     assert {f.effect for f in found.findings} <= {

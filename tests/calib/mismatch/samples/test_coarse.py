@@ -90,6 +90,7 @@ def test_coarse_counts_of_an_accelerometer_are_all_that_is_found(
     assert [f.effect for f in found.findings] == ["quantization"]
 
 
+@pytest.mark.long
 def test_rounding_that_is_half_hidden_follows_nothing() -> None:
     """What the Earth turns moves levels between counts: their errors follow the orientation."""
     rng = np.random.default_rng(22)

@@ -159,6 +159,7 @@ def test_three_wider_errors_hold_as_much_as_three_of_known_noise(spread):
     assert factor == pytest.approx(1.0) if spread == 0 else factor > 1.0
 
 
+@pytest.mark.long
 def test_drift_of_unknown_size_is_in_the_errors_of_what_it_can_mimic():
     _, self_mode = problem()
     rows = self_mode.rows()

@@ -116,6 +116,7 @@ def test_turns_that_err_by_more_than_others_stand_out_no_more(seed: int):
     assert (found[np.setdiff1d(np.arange(len(found)), segments)] == 1.0).all()
 
 
+@pytest.mark.long
 def test_turns_alike_have_hardly_a_factor():
     rows = rows_of(brisk())
     segments = rows.segment[rows.turns.index[:, 0]]
