@@ -237,7 +237,7 @@ def _pulses(looks: list[_Look], time: FloatArray) -> list[Unexplained]:
         at, first = np.unique(((look.time - start) / APART).astype(np.int64) + 1, return_index=True)
         size = np.abs(look.size)
         seen[at] = np.maximum(seen[at], np.maximum.reduceat(size, first))
-        if look.width > 1:
+        if look.width > 1 and (size > limit).any():
             # Single samples off course are mishaps of the readout, which the audit reports.
             own = size / _own_scale(look)[look.rest]
             hit[at] = np.maximum(hit[at], np.maximum.reduceat(own, first))
