@@ -98,9 +98,7 @@ def place_window(rows: Rows, candidate: Candidate, whitener: Whitener, y: FloatA
     prior = np.stack([_of_place(first, last, number, odds) for odds in stays])
     of_kind = softmax(logsumexp(value + prior, axis=1))
     weight = of_kind @ softmax(HEAVY * value + prior, axis=1)
-    probable = weight > UNLIKELY * weight.max()
-    first, last = first[probable], last[probable]
-    where = expected_overlap(rows.interval[first, 0], rows.interval[last - 1, 1], weight[probable])
+    where = expected_overlap(rows.interval[first, 0], rows.interval[last - 1, 1], weight)
     a = int(np.searchsorted(rows.interval[:, 0], where[0]))
     b = int(np.searchsorted(rows.interval[:, 1], where[1])) + 1
     best = int(np.argmax([wander[a, b], *(v[a, b] for v in summed)]))
@@ -185,8 +183,7 @@ def _place_turned(rows: Rows, candidate: Candidate, whitener: Whitener, y: Float
     first, last = first[some], last[some]
     value = _of_windows(parts, whitener, y, first, last)
     weight = softmax(value + _of_place(first, last, number, 1.0))
-    probable = weight > UNLIKELY * weight.max()
-    where = expected_overlap(edges[first[probable]], edges[last[probable]], weight[probable])
+    where = expected_overlap(edges[first], edges[last], weight)
     return moved_window(candidate, *where)
 
 
@@ -260,6 +257,8 @@ def tune_wave(
 
 def expected_overlap(start: FloatArray, stop: FloatArray, weight: FloatArray) -> Interval:
     """Return the one of (n,) intervals that overlaps most, on average over their weights."""
+    probable = weight > UNLIKELY * weight.max()
+    start, stop, weight = start[probable], stop[probable], weight[probable]
     common = np.minimum.outer(stop, stop) - np.maximum.outer(start, start)
     hull = np.maximum.outer(stop, stop) - np.minimum.outer(start, start)
     best = int(np.argmax(np.maximum(common, 0.0) / hull @ weight))

@@ -72,9 +72,6 @@ those between which it may differ, as between rests."""
 STRETCHES = 200
 """Such parts of a recording, at most: those of a longer one are longer."""
 
-UNLIKELY = 1e-3
-"""Windows less probable than the best by this factor are left out."""
-
 
 class _Look(NamedTuple):
     """Differences of means over windows of one width: their rest, time (s) and size in noise."""
@@ -115,7 +112,7 @@ def look_within(recording: Recording, poses: Poses) -> tuple[Unexplained, ...]:
 
 
 def look_beside(time: FloatArray, left: FloatArray) -> tuple[Unexplained, ...]:
-    """Return channels that have pulses beside a truth, at rest or in motion.
+    """Return channels that have pulses or are restless beside a truth, at rest or in motion.
 
     Parameters
     ----------
@@ -129,9 +126,9 @@ def look_beside(time: FloatArray, left: FloatArray) -> tuple[Unexplained, ...]:
         return ()
     interval = float(np.median(np.diff(time)))
     whole = np.array([[0, len(time)]])
-    none = np.where(left.any(axis=0), 0.0, np.inf)
+    step = np.where(left.any(axis=0), 0.0, np.inf)
     tried = [
-        _look(time, left, whole, width, none, least=1)
+        _look(time, left, whole, width, step, least=1)
         for width in _widths(interval, len(time) / FEWEST)
     ]
     looks = [look for look in tried if look is not None]
@@ -356,12 +353,8 @@ def _stretches(
         others = np.delete(stirred[:, w].max(axis=0), c)
         if p >= CLAIM or (others > companion).any():
             continue
-        gain = 0.5 * np.square(stands[k, :, c])
-        weight = np.where(stands[k, :, c] > 0, np.exp(gain - gain.max()), 0.0)
-        probable = np.flatnonzero(weight > UNLIKELY)
-        where = expected_overlap(
-            ends[first[probable], 0], ends[last[probable] - 1, 1], weight[probable]
-        )
+        gain = np.where(stands[k, :, c] > 0, 0.5 * np.square(stands[k, :, c]), -np.inf)
+        where = expected_overlap(ends[first, 0], ends[last - 1, 1], np.exp(gain - gain.max()))
         out.append(Unexplained((channel,), (where,), "the time: it is restless there", p))
     return out
 

@@ -278,6 +278,20 @@ def test_a_stretch_that_is_restless_beside_a_truth_is_found_where_it_is() -> Non
     assert look_beside(time, left) == ()
 
 
+@pytest.mark.parametrize(("quiet", "loud"), [(0.58, 1.8), (0.76, 1.5)])
+def test_a_stretch_that_is_restless_is_found_where_another_is_quieter(
+    quiet: float, loud: float
+) -> None:
+    """By more standard errors than the one is louder: of how likely places are it is no part."""
+    rng = np.random.default_rng(5)
+    time, left = 0.01 * np.arange(20_000), rng.normal(size=(20_000, 6))
+    left[(time >= 38.0) & (time < 88.0), 3] *= quiet
+    left[(time >= 145.0) & (time < 157.0), 3] *= loud
+    (found,) = look_beside(time, left)
+    assert found.channels == ("gyro.x",)
+    assert found.intervals[0] == pytest.approx((145.0, 157.0), abs=5.0)
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_noise_beside_a_truth_and_what_all_channels_show_are_no_pulses(seed: int) -> None:
     assert look_beside(*shorts([], seed)) == ()
