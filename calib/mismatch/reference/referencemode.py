@@ -67,6 +67,10 @@ SWAPPED = "swapped_markers"
 JUMPS = "jumps"
 """Of the summary: what was left out, as the motion jumped between two samples there."""
 
+NOT_OF_IMUS = ("earth_rate", "reference_tilt", "reference_smoothing")
+"""What is not asked of two IMUs: on one body they turn with the Earth alike, know up from nothing
+but each other, and neither was captured."""
+
 SETUPS = ("time_offset", "clock_scale", "reference_misalignment")
 
 
@@ -296,16 +300,15 @@ def compared(
         white=white,
         notes=notes,
     )
-    # Two on one body turn with the Earth alike, and know up from nothing but each other.
-    skip = ["earth_rate", "reference_tilt"] if isinstance(reference, Recording) else []
+    skip = list(NOT_OF_IMUS) if isinstance(reference, Recording) else []
     if common.limited:
         # What both were limited to hides the sensor's own low-pass.
         skip.append("bandwidth")
     if common.blur:
         # Where samples do not resolve the motion, one that is lost cannot be told from motion.
         skip.append("dropped_samples")
-    if isinstance(reference, Recording) or (reference.position is None and reference.placed):
-        # A table is commanded, not captured; nor is what another IMU feels.
+    if isinstance(reference, ReferenceMotion) and reference.position is None and reference.placed:
+        # A table is commanded, not captured.
         skip.append("reference_smoothing")
     return problem, tuple(skip), reference
 

@@ -119,15 +119,17 @@ def _between(
     return signals + filtered(time, _noisy(time, left), share)
 
 
-def _noisy(time: FloatArray, left: FloatArray) -> FloatArray:
-    """Return what is left, (n, 3), where it is noise; 0 where it is far more than in quiet parts.
+def _noisy(time: FloatArray, left: FloatArray, usual: float | None = None) -> FloatArray:
+    """Return what is left, (n, 3), where it is noise; 0 where it is far more than is ``usual``.
 
-    That is in the recording alone, or in the truth: neither witnesses the other there.
+    That is in the recording alone, or in the truth: neither witnesses the other there. The usual
+    power, where it is not known, is that of quiet parts.
     """
     width = max(1, round(ABOUT / float(np.median(np.diff(time)))))
     window = np.full(width, 1.0 / width)
     power = np.convolve(np.square(left).mean(axis=1), window, mode="same")
-    return np.where((power < FAR * np.quantile(power, QUIET))[:, None], left, 0.0)
+    limit = FAR * (float(np.quantile(power, QUIET)) if usual is None else usual)
+    return np.where((power < limit)[:, None], left, 0.0)
 
 
 def _turned_by(time: FloatArray, mat: FloatArray, rate: FloatArray) -> FloatArray:
@@ -174,16 +176,13 @@ def between(state: State, left: FloatArray, densities: FloatArray) -> State:
     white = np.square(densities) / (2.0 * interval)
     both = white.sum(axis=0)
     shares = white[1] / np.maximum(both, np.finfo(float).tiny)
-    width = max(1, round(ABOUT / interval))
     found = []
     for own, off, share, total in zip(
         (state.force, state.rate), (left[:, :3], left[:, 3:]), shares, both, strict=True
     ):
-        # What is far more than noise is in the recording alone: an arm, or what neither resolves.
-        power = np.convolve(np.square(off).mean(axis=1), np.full(width, 1.0 / width), mode="same")
-        noisy = (power < FAR * total)[:, None]
         noise = float(np.sqrt(share * (1.0 - share) * total))
-        found.append(denoised(own + noisy * share * off, noise))
+        # What is far more is in the recording alone: an arm, or what neither resolves.
+        found.append(denoised(own + share * _noisy(state.time, off, total), noise))
     return replace(state, force=found[0], rate=found[1])
 
 

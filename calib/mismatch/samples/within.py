@@ -6,6 +6,8 @@ windows of one sample to half a second: what a window's mean is off from those b
 A straight drift is nothing there, a jump or a pulse stands out, and noise has the same size in all
 rests but for what they differ by anyway.
 
+What is left beside a truth is looked at in the same way, and all along: it has no motion.
+
 What several channels show at once may well be motion: a hand, a knock at the bench, a motor nearby.
 Only what one channel does alone is said to be none.
 """

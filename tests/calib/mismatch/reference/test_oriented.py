@@ -25,6 +25,15 @@ def moved(seed: int, noise: NoiseModel, rate: float) -> tuple[Recording, Motion]
     return simulate(motion, SensorModel(), noise, rng=rng, rate=rate), motion
 
 
+def in_a_field(real: Recording, motion: Motion, size: float) -> Recording:
+    """Return a recording of which gyro.y follows the room, by some degrees per second."""
+    gyro = real.gyro.copy()
+    heading = motion.state(real.time).mat_ns
+    assert heading is not None
+    gyro[:, 1] += np.radians(size) * np.tanh(3.0 * heading[:, 0, 1])
+    return replace(real, gyro=gyro)
+
+
 @pytest.mark.parametrize("seed", [1, 2])
 def test_orientations_are_those_of_the_motion_up_to_a_heading(seed: int) -> None:
     simulation, motion = moved(seed, NoiseModel(), 100.0)
@@ -53,12 +62,8 @@ def test_forces_that_tell_nothing_lead_nowhere() -> None:
 
 def test_a_field_of_the_room_is_followed_beside_a_simulation() -> None:
     simulation, motion = moved(4, NoiseModel(), 80.0)
-    real = moved(4, CONSUMER, 100.0)[0]
-    gyro = real.gyro.copy()
-    heading = motion.state(real.time).mat_ns
-    assert heading is not None
-    gyro[:, 1] += np.radians(0.03) * np.tanh(3.0 * heading[:, 0, 1])
-    found = diagnose_against(replace(real, gyro=gyro), simulation, gravity=GRAVITY)
+    real = in_a_field(moved(4, CONSUMER, 100.0)[0], motion, 0.03)
+    found = diagnose_against(real, simulation, gravity=GRAVITY)
     assert not found.findings
     (left,) = found.unexplained
     assert (left.follows, left.channels) == ("orientation", ("gyro.y",))
@@ -101,11 +106,7 @@ def test_a_field_of_the_room_is_followed_beside_another_imu() -> None:
     other, motion = moved(4, CONSUMER, 80.0)
     rng = np.random.default_rng(5)
     real = simulate(motion, SensorModel(), CONSUMER, rng=rng, rate=100.0)
-    gyro = real.gyro.copy()
-    heading = motion.state(real.time).mat_ns
-    assert heading is not None
-    gyro[:, 1] += np.radians(0.05) * np.tanh(3.0 * heading[:, 0, 1])
-    found = diagnose_reference(replace(real, gyro=gyro), other, gravity=GRAVITY)
+    found = diagnose_reference(in_a_field(real, motion, 0.05), other, gravity=GRAVITY)
     assert not found.findings
     (left,) = found.unexplained
     assert (left.follows, left.channels) == ("orientation", ("gyro.y",))
