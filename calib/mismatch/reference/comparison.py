@@ -63,6 +63,10 @@ from calib.types import BoolArray, FloatArray
 LEAST_GAIN = 0.5
 """What a sensor makes at least of its true signals."""
 
+SAME = 0.3
+"""Standard deviations by which no row has moved since windows and shapes were found: what is fitted
+is among the shapes, and these would be the same now."""
+
 SETTLED = 3.0
 """Periods of the cut-off after which a low-pass leaves so little of a quarter turn that markers see
 nothing of it: 0.01 %."""
@@ -421,26 +425,29 @@ class ComparisonProblem:
         check_units(self.state(), self.measured)
         given, arm = self.given, np.zeros(3)
         self._align_accel()
-        known = self.given
+        known, moved = self.given, 0.0
+        # Beside a truth without noise the first step leads nearly there.
+        anew = 2 if self.noisy or self.band else 1
         for k in range(iterations):
-            # Beside a truth without noise its first step leads nearly there.
-            if k in (0, 2) or (k == 1 and self.noisy):
-                self.shapes = None
+            if k <= anew:
+                self.shapes, moved = None, 0.0
             if k == 2 and self.band:
                 self._whiten()
             rows = self.rows()
-            step = robust_step(rows)
+            step, most = robust_step(rows)
+            moved += most
             p = len(self.names)
             terms = self.setup.model.terms[len(self.given) :]
             self.move(dict(zip(self.names, step[:p], strict=True)), step[p:], terms)
-            if k > 3 and np.abs(step).max() < 1e-7:
+            if k > anew and np.abs(step).max() < 1e-7:
                 break
             state = self.state()
             if self.judged is not None:
                 continue
             arm = arm + rough_arm(self.setup.model.felt(state), self.residual(state)[:, :3])
             self._give((*known, arm_term(arm)) if arm.any() else known)
-        self.shapes = None
+        if moved > SAME or arm.any() or self.late:
+            self.shapes = None
         if self.late:
             # Windows, and their noise, as they are beside a gyroscope that is not late.
             self._give(known)

@@ -9,8 +9,11 @@ from calib.mismatch.search.joint import scaled
 from calib.types import FloatArray
 
 
-def robust_step(rows: Rows) -> FloatArray:
-    """Return the Gauss-Newton step of baseline and nuisances, by Huber's weights."""
+def robust_step(rows: Rows) -> tuple[FloatArray, float]:
+    """Return the Gauss-Newton step of baseline and nuisances, by Huber's weights.
+
+    Beside it the most by which it moves a row, in standard deviations.
+    """
     sigma = np.sqrt(np.concatenate((rows.expected_variance(), rows.white_diagonal)))
     design = np.hstack((rows.baseline, rows.nuisance)) / sigma[:, None]
     y = rows.residual / sigma
@@ -25,4 +28,4 @@ def robust_step(rows: Rows) -> FloatArray:
         left = np.abs(y - design @ step)
         scale = max(float(np.median(left)) / 0.6745, 1.0)
         weight = np.minimum(1.0, 3.0 * scale / np.maximum(left, 1e-12)) / scale**2
-    return np.asarray(step)
+    return np.asarray(step), float(np.abs(design @ step).max())
