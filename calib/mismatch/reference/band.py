@@ -85,7 +85,7 @@ class Matched(NamedTuple):
     """A recording and its truth, limited to what both know.
 
     ``blur`` is the standard deviation (s) of the Gaussian through which differences are seen,
-    ``band`` the frequency (Hz) up to which both passed `zero_phase`; 0 is none. Where neither has
+    ``band`` the frequency (Hz) up to which both passed `low_passed`; 0 is none. Where neither has
     noise, ``stuck`` is what rounding does (`calib.mismatch.reference.floor.Heard`). ``folded`` is
     the power (n, 2) of the motion beyond the band, of both triads: unlike samples fold unlike parts
     of it into the band. ``unknown`` (n,) are samples about corners that the truth does not follow.
@@ -355,13 +355,18 @@ def common_band(
 
 
 def low_passed(recording: Recording, bandwidth: float) -> Recording:
-    """Return the recording through `zero_phase`; gaps are bridged by straight lines."""
+    """Return the recording through the low-pass of `smoothed`."""
     signals = smoothed(recording.time, np.hstack((recording.accel, recording.gyro)), bandwidth)
     return replace(recording, accel=signals[:, :3], gyro=signals[:, 3:])
 
 
 def smoothed(time: FloatArray, values: FloatArray, bandwidth: float) -> FloatArray:
-    """Return (n, k) values at (n,) times through `zero_phase`, gaps bridged by straight lines."""
+    """Return (n, k) values at (n,) times through ``1 / (1 + (f / bandwidth)**8)``.
+
+    That is a Butterworth low-pass of fourth order there and back, of the same response at any rate:
+    a digital one is warped, and two sampled at unlike rates would differ by their filters. Gaps are
+    bridged by straight lines.
+    """
     return filtered(time, values, lambda f: 1.0 / (1.0 + (f / bandwidth) ** 8), bandwidth)
 
 
@@ -430,15 +435,6 @@ def _about(power: FloatArray) -> FloatArray:
     width = min(ABOUT, len(power))
     window = np.full(width, 1.0 / width)
     return np.stack([np.convolve(own, window, mode="same") for own in power.T], axis=1)
-
-
-def zero_phase(values: FloatArray, cutoff: float) -> FloatArray:
-    """Return (n, k) values through ``1 / (1 + (f / cutoff)**8)``, f in cycles per sample.
-
-    That is a Butterworth low-pass of fourth order there and back, of the same response at any rate:
-    a digital one is warped, and two sampled at unlike rates would differ by their filters.
-    """
-    return _passed(values, lambda f: 1.0 / (1.0 + (f / cutoff) ** 8))
 
 
 def _passed(values: FloatArray, response: Callable[[FloatArray], FloatArray]) -> FloatArray:

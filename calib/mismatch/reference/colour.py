@@ -16,7 +16,7 @@ from scipy import sparse
 from calib.types import BoolArray, FloatArray, IntArray
 
 PASSED = 0.898
-"""Noise bandwidth of `calib.mismatch.reference.band.zero_phase`, relative to its cut-off."""
+"""Noise bandwidth of `calib.mismatch.reference.band.smoothed`, relative to its cut-off."""
 
 PART = 1.5
 """s of the parts that spectra are taken of: short, so that most of them hold no turn."""

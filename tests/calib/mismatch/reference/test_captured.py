@@ -8,7 +8,7 @@ from scipy import sparse
 from scipy.spatial.transform import Rotation
 
 from calib.effects.base import State
-from calib.mismatch.reference.band import zero_phase
+from calib.mismatch.reference.band import smoothed
 from calib.mismatch.reference.captured import (
     Felt,
     Known,
@@ -137,7 +137,7 @@ def test_where_a_rest_is_steady_means_err_as_its_lines_do():
     gyro = np.arange(72) % 6 >= 3
     trials, expected = np.empty((200, 72)), np.zeros((72, 72))
     for row in trials:
-        angle = zero_phase(rng.normal(0.0, sigma[2], (n, 3)), 8.0 * STEP)
+        angle = smoothed(STEP * np.arange(n), rng.normal(0.0, sigma[2], (n, 3)), 8.0)
         left = seen_wrong(mat, rate, angle)
         steady = steadied(time, rate - left[:, 3:], rests, angle=3e-4, interval=STEP, band=8.0)
         assert steady is not None
@@ -158,7 +158,7 @@ def test_what_angles_make_of_themselves_does_not_come_back():
     n, cutoff, density = 100_000, 4.0, 0.01
     rng = np.random.default_rng(4)
     white = rng.normal(0.0, density / np.sqrt(2.0 * STEP), (n, 3))
-    angle = zero_phase(white, cutoff * STEP)
+    angle = smoothed(STEP * np.arange(len(white)), white, cutoff)
     # From the orientations themselves: what they turn by, without what the angles do.
     step = rotvec_between(angle[:-1], angle[1:])
     rate = (step - np.diff(angle, axis=0)) / STEP

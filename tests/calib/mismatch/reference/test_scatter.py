@@ -9,7 +9,7 @@ from scipy.signal import butter, sosfilt
 from calib.effects.base import State
 from calib.effects.vibration import vibration_variance
 from calib.mismatch import diagnose_reference
-from calib.mismatch.reference.band import beyond, low_passed, zero_phase
+from calib.mismatch.reference.band import beyond, low_passed, smoothed
 from calib.mismatch.reference.colour import WHITE, Blur, Colour, gaussian, whitening
 from calib.mismatch.reference.scatter import Scatter, scatter
 from calib.mismatch.reference.shapes import find_shapes
@@ -136,7 +136,7 @@ def test_a_window_that_is_shaken_in_part_is_as_noisy_as_it_says(tumbled, colour)
     own = np.fft.rfft(rng.normal(0, 0.1, (N, 6)), axis=0)
     own *= np.sqrt(colour.at(np.fft.rfftfreq(N, STEP)))[:, None]
     left = np.fft.irfft(own, N, axis=0) + shaken[:, None] * rng.normal(size=(N, 6))
-    left = zero_phase(left, band * STEP)
+    left = smoothed(STEP * np.arange(len(left)), left, band)
     state = replace(tumbled, vibration=np.tile(1.0 * shaken[:, None], (1, 3)))
     blur = whitening(time, [colour, colour], STEP, band)
     columns = shown(state)
@@ -153,7 +153,7 @@ def test_what_a_sensor_that_nothing_shakes_hears_of_its_own_noise_is_no_vibratio
     band, colour = 5.0, Colour(1.0, 0.0)
     own = np.fft.rfft(rng.normal(0, 0.1, (N, 6)), axis=0)
     own *= np.sqrt(colour.at(np.fft.rfftfreq(N, STEP)))[:, None]
-    left = zero_phase(np.fft.irfft(own, N, axis=0), band * STEP)
+    left = smoothed(STEP * np.arange(N), np.fft.irfft(own, N, axis=0), band)
     heard = vibration_variance(tumbled.time, rng.normal(0, 0.02, (N, 3)), np.zeros(N, bool))
     state = replace(tumbled, vibration=heard)
     blur = whitening(tumbled.time, [colour, colour], STEP, band)
@@ -174,7 +174,7 @@ def test_what_shakes_is_heard_beside_it_as_the_low_pass_spreads_it(tumbled):
     left = np.fft.irfft(own, N, axis=0) + loud[:, None] * rng.normal(size=(N, 6))
     state = replace(tumbled, vibration=np.tile(np.square(loud)[:, None] / 3.0, (1, 3)))
     blur = whitening(tumbled.time, [colour, colour], STEP, band)
-    left, columns = zero_phase(left, band * STEP), shown(state)
+    left, columns = smoothed(STEP * np.arange(len(left)), left, band), shown(state)
     rough = scatter(state, left, columns, blur=blur, resolved=True)
     _, ratio = windows(state, left, columns, blur, rough)
     # Of 2000 rows; beside what shakes, noise would be a thousand times what it is elsewhere.

@@ -7,7 +7,7 @@ from calib.effects.base import State
 from calib.mismatch.hypotheses.candidates import Candidate
 from calib.mismatch.noise.contrast import contrast_variance
 from calib.mismatch.reference import shapes
-from calib.mismatch.reference.band import limited, low_passed, widened, zero_phase
+from calib.mismatch.reference.band import limited, low_passed, smoothed, widened
 from calib.mismatch.reference.colour import Blur, find_colour, gaussian, whitening
 from calib.mismatch.reference.scatter import NOTHING_SAID, silenced
 from calib.mismatch.reference.shapes import find_shapes
@@ -181,7 +181,7 @@ def test_what_a_low_pass_leaves_of_noise_has_the_variance_that_rows_say(derivati
 def test_noise_rises_no_more_steeply_than_turns_allow():
     rng = np.random.default_rng(6)
     time = STEP * np.arange(20000)
-    angle = zero_phase(rng.normal(size=(20000, 3)), 5.0 * STEP)
+    angle = smoothed(STEP * np.arange(20000), rng.normal(size=(20000, 3)), 5.0)
     rate = np.gradient(angle, STEP, axis=0)
     free = find_colour(time, rate, STEP, 5.0)
     bound = find_colour(time, rate, STEP, 5.0, steepest=0.5)
@@ -196,9 +196,9 @@ def test_a_low_pass_is_the_same_at_any_rate():
         wave = np.sin(2 * np.pi * 9.0 * time)[:, None]
         middle = (time > 5.0) & (time < 15.0)
         expected = wave / (1 + (9.0 / 6.0) ** 8)
-        assert np.allclose(zero_phase(wave, 6.0 / rate)[middle], expected[middle], atol=2e-4)
+        assert np.allclose(smoothed(time, wave, 6.0)[middle], expected[middle], atol=2e-4)
         slow = np.stack((time, np.sin(0.5 * time)), axis=1)
-        assert np.allclose(zero_phase(slow, 6.0 / rate)[middle], slow[middle], atol=1e-3)
+        assert np.allclose(smoothed(time, slow, 6.0)[middle], slow[middle], atol=1e-3)
 
 
 def test_a_low_pass_bridges_a_gap_and_says_where_it_is_not_to_be_believed():
