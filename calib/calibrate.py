@@ -22,7 +22,8 @@ from calib.calibration import (
 from calib.errors import InsufficientMotionError
 from calib.fit import Exclusion, Fit
 from calib.model import PARAMETER_UNITS, SensorModel, Triad
-from calib.poses import Poses
+from calib.poses import Poses, average_poses
+from calib.read_once import read_once
 from calib.recording import Recording
 from calib.solvers import accel_solvers, gyro_solvers
 from calib.statics import find_poses
@@ -94,8 +95,13 @@ def calibrate(
         )
     _choose(accel_solvers(), "accel_method", accel_method)
     solve_gyro = _choose(gyro_solvers(), "gyro_method", gyro_method).solve
-    recording = evened(recording)
-    poses = find_poses(recording) if poses is None else poses
+    once, again = read_once(recording)
+    recording = evened(once)
+    if poses is None:
+        poses = find_poses(recording)
+    elif again.size:
+        start, stop = (at - np.searchsorted(again, at) for at in (poses.start, poses.stop))
+        poses = average_poses(recording, start, stop)
     check_units(recording, poses)
     _check_poses(recording, poses, enough=1 if gyro_method == "rate_table" else 2)
 

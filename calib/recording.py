@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.errors import EmptyRecordingError, InvalidSampleError
-from calib.types import FloatArray, IntArray
+from calib.types import BoolArray, FloatArray, IntArray
 
 AXES = ("x", "y", "z")
 TRIADS = {"accel": "accelerometer", "gyro": "gyroscope"}
@@ -143,6 +143,18 @@ class Recording:
             gyro=self.gyro[start:stop],
             temperature=temperature,
             lost=self.lost[start:stop],
+        )
+
+    def select(self, which: BoolArray | IntArray) -> Recording:
+        """Return some of the samples, by (n,) flags or by number, as a recording of their own."""
+        assert self.lost is not None
+        return replace(
+            self,
+            time=self.time[which],
+            accel=self.accel[which],
+            gyro=self.gyro[which],
+            temperature=None if self.temperature is None else self.temperature[which],
+            lost=self.lost[which],
         )
 
     def channel(self, name: str) -> FloatArray:

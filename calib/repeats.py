@@ -81,15 +81,28 @@ def _replayed(key: NDArray[np.uint64], lag: int) -> BoolArray:
 def _beyond_chance(values: FloatArray, moving: BoolArray, lag: int, which: BoolArray) -> IntArray:
     """Return the samples of those ``which`` from ``lag`` on, none if chance may explain them.
 
-    Rounding makes samples equal by chance. Channels are independent of each other, so that the
-    chance of channel c is seen where *another* channel changes, and that of all is the product.
-    That holds where all of them move, or none: so rests and motion are looked at by themselves.
+    Chance is that of rests, or of motion: these are looked at by themselves.
     """
     count = int(which.sum())
     if not count:
         return np.zeros(0, np.int64)
+    chance = by_chance(values, lag, order=np.argsort(moving[lag:], kind="stable"))
+    expected = float((block_sums(np.ones((len(which), 1)))[:, 0] * chance).sum())
+    if pdtrc(count - 1, 1.2 * expected) > FALSE_ALARM / (1 if lag == 1 else MOST):
+        return np.zeros(0, np.int64)
+    return np.flatnonzero(which) + lag
+
+
+def by_chance(values: FloatArray, lag: int, *, order: IntArray | None = None) -> FloatArray:
+    """Return the chance that a sample (n, c) is that of ``lag`` before, in each block.
+
+    Rounding makes samples equal by chance. Channels are independent of each other, so that the
+    chance of one is seen where *another* changes, and that of all is the product. That holds where
+    all of them move, or none: an ``order`` of the samples from `lag` on puts these side by side.
+    """
     equal = values[lag:] == values[:-lag]
-    equal = equal[np.argsort(moving[lag:], kind="stable")]
+    if order is not None:
+        equal = equal[order]
     others = equal.sum(axis=1)[:, None] - equal < values.shape[1] - 1
     seen = block_sums(others)
     hits = block_sums(others & equal)
@@ -97,7 +110,4 @@ def _beyond_chance(values: FloatArray, moving: BoolArray, lag: int, which: BoolA
     informed = (seen >= 8).all(axis=1)
     if informed.any():
         chance[~informed] = np.quantile(chance[informed], 0.9, axis=0)
-    expected = float((block_sums(np.ones((len(which), 1))) * chance.prod(axis=1)[:, None]).sum())
-    if pdtrc(count - 1, 1.2 * expected) > FALSE_ALARM / (1 if lag == 1 else MOST):
-        return np.zeros(0, np.int64)
-    return np.flatnonzero(which) + lag
+    return np.asarray(chance.prod(axis=1))

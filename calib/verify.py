@@ -30,6 +30,7 @@ from calib.errors import InsufficientMotionError
 from calib.fit import Exclusion
 from calib.model import SensorModel, Triad
 from calib.poses import Poses, average_poses
+from calib.read_once import read_once
 from calib.recording import AXES, Recording
 from calib.solvers.quadric import COLUMNS, NAMES, ROWS
 from calib.statics import find_poses
@@ -123,7 +124,7 @@ def verify(
     """
     if not 0 < significance < 1:
         raise ValueError(f"`significance` must be between 0 and 1, got {significance}")
-    recording = evened(recording)
+    recording = evened(read_once(recording)[0])
     poses = find_poses(recording)
     check_units(recording, poses)
     if not len(poses):

@@ -79,6 +79,11 @@ def notes(document: Mapping[str, Any]) -> list[str]:
             f"Time stamps scatter by {recording['stamps']}, but samples were taken evenly: even "
             "times were used."
         )
+    if "held" in recording:
+        out.append(
+            f"Samples of the {recording['held']} come again until there is a new one: it is read "
+            "more often than it measures. Between its own its course was followed by cubics."
+        )
     if "swapped_markers" in recording:
         left = recording["swapped_markers"]
         out.append(

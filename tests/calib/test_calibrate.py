@@ -14,6 +14,7 @@ from calib.recording import DeviceInfo, Recording
 from calib.simulate import NoiseModel, simulate
 from calib.simulation.bench import bench_protocol
 from calib.simulation.turntable import turntable
+from calib.statics import find_poses
 
 NOISE = NoiseModel(accel_noise_density=2e-3, gyro_noise_density=2e-4)
 GRAVITY = Gravity(9.80665)
@@ -179,3 +180,18 @@ def test_a_rate_table_gives_the_gyroscope_in_one_pose_or_several(faces: tuple[st
         truth = gyro.parameters("gyro")[name]
         assert abs(found.values[name] - truth) < 5 * found.sigmas[name]
     assert "accel.misalignment.yx" in found.undetermined
+
+
+def test_what_was_read_more_often_than_it_is_measured_counts_once() -> None:
+    _, plain = bench(3)
+    index = np.repeat(np.arange(len(plain)), 2)
+    time = plain.time[0] + 0.5 * plain.interval * np.arange(len(index))
+    twice = Recording(time, plain.accel[index], plain.gyro[index], clock="host")
+    expected = calibrate(plain, gravity=GRAVITY)
+    for poses in (None, find_poses(twice)):
+        found = calibrate(twice, gravity=GRAVITY, poses=poses)
+        error = found.covariance.diagonal() ** 0.5
+        values = [(found.values[n], expected.values[n]) for n in expected.names]
+        off = [abs(a - b) for a, b in values]
+        assert np.all(off < 0.5 * error)
+        assert error == pytest.approx(expected.covariance.diagonal() ** 0.5, rel=0.1)

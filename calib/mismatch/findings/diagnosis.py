@@ -25,6 +25,7 @@ from calib.mismatch.findings.evidence import Evidence
 from calib.mismatch.findings.heldout import HeldOut
 from calib.mismatch.noise.hush import HUSHED
 from calib.model import SensorModel
+from calib.read_once import HELD
 from calib.recording import Recording
 from calib.timing import EVENED
 from calib.types import FloatArray
@@ -299,5 +300,6 @@ def summarise(recording: Recording) -> dict[str, object]:
         "rate": 1.0 / recording.interval if recording.interval else 0.0,
         "clock": recording.clock,
         **({"stamps": recording.notes[EVENED]} if EVENED in recording.notes else {}),
+        **({"held": recording.notes[HELD]} if HELD in recording.notes else {}),
         **({"silent": recording.notes[HUSHED]} if HUSHED in recording.notes else {}),
     }

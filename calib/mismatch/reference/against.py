@@ -29,12 +29,13 @@ from calib.mismatch.reference.shaken import noise_beside
 from calib.mismatch.reference.truths import RecordingTruth
 from calib.mismatch.reference.twinned import UNSIGNED, diagnose_twin
 from calib.mismatch.samples.resting import unsaid
-from calib.mismatch.samples.samples import Samples, look_at_samples
+from calib.mismatch.samples.samples import Samples, look_at_samples, with_rereads
 from calib.mismatch.samples.within import look_beside
 from calib.mismatch.search.estimate import Estimate
 from calib.mismatch.search.explain import changes, explain, verdict
 from calib.mismatch.search.search import Outcome, search
 from calib.model import SensorModel
+from calib.read_once import read_once
 from calib.recording import Recording
 from calib.rotation import rotvec_from_mat
 from calib.statics import find_poses
@@ -91,12 +92,13 @@ def diagnose_against(
     twin = diagnose_twin(real, simulated, gravity=gravity)
     if twin is not None:
         return twin
+    whole, (real, again) = real, read_once(real)
     stamped = real.time, simulated.time
     real, simulated = evened(real), evened(simulated)
     clocks = np.hypot(clock_errors(stamped[0], real.time), clock_errors(stamped[1], simulated.time))
     heard = audible(real)
     poses = find_poses(heard)
-    seen = look_at_samples(real, poses)
+    seen = with_rereads(look_at_samples(real, poses), whole, again)
     summary = summarise(real)
     if seen.fatal:
         return unfit(seen, summary)

@@ -13,6 +13,7 @@ from calib.errors import UnitError
 from calib.mismatch.reference.referencemode import ReferenceMotion, compared
 from calib.mismatch.samples.samples import look_at_samples
 from calib.model import SensorModel
+from calib.read_once import read_once
 from calib.recording import Recording
 from calib.rotation import quat_from_mat, quat_multiply
 from calib.simulation.kinematics import Motion
@@ -57,7 +58,7 @@ def motion_beside(
     RecordingError
         If the two do not show the same motion, or the recording has faults that hide it.
     """
-    real = evened(real)
+    real = evened(read_once(real)[0])
     seen = look_at_samples(real, find_poses(real))
     if seen.fatal:
         said = [f.sentence for f in seen.findings] or [u.follows for u in seen.unexplained]

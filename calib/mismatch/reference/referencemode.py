@@ -33,8 +33,9 @@ from calib.mismatch.reference.shaken import noise_beside
 from calib.mismatch.reference.swaps import swapped
 from calib.mismatch.reference.truths import DEGREE, RecordingTruth
 from calib.mismatch.reference.witnessed import white_noise
-from calib.mismatch.samples.samples import Samples, look_at_samples
+from calib.mismatch.samples.samples import Samples, look_at_samples, with_rereads
 from calib.model import SensorModel
+from calib.read_once import read_once
 from calib.recording import Recording
 from calib.rotation import mat_from_quat, quat_multiply
 from calib.statics import find_poses
@@ -211,13 +212,15 @@ def diagnose_reference(
     if isinstance(reference, Recording):
         faults.check_sizes(reference, "the reference")
         check_apart(real, reference)
+        reference = read_once(reference)[0]
+    whole, (real, again) = real, read_once(real)
     stamped = real.time, reference.time
     real = evened(real)
     reference = evened(reference) if isinstance(reference, Recording) else reference.evened()
     clocks = np.hypot(clock_errors(stamped[0], real.time), clock_errors(stamped[1], reference.time))
     heard = audible(real)
     poses = find_poses(heard)
-    seen = look_at_samples(real, poses)
+    seen = with_rereads(look_at_samples(real, poses), whole, again)
     summary = summarise(real)
     if seen.fatal:
         return unfit(seen, summary)

@@ -291,6 +291,25 @@ def _saturation(recording: Recording, clipped: BoolArray, triad: str, limit: flo
     return _finding("saturation", recording, channels, values, intervals=where)
 
 
+def read_again(recording: Recording, again: IntArray) -> Samples:
+    """Return what a recording shows of which samples were read again throughout."""
+    if not again.size:
+        return Samples((), (), np.zeros(0, bool), fatal=False)
+    share = again.size / len(recording)
+    found = replace(
+        _repeats(recording, again),
+        regime="time: throughout",
+        sentence=f"The sensor was read faster than it measures: {share:.0%} of the samples are the "
+        "one before, read again. They are left out of all that follows.",
+    )
+    return Samples((found,), (), np.zeros(0, bool), fatal=False)
+
+
+def with_rereads(seen: Samples, recording: Recording, again: IntArray) -> Samples:
+    """Return what the samples of a recording show, and those of it that were read again."""
+    return seen._replace(findings=(*read_again(recording, again).findings, *seen.findings))
+
+
 def _repeats(recording: Recording, repeats: IntArray) -> Finding:
     values = {"count": -float(repeats.size), "moment": float(recording.time[repeats[0]])}
     where = intervals_of(recording.time, repeats)

@@ -35,9 +35,11 @@ from calib.mismatch.samples.samples import (
     look_at_samples,
     look_at_units,
     outside_rests,
+    read_again,
     with_disagreement,
 )
 from calib.poses import Poses, average_poses
+from calib.read_once import read_once
 from calib.recording import CHANNELS, Recording, join
 from calib.statics import RestFinder, find_poses
 from calib.timing import evened
@@ -51,6 +53,9 @@ SECTION = 1 << 17
 
 RESTING = 1 << 18
 """Samples at rest that remain of a longer one: 44 minutes at 100 Hz."""
+
+BESIDE = 64
+"""Samples before and after a section that tell what was read again at its ends."""
 
 WINDOW = 512
 """Samples that remain together: four periodograms of `calib.mismatch.samples.spectrum`."""
@@ -107,14 +112,14 @@ def thin(
     finder: RestFinder | None = None
     wild: dict[tuple[str, ...], Unexplained] = {}
     samples, first, last = 0, 0.0, 0.0
-    for part in sections(batches(), section):
-        progress(len(part))
-        part, what = tamed(part)
+    again: list[Samples] = []
+    for part, what, twice in _sampled(batches(), section, progress):
         faults.check_sizes(part, "the recording")
         for left in what:
             old = wild.get(left.channels)
             where = () if old is None else old.intervals
             wild[left.channels] = replace(left, intervals=(*where, *left.intervals))
+        again.append(twice)
         first = first if samples else float(part.time[0])
         last = float(part.time[-1])
         samples += len(part)
@@ -131,7 +136,7 @@ def thin(
         written = evened(join(head))
         recording = audible(written)
         poses = find_poses(recording)
-        seen = _and(look_at_samples(written, poses), wild)
+        seen = _and(look_at_samples(written, poses), wild, again)
         return Thinned(recording, poses, seen, samples, first, recording.duration, len(poses))
     start, stop = finder.find()
     which = choose_poses(finder.accel(start, stop), start, stop, interval=finder.interval)
@@ -146,12 +151,39 @@ def thin(
     seen = with_disagreement(seen, odd)
     if wrong:
         seen = seen._replace(findings=wrong, unexplained=(), fatal=True)
-    seen = _and(seen, wild)
+    seen = _and(seen, wild, again)
     return Thinned(recording, poses, seen, samples, first, last - first, len(start))
 
 
-def _and(seen: Samples, wild: Mapping[tuple[str, ...], Unexplained]) -> Samples:
-    return seen._replace(unexplained=(*wild.values(), *seen.unexplained))
+def _and(
+    seen: Samples, wild: Mapping[tuple[str, ...], Unexplained], again: list[Samples]
+) -> Samples:
+    findings = (*join_samples(again).findings, *seen.findings)
+    return seen._replace(findings=findings, unexplained=(*wild.values(), *seen.unexplained))
+
+
+def _sampled(
+    batches: Iterable[Recording], section: int, progress: Callable[[int], None]
+) -> Iterator[tuple[Recording, tuple[Unexplained, ...], Samples]]:
+    """Yield sections as sensors sampled them, what was wild there, and what was read again.
+
+    Beside each are some samples of those before and after, so that it ends nowhere.
+    """
+    before: tuple[Recording, ...] = ()
+    parts = (tamed(each) for each in sections(batches, section))
+    part, what = next(parts, (None, ()))
+    while part is not None:
+        progress(len(part))
+        following, wild = next(parts, (None, ()))
+        after = () if following is None else (following.slice(0, BESIDE),)
+        whole = join((*before, part, *after))
+        once, again = read_once(whole)
+        begin = sum(map(len, before))
+        own = slice(*np.searchsorted(again, [begin, begin + len(part)]).tolist())
+        first, last = begin - own.start, begin + len(part) - own.stop
+        yield once.slice(first, last), what, read_again(whole, again[own])
+        before = (part.slice(max(len(part) - BESIDE, 0), len(part)),)
+        part, what = following, wild
 
 
 def tamed(recording: Recording) -> tuple[Recording, tuple[Unexplained, ...]]:
@@ -175,20 +207,7 @@ def tamed(recording: Recording) -> tuple[Recording, tuple[Unexplained, ...]]:
     before = np.append(0, np.flatnonzero(keep)[:-1] + 1)
     until = np.flatnonzero(keep)[-1] + 1
     lost = np.add.reduceat(recording.lost[:until] + np.logical_not(keep[:until]), before)
-    return replace(rows_of(recording, keep), lost=lost), what
-
-
-def rows_of(part: Recording, which: BoolArray) -> Recording:
-    """Return some of the samples."""
-    assert part.lost is not None
-    return replace(
-        part,
-        time=part.time[which],
-        accel=part.accel[which],
-        gyro=part.gyro[which],
-        temperature=None if part.temperature is None else part.temperature[which],
-        lost=part.lost[which],
-    )
+    return replace(recording.select(keep), lost=lost), what
 
 
 def sections(batches: Iterable[Recording], size: int) -> Iterator[Recording]:
@@ -258,8 +277,8 @@ def _gather(
     seen: list[Samples] = []
     spoilt: list[BoolArray] = []
     offset, before = 0, None
-    for part in (evened(tamed(each)[0]) for each in sections(batches(), section)):
-        progress(len(part))
+    for once, _, _ in _sampled(batches(), section, progress):
+        part = evened(once)
         # One sample more, so that no step from sample to sample is missed.
         whole = part if before is None else join((before, part))
         begin = offset + len(part) - len(whole)
@@ -269,7 +288,7 @@ def _gather(
         for a, b in keep[(keep[:, 0] < offset + len(part)) & (keep[:, 1] > offset)] - offset:
             own[max(a, 0) : b] = True
         if own.any():
-            left.append(rows_of(part, own))
+            left.append(part.select(own))
             numbers.append(np.flatnonzero(own) + offset)
             spoilt.append(found.spoilt[len(whole) - len(part) :][own])
         seen.append(found._replace(spoilt=np.zeros(0, bool)))

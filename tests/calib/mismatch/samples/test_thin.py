@@ -178,3 +178,18 @@ def test_of_many_poses_unlike_turns_are_chosen_from_all_over() -> None:
     np.testing.assert_array_equal(
         choose_poses(accel[:MOST], start[:MOST], stop[:MOST], interval=0.01), np.arange(MOST)
     )
+
+
+def test_what_was_read_twice_is_left_out_in_sections_as_in_one() -> None:
+    plain = recording(Term("gyro_g_sensitivity", {"gxx": 5e-4, "gzy": -5e-4}))
+    index = np.repeat(np.arange(len(plain)), 2)
+    time = plain.time[0] + 0.5 * plain.interval * np.arange(len(index))
+    twice = Recording(time, plain.accel[index], plain.gyro[index], clock="host")
+    for whole in (1500, 1 << 19):
+        expected = thin(lambda: (plain,), whole=whole, section=1024, resting=6144)
+        found = thin(lambda: batches(twice, 777), whole=whole, section=2048, resting=6144)
+        assert np.array_equal(found.recording.accel, expected.recording.accel)
+        assert np.array_equal(found.recording.gyro, expected.recording.gyro)
+        (again,) = (f for f in found.seen.findings if f.effect == "dropped_samples")
+        assert again.parameters["count"].value == -len(plain)
+        assert "read faster than it measures" in again.sentence

@@ -1,0 +1,42 @@
+"""A log that is faster than its sensor is diagnosed as what the sensor measured."""
+
+import numpy as np
+import pytest
+
+from calib.effects.base import Term
+from calib.mismatch import diagnose_recording
+from calib.recording import Recording
+
+from .bench import GRAVITY, recording
+
+TERM = Term("gyro_g_sensitivity", {"gxx": 1e-3, "gzy": -1e-3})
+
+
+def read_at(real: Recording, rate: float) -> Recording:
+    """Return what a host reads that asks so often for the last sample, and stamps the answer."""
+    ask = np.arange(real.time[0] + 1e-3, real.time[-1], 1.0 / rate)
+    last = np.searchsorted(real.time, ask, side="right") - 1
+    assert real.temperature is not None
+    return Recording(ask, real.accel[last], real.gyro[last], "host", real.temperature[last])
+
+
+def test_effects_are_found_beside_what_was_read_again() -> None:
+    found = diagnose_recording(read_at(recording(TERM), 65.0), gravity=GRAVITY)
+    again, sensitivity = found.findings
+    assert (again.effect, sensitivity.effect) == ("dropped_samples", TERM.effect)
+    assert not found.unexplained
+    for name, value in TERM.parameters.items():
+        q = sensitivity.parameters[name]
+        assert q.sigma is not None
+        assert abs(q.value - value) < 4 * q.sigma
+
+
+@pytest.mark.parametrize("triad", ["accel", "gyro"])
+def test_nothing_is_found_where_one_triad_measures_half_as_often(triad: str) -> None:
+    real = recording(rate=100.0)
+    signals = {"accel": real.accel, "gyro": real.gyro}
+    signals[triad] = np.repeat(signals[triad][::2], 2, axis=0)[: len(real)]
+    held = Recording(real.time, clock="host", temperature=real.temperature, **signals)
+    found = diagnose_recording(held, gravity=GRAVITY)
+    assert found.verdict == "consistent"
+    assert found.summary["held"] in ("accelerometer", "gyroscope")
