@@ -21,13 +21,12 @@ from calib.calibration import (
 )
 from calib.errors import InsufficientMotionError
 from calib.fit import Exclusion, Fit
+from calib.measured import measured
 from calib.model import PARAMETER_UNITS, SensorModel, Triad
-from calib.poses import Poses, average_poses
-from calib.read_once import read_once
+from calib.poses import Poses
 from calib.recording import Recording
 from calib.solvers import accel_solvers, gyro_solvers
 from calib.statics import find_poses
-from calib.timing import evened
 from calib.turns import Turns, find_turns
 from calib.types import FloatArray, IntArray
 from calib.units import check_units
@@ -70,7 +69,8 @@ def calibrate(
     options : mapping, optional
         What a gyroscope method needs beyond the recording, such as ``table_rate`` (rad/s).
     poses : Poses, optional
-        Its static poses, if they were found already.
+        Its static poses, if they were found already. They are found again where samples of the
+        recording were read again, or are off course.
     provenance : Provenance, optional
         Its device is filled in from the recording.
 
@@ -95,13 +95,9 @@ def calibrate(
         )
     _choose(accel_solvers(), "accel_method", accel_method)
     solve_gyro = _choose(gyro_solvers(), "gyro_method", gyro_method).solve
-    once, again = read_once(recording)
-    recording = evened(once)
-    if poses is None:
+    recording, _, again, spikes = measured(recording)
+    if poses is None or again.size or spikes.size:
         poses = find_poses(recording)
-    elif again.size:
-        start, stop = (at - np.searchsorted(again, at) for at in (poses.start, poses.stop))
-        poses = average_poses(recording, start, stop)
     check_units(recording, poses)
     _check_poses(recording, poses, enough=1 if gyro_method == "rate_table" else 2)
 

@@ -28,13 +28,12 @@ from calib.compare import SIGNIFICANCE, Comparison, compare, device_mismatch
 from calib.directions import pose_directions
 from calib.errors import InsufficientMotionError
 from calib.fit import Exclusion
+from calib.measured import measured
 from calib.model import SensorModel, Triad
 from calib.poses import Poses, average_poses
-from calib.read_once import read_once
 from calib.recording import AXES, Recording
 from calib.solvers.quadric import COLUMNS, NAMES, ROWS
 from calib.statics import find_poses
-from calib.timing import evened
 from calib.turns import Turns, find_turns
 from calib.types import FloatArray, IntArray
 from calib.units import check_units
@@ -124,7 +123,7 @@ def verify(
     """
     if not 0 < significance < 1:
         raise ValueError(f"`significance` must be between 0 and 1, got {significance}")
-    recording = evened(read_once(recording)[0])
+    recording = measured(recording).recording
     poses = find_poses(recording)
     check_units(recording, poses)
     if not len(poses):

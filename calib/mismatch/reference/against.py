@@ -9,6 +9,7 @@ import numpy as np
 
 from calib import faults
 from calib.effects import effects
+from calib.measured import measured
 from calib.mismatch.findings.diagnosis import (
     Diagnosis,
     Finding,
@@ -29,13 +30,12 @@ from calib.mismatch.reference.shaken import noise_beside
 from calib.mismatch.reference.truths import RecordingTruth
 from calib.mismatch.reference.twinned import UNSIGNED, diagnose_twin
 from calib.mismatch.samples.resting import unsaid
-from calib.mismatch.samples.samples import Samples, look_at_samples, with_rereads
+from calib.mismatch.samples.samples import Samples, look_at_samples, with_reading
 from calib.mismatch.samples.within import look_beside
 from calib.mismatch.search.estimate import Estimate
 from calib.mismatch.search.explain import changes, explain, verdict
 from calib.mismatch.search.search import Outcome, search
 from calib.model import SensorModel
-from calib.read_once import read_once
 from calib.recording import Recording
 from calib.rotation import rotvec_from_mat
 from calib.statics import find_poses
@@ -92,13 +92,12 @@ def diagnose_against(
     twin = diagnose_twin(real, simulated, gravity=gravity)
     if twin is not None:
         return twin
-    whole, (real, again) = real, read_once(real)
-    stamped = real.time, simulated.time
-    real, simulated = evened(real), evened(simulated)
-    clocks = np.hypot(clock_errors(stamped[0], real.time), clock_errors(stamped[1], simulated.time))
+    read, given, stamps = measured(real), real, simulated.time
+    real, simulated = read.recording, evened(simulated)
+    clocks = np.hypot(clock_errors(read.stamps, real.time), clock_errors(stamps, simulated.time))
     heard = audible(real)
     poses = find_poses(heard)
-    seen = with_rereads(look_at_samples(real, poses), whole, again)
+    seen = with_reading(look_at_samples(real, poses), given, read)
     summary = summarise(real)
     if seen.fatal:
         return unfit(seen, summary)

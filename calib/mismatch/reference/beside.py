@@ -10,17 +10,16 @@ import numpy as np
 
 from calib.effects.base import Term
 from calib.errors import UnitError
+from calib.measured import measured
 from calib.mismatch.reference.referencemode import ReferenceMotion, compared
 from calib.mismatch.samples.samples import look_at_samples
 from calib.model import SensorModel
-from calib.read_once import read_once
 from calib.recording import Recording
 from calib.rotation import quat_from_mat, quat_multiply
 from calib.simulation.kinematics import Motion
 from calib.simulation.recorded import temperature_of
 from calib.simulation.referenced import motion_from_reference
 from calib.statics import find_poses
-from calib.timing import evened
 
 ALIGNED = {"time_offset": "delay", "clock_scale": "scale", "reference_misalignment": "r"}
 """Effects by which a recording lies beside a reference, and how their parameters begin."""
@@ -58,7 +57,7 @@ def motion_beside(
     RecordingError
         If the two do not show the same motion, or the recording has faults that hide it.
     """
-    real = evened(read_once(real)[0])
+    real = measured(real).recording
     seen = look_at_samples(real, find_poses(real))
     if seen.fatal:
         said = [f.sentence for f in seen.findings] or [u.follows for u in seen.unexplained]

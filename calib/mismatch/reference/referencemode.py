@@ -15,6 +15,7 @@ import numpy as np
 
 from calib import faults
 from calib.errors import NoCommonMotionError
+from calib.measured import measured
 from calib.mismatch.findings.diagnosis import Diagnosis, summarise
 from calib.mismatch.noise.hush import audible
 from calib.mismatch.reference.against import (
@@ -33,15 +34,14 @@ from calib.mismatch.reference.shaken import noise_beside
 from calib.mismatch.reference.swaps import swapped
 from calib.mismatch.reference.truths import DEGREE, RecordingTruth
 from calib.mismatch.reference.witnessed import white_noise
-from calib.mismatch.samples.samples import Samples, look_at_samples, with_rereads
+from calib.mismatch.samples.samples import Samples, look_at_samples, with_reading
 from calib.model import SensorModel
-from calib.read_once import read_once
 from calib.recording import Recording
 from calib.rotation import mat_from_quat, quat_multiply
 from calib.statics import find_poses
 from calib.stillness import runs
 from calib.threads import one_thread
-from calib.timing import clock_errors, even_times, evened
+from calib.timing import clock_errors, even_times
 from calib.types import BoolArray, FloatArray
 
 BRISK = 2.0
@@ -212,15 +212,16 @@ def diagnose_reference(
     if isinstance(reference, Recording):
         faults.check_sizes(reference, "the reference")
         check_apart(real, reference)
-        reference = read_once(reference)[0]
-    whole, (real, again) = real, read_once(real)
-    stamped = real.time, reference.time
-    real = evened(real)
-    reference = evened(reference) if isinstance(reference, Recording) else reference.evened()
-    clocks = np.hypot(clock_errors(stamped[0], real.time), clock_errors(stamped[1], reference.time))
+    read, given = measured(real), real
+    real = read.recording
+    if isinstance(reference, Recording):
+        reference, stamps, *_ = measured(reference)
+    else:
+        reference, stamps = reference.evened(), reference.time
+    clocks = np.hypot(clock_errors(read.stamps, real.time), clock_errors(stamps, reference.time))
     heard = audible(real)
     poses = find_poses(heard)
-    seen = with_rereads(look_at_samples(real, poses), whole, again)
+    seen = with_reading(look_at_samples(real, poses), given, read)
     summary = summarise(real)
     if seen.fatal:
         return unfit(seen, summary)

@@ -16,6 +16,7 @@ from calib import faults
 from calib.calibration import Quantity, parameter_unit
 from calib.effects import get_effect
 from calib.effects.axis_error import ORDERS, signed_permutation
+from calib.measured import Measured
 from calib.mismatch.findings.diagnosis import Finding, Interval, Unexplained
 from calib.mismatch.findings.heldout import HeldOut
 from calib.mismatch.noise.hush import least_noise, silent
@@ -56,6 +57,8 @@ DISAGREES = "turns: by the gyroscope they are others than by the accelerometer"
 """What is unexplained where neither a unit nor an order of axes explains most turns."""
 
 COPIED = "nothing: one repeats the other"
+
+OFF_COURSE = "nothing: single samples are off course, and back at once"
 
 STUCK = 0.2
 """Share of the recording for which a channel that is stuck leaves nothing to compare with."""
@@ -305,9 +308,25 @@ def read_again(recording: Recording, again: IntArray) -> Samples:
     return Samples((found,), (), np.zeros(0, bool), fatal=False)
 
 
-def with_rereads(seen: Samples, recording: Recording, again: IntArray) -> Samples:
-    """Return what the samples of a recording show, and those of it that were read again."""
-    return seen._replace(findings=(*read_again(recording, again).findings, *seen.findings))
+def with_reading(seen: Samples, recording: Recording, read: Measured) -> Samples:
+    """Return what the samples of a recording show, and what reading it had made of them."""
+    return seen._replace(
+        findings=(*read_again(recording, read.again).findings, *seen.findings),
+        unexplained=(*off_course(read.recording, read.spikes), *seen.unexplained),
+    )
+
+
+def off_course(recording: Recording, spikes: IntArray) -> tuple[Unexplained, ...]:
+    """Return what samples (k, 2) that are off course by themselves say of each channel."""
+    return tuple(
+        Unexplained(
+            (CHANNELS[c],),
+            intervals_of(recording.time, np.unique(spikes[spikes[:, 1] == c, 0])),
+            OFF_COURSE,
+            faults.FALSE_ALARM,
+        )
+        for c in np.unique(spikes[:, 1]).tolist()
+    )
 
 
 def _repeats(recording: Recording, repeats: IntArray) -> Finding:

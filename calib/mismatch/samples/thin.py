@@ -17,12 +17,13 @@ in which the recording arrives.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from calib import faults
+from calib.measured import mended
 from calib.mismatch.findings.diagnosis import Unexplained
 from calib.mismatch.noise.hush import audible
 from calib.mismatch.rows.choice import choose_poses
@@ -34,6 +35,7 @@ from calib.mismatch.samples.samples import (
     look_at_faults,
     look_at_samples,
     look_at_units,
+    off_course,
     outside_rests,
     read_again,
     with_disagreement,
@@ -110,15 +112,14 @@ def thin(
     """
     head: list[Recording] = []
     finder: RestFinder | None = None
-    wild: dict[tuple[str, ...], Unexplained] = {}
+    told: dict[tuple[object, ...], Unexplained] = {}
     samples, first, last = 0, 0.0, 0.0
     again: list[Samples] = []
     for part, what, twice in _sampled(batches(), section, progress):
-        faults.check_sizes(part, "the recording")
         for left in what:
-            old = wild.get(left.channels)
-            where = () if old is None else old.intervals
-            wild[left.channels] = replace(left, intervals=(*where, *left.intervals))
+            key = left.channels, left.follows
+            where = told[key].intervals if key in told else ()
+            told[key] = replace(left, intervals=(*where, *left.intervals))
         again.append(twice)
         first = first if samples else float(part.time[0])
         last = float(part.time[-1])
@@ -136,7 +137,7 @@ def thin(
         written = evened(join(head))
         recording = audible(written)
         poses = find_poses(recording)
-        seen = _and(look_at_samples(written, poses), wild, again)
+        seen = _and(look_at_samples(written, poses), told.values(), again)
         return Thinned(recording, poses, seen, samples, first, recording.duration, len(poses))
     start, stop = finder.find()
     which = choose_poses(finder.accel(start, stop), start, stop, interval=finder.interval)
@@ -151,39 +152,46 @@ def thin(
     seen = with_disagreement(seen, odd)
     if wrong:
         seen = seen._replace(findings=wrong, unexplained=(), fatal=True)
-    seen = _and(seen, wild, again)
+    seen = _and(seen, told.values(), again)
     return Thinned(recording, poses, seen, samples, first, last - first, len(start))
 
 
-def _and(
-    seen: Samples, wild: Mapping[tuple[str, ...], Unexplained], again: list[Samples]
-) -> Samples:
+def _and(seen: Samples, odd: Iterable[Unexplained], again: list[Samples]) -> Samples:
     findings = (*join_samples(again).findings, *seen.findings)
-    return seen._replace(findings=findings, unexplained=(*wild.values(), *seen.unexplained))
+    return seen._replace(findings=findings, unexplained=(*odd, *seen.unexplained))
 
 
 def _sampled(
     batches: Iterable[Recording], section: int, progress: Callable[[int], None]
 ) -> Iterator[tuple[Recording, tuple[Unexplained, ...], Samples]]:
-    """Yield sections as sensors sampled them, what was wild there, and what was read again.
+    """Yield sections as sensors sampled them, what was odd there, and what was read again.
 
     Beside each are some samples of those before and after, so that it ends nowhere.
     """
     before: tuple[Recording, ...] = ()
-    parts = (tamed(each) for each in sections(batches, section))
-    part, what = next(parts, (None, ()))
+    parts = (_checked(each) for each in sections(batches, section))
+    part, wild = next(parts, (None, ()))
     while part is not None:
         progress(len(part))
-        following, wild = next(parts, (None, ()))
+        following, further = next(parts, (None, ()))
         after = () if following is None else (following.slice(0, BESIDE),)
         whole = join((*before, part, *after))
         once, again = read_once(whole)
         begin = sum(map(len, before))
         own = slice(*np.searchsorted(again, [begin, begin + len(part)]).tolist())
         first, last = begin - own.start, begin + len(part) - own.stop
-        yield once.slice(first, last), what, read_again(whole, again[own])
+        good, spikes = mended(once)
+        spikes = spikes[(spikes[:, 0] >= first) & (spikes[:, 0] < last)]
+        odd = (*wild, *off_course(once, spikes))
+        yield good.slice(first, last), odd, read_again(whole, again[own])
         before = (part.slice(max(len(part) - BESIDE, 0), len(part)),)
-        part, what = following, wild
+        part, wild = following, further
+
+
+def _checked(recording: Recording) -> tuple[Recording, tuple[Unexplained, ...]]:
+    good, wild = tamed(recording)
+    faults.check_sizes(good, "the recording")
+    return good, wild
 
 
 def tamed(recording: Recording) -> tuple[Recording, tuple[Unexplained, ...]]:

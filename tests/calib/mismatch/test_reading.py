@@ -1,11 +1,15 @@
-"""A log that is faster than its sensor is diagnosed as what the sensor measured."""
+"""A recording is diagnosed as what its sensors measured, whatever reading it made of that."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from calib import faults
 from calib.effects.base import Term
 from calib.mismatch import diagnose_recording
-from calib.recording import Recording
+from calib.mismatch.samples.samples import OFF_COURSE
+from calib.recording import CHANNELS, Recording
 
 from .bench import GRAVITY, recording
 
@@ -40,3 +44,17 @@ def test_nothing_is_found_where_one_triad_measures_half_as_often(triad: str) -> 
     found = diagnose_recording(held, gravity=GRAVITY)
     assert found.verdict == "consistent"
     assert found.summary["held"] in ("accelerometer", "gyroscope")
+
+
+def test_a_diagnosis_says_which_samples_are_off_course_and_nothing_else() -> None:
+    spikes = {(500, 0): 30.0, (1200, 4): -8.0, (2100, 2): 30.0, (2500, 4): 8.0}
+    real = recording(poses=16)
+    values = faults.values_of(real)
+    for (k, c), size in spikes.items():
+        values[k, c] += size
+    real = replace(real, accel=values[:, :3], gyro=values[:, 3:])
+    found = diagnose_recording(real, gravity=GRAVITY)
+    assert not found.findings
+    assert {u.follows for u in found.unexplained} == {OFF_COURSE}
+    said = {(u.channels, a) for u in found.unexplained for a, _ in u.intervals}
+    assert said == {((CHANNELS[c],), float(real.time[k])) for k, c in spikes}

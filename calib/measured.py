@@ -1,0 +1,59 @@
+"""A recording as its sensors measured it: what reading, stamping and sending made of it undone."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from calib import faults
+from calib.read_once import read_once
+from calib.recording import Recording
+from calib.timing import evened
+from calib.types import FloatArray, IntArray
+
+
+class Measured(NamedTuple):
+    """A recording as its sensors measured it, and what was undone.
+
+    Parameters
+    ----------
+    recording : Recording
+        Each sample once, at even times if it was taken so, and in its course.
+    stamps : (n,) array, s
+        When these samples were stamped.
+    again : (r,) array of int
+        Samples of the recording as it was that had been read before.
+    spikes : (k, 2) array of int
+        Samples and channels of the recording as it is that were off course by themselves.
+    """
+
+    recording: Recording
+    stamps: FloatArray
+    again: IntArray
+    spikes: IntArray
+
+
+def measured(recording: Recording) -> Measured:
+    """Return a recording as its sensors measured it."""
+    once, again = read_once(recording)
+    good, spikes = mended(once)
+    return Measured(evened(good), good.time, again, spikes)
+
+
+def mended(recording: Recording) -> tuple[Recording, IntArray]:
+    """Return a recording without spikes, and the sample and channel of each, (k, 2).
+
+    A byte that is lost on the way makes one. In its place is the cubic through the two samples on
+    either side.
+    """
+    values = faults.values_of(recording)
+    found = faults.find_spikes(values, lsb=faults.resolution(values))
+    spikes = np.array(found, np.int64).reshape(-1, 2)
+    if not len(spikes):
+        return recording, spikes
+    k, c = spikes.T
+    near, far = (values[k - n, c] + values[k + n, c] for n in (1, 2))
+    values[k, c] = (4.0 * near - far) / 6.0
+    return replace(recording, accel=values[:, :3], gyro=values[:, 3:]), spikes
