@@ -249,15 +249,15 @@ def _samples(recording: Recording, at_rest: BoolArray) -> list[Finding]:
         )
     spikes = faults.find_spikes(values, lsb=step)
     if spikes:
-        names = tuple(dict.fromkeys(CHANNELS[c] for _, c in spikes))
+        names = tuple(dict.fromkeys(CHANNELS[c] for *_, c in spikes))
         out.append(
             Finding(
                 "spikes",
-                f"{_many(len(spikes), 'single sample')} off course, and back at once "
+                f"{_many(len(spikes), 'spike')}: samples that are off course, and back at once "
                 f"({', '.join(names)})",
                 names,
                 len(spikes),
-                _first(time[[k for k, _ in spikes]]),
+                _first(time[[k for k, *_ in spikes]]),
             )
         )
     return out

@@ -31,6 +31,8 @@ FALSE_ALARM = 1e-6
 """Probability, for a whole recording, that chance alone makes a finding."""
 SPIKE, ISOLATED, OTHERS = 9.0, 4.0, 4.0
 """A spike over the local scatter, over the ten samples around it; what other channels may show."""
+LONGEST_SPIKE = 3
+"""Samples of a spike, at most: as many as are lost where a few bytes are."""
 SHARED = 0.15
 """Of a spike's size over the noise: a knock shows on other channels by more than this."""
 SHAKEN = 50.0
@@ -366,40 +368,66 @@ def _around(turns: IntArray, start: IntArray, stop: IntArray) -> IntArray:
     return np.where((which >= 0) & (turns[:, 1] < stop[which]), which, -1)
 
 
-def find_spikes(values: FloatArray, *, lsb: FloatArray) -> list[tuple[int, int]]:
-    """Return ``(sample, channel)`` of single samples that leave a channel's course and come back.
+def find_spikes(values: FloatArray, *, lsb: FloatArray) -> list[tuple[int, int, int]]:
+    """Return ``(start, stop, channel)`` of samples that leave a channel's course and come back.
 
-    A spike stands out of the local scatter and out of everything within ten samples, on one channel
-    only: a knock shows on several, and rings. Where the sensor is shaken nothing is said.
+    A spike is `LONGEST_SPIKE` samples long at most. It stands out of the local scatter and out of
+    everything within ten samples, on one channel only: a knock shows on several, and rings. Where
+    the sensor is shaken nothing is said.
     """
-    n = len(values)
-    if n < 2 * BLOCK:
+    if len(values) < 2 * BLOCK:
         return []
-    around = np.stack([np.roll(values, s, axis=0) for s in (-2, -1, 1, 2)])
-    around.sort(axis=0)
-    rest = np.abs(values - 0.5 * (around[1] + around[2]))
-    rest[:2] = rest[-2:] = 0.0
-    count = n // NEARBY
-    level = np.median(rest[: count * NEARBY].reshape(count, NEARBY, -1), axis=1)
-    padded = np.pad(level, ((1, 1), (0, 0)), mode="edge")
-    level = np.maximum(np.maximum(padded[:-2], padded[1:-1]), padded[2:])
-    scale = np.repeat(ROBUST * level, NEARBY, axis=0)
-    scale = np.concatenate([scale, np.repeat(scale[-1:], n - len(scale), axis=0)])
+    floor = np.maximum(noise_at_rest(values), lsb)[:, None]
+    # Channel by channel samples lie side by side in memory.
+    rows = np.ascontiguousarray(values.T)
+    found: list[tuple[int, int, int]] = []
+    for length in range(1, LONGEST_SPIKE + 1):
+        found += _spikes(rows, length, floor, lsb[:, None])
+    return sorted(found)
+
+
+def _spikes(
+    values: FloatArray, length: int, floor: FloatArray, lsb: FloatArray
+) -> list[tuple[int, int, int]]:
+    """Return the spikes of so many samples of (6, n) values, beside noise of `floor` (6, 1)."""
+    n = values.shape[1]
+    number, count = n - length - 3, n // NEARBY
+    sides = (2, 1, -length, -length - 1)
+    before, also, after, then = (values[:, 2 - s : 2 - s + number] for s in sides)
+    low = np.minimum(np.minimum(before, also), np.minimum(after, then))
+    high = np.maximum(np.maximum(before, also), np.maximum(after, then))
+    middle = 0.5 * (before + also + after + then - low - high)
+    off = [values[:, 2 + j : 2 + j + number] - middle for j in range(length)]
+    rest = most = np.abs(off[0])
+    for other in off[1:]:
+        size = np.abs(other)
+        rest = np.where(off[0] * other > 0, np.minimum(rest, size), 0.0)
+        most = np.maximum(most, size)
+    rest, most = (np.pad(x, ((0, 0), (2, length + 1))) for x in (rest, most))
+    parts = np.sort(most[:, : count * NEARBY].reshape(-1, count, NEARBY))
+    level = 0.5 * (parts[:, :, NEARBY // 2 - 1] + parts[:, :, NEARBY // 2])
+    padded = np.pad(level, ((0, 0), (1, 1)), mode="edge")
+    level = np.maximum(np.maximum(padded[:, :-2], padded[:, 1:-1]), padded[:, 2:])
+    scale = np.pad(
+        np.repeat(ROBUST * level, NEARBY, axis=1), ((0, 0), (0, n - count * NEARBY)), "edge"
+    )
     scale = np.maximum(scale, lsb)
     ratio = rest / np.where(scale > 0, scale, np.inf)
-    floor = np.maximum(noise_at_rest(values), lsb)
-    quiet = scale < SHAKEN * floor
-    size = rest / np.where(floor > 0, floor, np.inf)
+    # Of a longer one, what begins beside it stands out as well.
+    own = 0 if length == 1 else length + 1
     found = []
-    for k, c in np.argwhere((ratio > SPIKE) & quiet):
-        near = rest[max(0, k - 10) : k + 11, c].copy()
-        near[min(k, 10)] = 0.0
-        back = values[k, c] - values[[k - 1, k + 1], c]
-        alone = (np.delete(ratio[max(0, k - 1) : k + 2], c, axis=1) < OTHERS).all()
-        alone &= np.delete(size[k], c).max() < max(OTHERS, SHARED * size[k, c])
-        returns = back[0] * back[1] > 0 and np.abs(back).min() > 0.5 * rest[k, c]
-        if alone and returns and rest[k, c] > ISOLATED * near.max():
-            found.append((int(k), int(c)))
+    for c, k in np.argwhere((ratio > SPIKE) & (scale < SHAKEN * floor)).tolist():
+        first, last = max(0, k - 10), k + 10 + length
+        near = np.delete(rest[c, first:last], np.s_[max(k - own - first, 0) : k + own + 1 - first])
+        leaves = values[c, k] - values[c, k - 1]
+        returns = values[c, k + length - 1] - values[c, k + length]
+        others = np.delete(np.arange(len(values)), c)
+        alone = (ratio[others, max(0, k - 1) : k + 2] < OTHERS).all()
+        size = rest[:, k] / np.where(floor[:, 0] > 0, floor[:, 0], np.inf)
+        alone &= size[others].max() < max(OTHERS, SHARED * size[c])
+        back = leaves * returns > 0 and min(abs(leaves), abs(returns)) > 0.5 * rest[c, k]
+        if alone and back and rest[c, k] > ISOLATED * near.max(initial=0.0):
+            found.append((k, k + length, c))
     return found
 
 

@@ -25,8 +25,8 @@ class Measured(NamedTuple):
         When these samples were stamped.
     again : (r,) array of int
         Samples of the recording as it was that had been read before.
-    spikes : (k, 2) array of int
-        Samples and channels of the recording as it is that were off course by themselves.
+    spikes : (k, 3) array of int
+        Samples ``[start, stop)`` of the recording as it is, and channels, that were off course.
     """
 
     recording: Recording
@@ -43,17 +43,26 @@ def measured(recording: Recording) -> Measured:
 
 
 def mended(recording: Recording) -> tuple[Recording, IntArray]:
-    """Return a recording without spikes, and the sample and channel of each, (k, 2).
+    """Return a recording without spikes, and the samples and channel of each, (k, 3).
 
     A byte that is lost on the way makes one. In its place is the cubic through the two samples on
     either side.
     """
     values = faults.values_of(recording)
     found = faults.find_spikes(values, lsb=faults.resolution(values))
-    spikes = np.array(found, np.int64).reshape(-1, 2)
+    spikes = np.array(found, np.int64).reshape(-1, 3)
     if not len(spikes):
         return recording, spikes
-    k, c = spikes.T
-    near, far = (values[k - n, c] + values[k + n, c] for n in (1, 2))
-    values[k, c] = (4.0 * near - far) / 6.0
+    for start, stop, c in found:
+        beside = np.array([start - 2, start - 1, stop, stop + 1])
+        values[start:stop, c] = cubic(beside, values[beside, c], np.arange(start, stop))
     return replace(recording, accel=values[:, :3], gyro=values[:, 3:]), spikes
+
+
+def cubic(at: IntArray, values: FloatArray, asked: IntArray) -> FloatArray:
+    """Return the cubic through four (4,) values, where it is asked for (n,) (Lagrange)."""
+    out = np.zeros(len(asked))
+    for own, value in zip(at, values, strict=True):
+        others = at[at != own]
+        out += value * np.prod((asked[:, None] - others) / (own - others), axis=1)
+    return out

@@ -236,8 +236,8 @@ def test_spikes_are_named_and_a_knock_is_none(size: float) -> None:
     found = find_spikes(
         values_of(changed(5, at, lambda v: v + size)), lsb=np.array([1e-3] * 3 + [2e-4] * 3)
     )
-    assert set(found) <= {(k, 5) for k in at.tolist()}
-    assert (300, 5) in found
+    assert set(found) <= {(k, k + 1, 5) for k in at.tolist()}
+    assert (300, 301, 5) in found
     knock = changed(5, at, lambda v: v + size)
     knock = replace(knock, accel=knock.accel + 3 * (np.isin(np.arange(9786), at)[:, None]))
     assert audit(knock).findings == ()

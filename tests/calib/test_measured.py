@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from calib import faults
 from calib.calibrate import calibrate
 from calib.calibration import Gravity
-from calib.measured import measured, mended
+from calib.measured import cubic, measured, mended
 from calib.model import SensorModel
 from calib.recording import Recording
 from calib.simulate import NoiseModel, simulate
@@ -47,7 +47,7 @@ def test_spikes_are_found_and_bridged(found: dict[tuple[int, int], float]) -> No
     spikes = {(int(middle[k]), c): size for (k, c), size in found.items()}
     spikes = {key: v for key, v in spikes.items() if sum(k == key[0] for k, _ in spikes) == 1}
     good, where = mended(spiked(REAL, spikes))
-    assert {(k, c) for k, c in where.tolist()} == set(spikes)
+    assert {(k, c) for k, _, c in where.tolist()} == set(spikes)
     left = faults.values_of(good) - faults.values_of(REAL)
     assert np.abs(left).max(initial=0.0) < 0.1
     assert np.count_nonzero(left) == len(spikes)
@@ -56,7 +56,7 @@ def test_spikes_are_found_and_bridged(found: dict[tuple[int, int], float]) -> No
 def test_what_is_in_its_course_stays_the_same() -> None:
     good, where = mended(REAL)
     assert good is REAL
-    assert where.shape == (0, 2)
+    assert where.shape == (0, 3)
 
 
 def test_a_calibration_is_that_of_the_recording_without_spikes() -> None:
@@ -75,3 +75,22 @@ def test_stamps_are_those_of_the_samples_that_are_left() -> None:
     read = measured(Recording(time, REAL.accel[index], REAL.gyro[index], clock="host"))
     assert np.array_equal(read.stamps, np.delete(time, read.again))
     assert len(read.recording) == len(REAL)
+
+
+@pytest.mark.parametrize("length", [1, 2, 3, 4])
+def test_a_spike_is_three_samples_long_at_most(length: int) -> None:
+    values = faults.values_of(REAL)
+    start = int((POSES.start[3] + POSES.stop[3]) // 2)
+    values[start : start + length, 4] -= 8.0
+    good, where = mended(replace(REAL, accel=values[:, :3], gyro=values[:, 3:]))
+    if length > faults.LONGEST_SPIKE:
+        assert not len(where)
+        return
+    assert where.tolist() == [[start, start + length, 4]]
+    assert good.gyro == pytest.approx(REAL.gyro, abs=0.02)
+
+
+def test_a_bridge_is_a_cubic() -> None:
+    at = np.array([-2, -1, 3, 4])
+    asked = np.arange(3)
+    assert cubic(at, 1.0 - at + 2.0 * at**3, asked) == pytest.approx(1.0 - asked + 2.0 * asked**3)

@@ -58,7 +58,7 @@ DISAGREES = "turns: by the gyroscope they are others than by the accelerometer"
 
 COPIED = "nothing: one repeats the other"
 
-OFF_COURSE = "nothing: single samples are off course, and back at once"
+SPIKES = "nothing: samples are off course, and back at once"
 
 STUCK = 0.2
 """Share of the recording for which a channel that is stuck leaves nothing to compare with."""
@@ -317,16 +317,13 @@ def with_reading(seen: Samples, recording: Recording, read: Measured) -> Samples
 
 
 def off_course(recording: Recording, spikes: IntArray) -> tuple[Unexplained, ...]:
-    """Return what samples (k, 2) that are off course by themselves say of each channel."""
-    return tuple(
-        Unexplained(
-            (CHANNELS[c],),
-            intervals_of(recording.time, np.unique(spikes[spikes[:, 1] == c, 0])),
-            OFF_COURSE,
-            faults.FALSE_ALARM,
-        )
-        for c in np.unique(spikes[:, 1]).tolist()
-    )
+    """Return what spikes (k, 3), as `Measured` has them, say of each channel."""
+    out = []
+    for c in np.unique(spikes[:, 2]).tolist():
+        samples = [np.arange(start, stop) for start, stop, own in spikes.tolist() if own == c]
+        where = intervals_of(recording.time, np.concatenate(samples))
+        out.append(Unexplained((CHANNELS[c],), where, SPIKES, faults.FALSE_ALARM))
+    return tuple(out)
 
 
 def _repeats(recording: Recording, repeats: IntArray) -> Finding:

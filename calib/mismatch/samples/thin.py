@@ -181,8 +181,8 @@ def _sampled(
         own = slice(*np.searchsorted(again, [begin, begin + len(part)]).tolist())
         first, last = begin - own.start, begin + len(part) - own.stop
         good, spikes = mended(once)
-        spikes = spikes[(spikes[:, 0] >= first) & (spikes[:, 0] < last)]
-        odd = (*wild, *off_course(once, spikes))
+        here = spikes[(spikes[:, 0] >= first) & (spikes[:, 0] < last)]
+        odd = (*wild, *off_course(once, here))
         yield good.slice(first, last), odd, read_again(whole, again[own])
         before = (part.slice(max(len(part) - BESIDE, 0), len(part)),)
         part, wild = following, further

@@ -8,7 +8,7 @@ import pytest
 from calib import faults
 from calib.effects.base import Term
 from calib.mismatch import diagnose_recording
-from calib.mismatch.samples.samples import OFF_COURSE
+from calib.mismatch.samples.samples import SPIKES
 from calib.recording import CHANNELS, Recording
 
 from .bench import GRAVITY, recording
@@ -55,6 +55,6 @@ def test_a_diagnosis_says_which_samples_are_off_course_and_nothing_else() -> Non
     real = replace(real, accel=values[:, :3], gyro=values[:, 3:])
     found = diagnose_recording(real, gravity=GRAVITY)
     assert not found.findings
-    assert {u.follows for u in found.unexplained} == {OFF_COURSE}
+    assert {u.follows for u in found.unexplained} == {SPIKES}
     said = {(u.channels, a) for u in found.unexplained for a, _ in u.intervals}
     assert said == {((CHANNELS[c],), float(real.time[k])) for k, c in spikes}
