@@ -142,7 +142,14 @@ def _diagnose(thinned: Thinned, *, gravity: float, model: SensorModel | None) ->
     shortest = 0.0 if recording.clock == "invalid" else SHORTEST_CELL
     turns = under_way(recording, poses)
     grid = make_grid(recording, poses, turns=turns, shortest_cell=shortest, began=thinned.start)
-    few_turns = int((~grid.is_rest).sum()) < LEAST_TURNS
+    spoilt = _spoilt_turns(grid, recording, seen.spoilt)
+    number, bad = int((~grid.is_rest).sum()), int(spoilt.sum())
+    few_turns = number - bad < LEAST_TURNS
+    if bad > number / 2:
+        missing += (
+            f"turns with all of their samples: in {bad} of {number} some are lost, clipped, stuck "
+            "or come again, and what shows in these turns cannot be told",
+        )
     # What a calibration has, and what so few turns leave open, is fitted with the baseline.
     full = few_turns or (model is not None and bool(model.gyro.misalignment.any()))
     timeless = recording.clock == "invalid"
@@ -150,7 +157,7 @@ def _diagnose(thinned: Thinned, *, gravity: float, model: SensorModel | None) ->
         grid, model, gravity=gravity, full_gyro=full, spread=UNKNOWN_DRIFT if timeless else None
     )
     # And out of the twin: a rest that only a clipped turn joins to the others would lean with it.
-    problem.leave_out(np.flatnonzero(_spoilt_turns(grid, recording, seen.spoilt)).tolist())
+    problem.leave_out(np.flatnonzero(spoilt).tolist())
     coarse = _coarse(recording, grid.interval[grid.is_rest], seen.findings)
     unhidden = _unhidden(coarse, few_turns=few_turns)
     problem.rounded(coarse, restless="gyro" in unhidden)

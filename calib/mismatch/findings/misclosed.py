@@ -35,9 +35,11 @@ def misclosed(rows: Rows, levels: FloatArray) -> tuple[Unexplained, ...]:
     whole = (float(rows.interval[0, 0]), float(rows.interval[-1, 1]))
     for c, level, expected in zip(rows.components, levels, expected_levels(rows), strict=True):
         closed = c.name.split(" ")[0]
+        if closed not in CLOSES or not c.variance.size:
+            continue
         beyond = float(np.log(level / expected)) / c.spread
         size = np.sqrt(level * np.median(c.variance))
-        if closed in CLOSES and beyond > BEYOND and size > LEAST[closed]:
+        if beyond > BEYOND and size > LEAST[closed]:
             chance = float(ndtr(-beyond))
             if closed not in out or chance < out[closed].p_value:
                 follows = f"motion: no sensor's noise leaves a turn's {closed} so far off"

@@ -58,3 +58,18 @@ def test_a_diagnosis_says_which_samples_are_off_course_and_nothing_else() -> Non
     assert {u.follows for u in found.unexplained} == {SPIKES}
     said = {(u.channels, a) for u in found.unexplained for a, _ in u.intervals}
     assert said == {((CHANNELS[c],), float(real.time[k])) for k, c in spikes}
+
+
+def test_it_is_said_where_no_turn_has_all_of_its_samples() -> None:
+    real = recording(TERM)
+    assert real.temperature is not None
+    packets = np.arange(len(real) // 8 * 8).reshape(-1, 8)
+    packets = np.concatenate([np.tile(p, 1 + (k % 3 == 1)) for k, p in enumerate(packets)])
+    time = real.time[0] + 0.75 * real.interval * np.arange(len(packets))
+    again = Recording(
+        time, real.accel[packets], real.gyro[packets], "host", real.temperature[packets]
+    )
+    found = diagnose_recording(again, gravity=GRAVITY)
+    turns = 13
+    assert any(f"in {turns} of {turns} some are lost" in need for need in found.missing)
+    assert [f.effect for f in found.findings] == ["dropped_samples", TERM.effect]
