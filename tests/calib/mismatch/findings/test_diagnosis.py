@@ -95,6 +95,7 @@ def test_an_event_is_kept_apart_from_the_sensor():
     assert [e.effect for e in made.events] == ["gyro_bias_step"]
 
 
+@pytest.mark.long
 def test_what_shakes_the_bench_is_the_cause_of_noise_and_of_a_mean_that_moves():
     rng = np.random.default_rng(31)
     motion = bench_protocol(rng, poses=16, vibration=2.5)
@@ -210,6 +211,7 @@ def test_a_strong_low_pass_of_one_triad_is_one_finding() -> None:
     assert abs(cutoff.value - 6.0) < 4.0 * cutoff.sigma < 0.5
 
 
+@pytest.mark.long
 def test_a_low_pass_that_is_as_good_as_a_delay_is_either() -> None:
     # One of second order is late by 38 ms, and turns have next to nothing that it takes away.
     real = recording(Term("bandwidth", {"accel_cutoff": 6.0, "order": 2.0}), seed=8)

@@ -129,6 +129,7 @@ def test_tones_average_out_faster_than_white_noise() -> None:
     assert tones < 0.15 * white
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", [3, 4])
 def test_what_tones_rectify_is_named_where_most_rests_are_shaken(seed: int) -> None:
     real = shaken(3, white=False, rectified=0.1, seed=seed)

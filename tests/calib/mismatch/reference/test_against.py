@@ -185,6 +185,7 @@ def test_a_delay_that_a_calibration_has_is_there_once():
     assert found.verdict == "consistent"
 
 
+@pytest.mark.long
 def test_other_effects_are_found_beside_a_delay_of_tens_of_milliseconds():
     terms = (
         Term("time_offset", {"gyro_delay": 0.025}),

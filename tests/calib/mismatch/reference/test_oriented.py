@@ -102,6 +102,7 @@ def test_another_imu_of_which_rates_do_not_lead_from_rest_to_rest_is_not(wrong: 
     assert oriented_at_rests(RecordingTruth(other, GRAVITY)).quat is None
 
 
+@pytest.mark.long
 def test_a_field_of_the_room_is_followed_beside_another_imu() -> None:
     other, motion = moved(4, CONSUMER, 80.0)
     rng = np.random.default_rng(5)

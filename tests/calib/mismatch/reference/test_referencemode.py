@@ -220,6 +220,7 @@ def test_a_sensor_with_errors_off_the_centre_of_a_table_has_an_arm_and_nothing_e
     assert named(found)["accel_lever_arm"]["rz"].sigma > 0.1
 
 
+@pytest.mark.long
 def test_what_axes_that_never_turn_would_have_upsets_nothing():
     """Their columns are rounding errors: the arm stays, and only what turns has a parameter."""
     arm = (0.08, -0.05, 0.02)
@@ -331,6 +332,7 @@ def test_a_reference_of_another_time_says_that_nothing_is_common():
         diagnose_reference(real, rest, gravity=GRAVITY)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", [3, 4])
 def test_what_the_other_gyroscope_gets_wrong_is_no_error_of_the_accelerometer_at_an_arm(seed):
     """Nobody knows the bias of either: what an arm makes of it follows the rate, and has no name.

@@ -58,6 +58,7 @@ def captured(seed: int, *, smoothed: float = 0.0) -> ReferenceMotion:
     return ReferenceMotion(time[::4], seen[:, :4] / size, seen[:, 4:])
 
 
+@pytest.mark.long
 def test_smoothing_is_named_alone_and_by_its_size():
     width = 0.012
     real = recorded(1)
@@ -76,6 +77,7 @@ def test_smoothing_is_named_alone_and_by_its_size():
     assert [e.effect for e in made.events if e.effect != "time_offset"] == [item.effect]
 
 
+@pytest.mark.long
 def test_nothing_is_smoothed_in_what_was_not():
     found = diagnose_reference(recorded(3), captured(3), gravity=GRAVITY)
     assert {f.effect for f in found.findings} <= {"time_offset"}

@@ -205,6 +205,7 @@ def test_turns_that_nothing_makes_agree_are_said_and_nothing_else() -> None:
         assert [u.follows for u in found.unexplained] == [DISAGREES]
 
 
+@pytest.mark.long
 def test_a_value_that_no_sensor_measures_is_left_out_and_said() -> None:
     recording = simulated()
     clean = diagnose_recording(recording, gravity=GRAVITY)

@@ -138,6 +138,7 @@ def test_vibration_that_goes_with_what_samples_miss_is_judged_at_rest():
         assert not values[turns].any()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", [12, 17])
 def test_turns_of_a_dozen_samples_are_no_disturbance(seed: int):
     found = diagnose_recording(brisk(seed), gravity=GRAVITY)
