@@ -766,6 +766,51 @@ def read_out(
     return setting.start + time + late, out, temperature
 
 
+Log = tuple[np.ndarray, np.ndarray, np.ndarray]
+"""Time, output (n, 6) and temperature, as they are logged."""
+
+
+def read_faster(rng: np.random.Generator, log: Log) -> Log:
+    """Return what a host has that asks for the last sample up to three times as often."""
+    time, output, temperature = log
+    step = float(np.median(np.diff(time))) / rng.uniform(1.2, 3.0)
+    asked = np.arange(time[0], time[-1], step)
+    last = np.searchsorted(time, asked, side="right") - 1
+    return asked, output[last], temperature[last]
+
+
+def hold(first: int) -> Callable[[np.random.Generator, Log], Log]:
+    """Return what holds each second sample of a triad, from channel `first` on."""
+
+    def held(_: np.random.Generator, log: Log) -> Log:
+        time, output, temperature = log
+        own, out = slice(first, first + 3), np.array(output)
+        out[1::2, own] = output[:-1:2, own][: len(out[1::2])]
+        return time, out, temperature
+
+    return held
+
+
+def spike(rng: np.random.Generator, log: Log) -> Log:
+    """Return a log in which a dozen values, alone or up to three at a time, are wrong."""
+    time, output, temperature = log
+    out = np.array(output)
+    for at in rng.integers(10, len(time) - 10, 12):
+        some = slice(at, at + int(rng.integers(1, 4)))
+        out[some, rng.integers(6)] += rng.choice([-1.0, 1.0]) * rng.uniform(2.0, 8.0)
+    return time, out, temperature
+
+
+READ: dict[str, Callable[[np.random.Generator, Log], Log]] = {
+    "well": lambda _, log: log,
+    "faster": read_faster,
+    "accel_held": hold(0),
+    "gyro_held": hold(3),
+    "spikes": spike,
+}
+"""How a log was read."""
+
+
 def write_csv(
     path: Path,
     time: np.ndarray,
