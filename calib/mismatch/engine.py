@@ -191,7 +191,7 @@ def _diagnose(thinned: Thinned, *, gravity: float, model: SensorModel | None) ->
         findings = [_by_sample(f, thinned.samples) if _is_rate(f.effect) else f for f in findings]
     lost = [lost_samples(recording, loss, grid.interval[loss.segment]) for loss in losses]
     findings = [*seen.findings, *lost, *findings]
-    noisy = unsaid(noisy, findings)
+    noisy = unsaid(noisy, findings, seen.unexplained)
     if directions == 1 and _across_gravity(findings, poses):
         missing += (
             "another pose: in one, what the sensor lies on may lean where its accelerometer seems "

@@ -208,7 +208,7 @@ def conclude(
     left = problem.left()
     if left is not None:
         noisy = (*noisy, *look_beside(*left))
-    noisy = unsaid(noisy, findings)
+    noisy = unsaid(noisy, findings, seen.unexplained)
     unexplained = [*seen.unexplained, *gathered(joined([*unexplained, *noisy]))]
     slugs = {f.effect for f in findings}
     keep = [i for i, n in enumerate(known) if n in problem.names or n.split(".")[0] in slugs]

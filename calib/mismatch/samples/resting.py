@@ -6,8 +6,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from calib.mismatch.findings.diagnosis import Finding, Unexplained
+from calib.mismatch.samples.samples import SPIKES
 from calib.mismatch.samples.spectrum import LOUDER_THERE, look_at_spectrum
-from calib.mismatch.samples.within import look_within
+from calib.mismatch.samples.within import OFF_COURSE, PULSES, look_within
 from calib.poses import Poses
 from calib.recording import Recording
 
@@ -23,16 +24,24 @@ def look_at_rests(recording: Recording, poses: Poses) -> tuple[Unexplained, ...]
     return (*look_at_spectrum(recording, poses), *look_within(recording, poses))
 
 
-def unsaid(noisy: Sequence[Unexplained], findings: Sequence[Finding]) -> tuple[Unexplained, ...]:
+def unsaid(
+    noisy: Sequence[Unexplained],
+    findings: Sequence[Finding],
+    said: Sequence[Unexplained] = (),
+) -> tuple[Unexplained, ...]:
     """Return what is odd about samples at rest that findings are not the cause of.
 
     What shook the sensor is the cause of louder noise, too. Samples on both sides of a step of a
-    bias have a spectrum, and a variance, of their own.
+    bias have a spectrum, and a variance, of their own. Of a channel whose spikes were `said`, those
+    that hardly stand out, or in turns alone, are no second thing.
     """
     out = []
+    spiky = {c for item in said if item.follows == SPIKES for c in item.channels}
     shaken = any(f.effect.endswith(_SHAKEN) for f in findings)
     for item in noisy:
         if shaken and item.follows == LOUDER_THERE:
+            continue
+        if item.follows in (OFF_COURSE, PULSES) and spiky.issuperset(item.channels):
             continue
         moments = [
             f.parameters["moment"].value

@@ -21,6 +21,7 @@ from calib.mismatch.findings.diagnosis import Finding, Interval, Unexplained
 from calib.mismatch.findings.heldout import HeldOut
 from calib.mismatch.noise.hush import least_noise, silent
 from calib.mismatch.samples.losses import Loss
+from calib.mismatch.samples.within import SEVERAL, densest
 from calib.poses import Poses
 from calib.recording import CHANNELS, Recording
 from calib.repeats import find_repeats
@@ -317,11 +318,19 @@ def with_reading(seen: Samples, recording: Recording, read: Measured) -> Samples
 
 
 def off_course(recording: Recording, spikes: IntArray) -> tuple[Unexplained, ...]:
-    """Return what spikes (k, 3), as `Measured` has them, say of each channel."""
+    """Return what spikes (k, 3), as `Measured` has them, say of each channel.
+
+    Each is at its moment; several are where they are dense.
+    """
     out = []
+    time = recording.time
     for c in np.unique(spikes[:, 2]).tolist():
-        samples = [np.arange(start, stop) for start, stop, own in spikes.tolist() if own == c]
-        where = intervals_of(recording.time, np.concatenate(samples))
+        own = spikes[spikes[:, 2] == c]
+        if len(own) < SEVERAL:
+            samples = [np.arange(start, stop) for start, stop, _ in own.tolist()]
+            where = intervals_of(time, np.concatenate(samples))
+        else:
+            where = (densest(time[own[:, 0]], (float(time[0]), float(time[-1]))),)
         out.append(Unexplained((CHANNELS[c],), where, SPIKES, faults.FALSE_ALARM))
     return tuple(out)
 

@@ -46,6 +46,8 @@ CHANCE = 0.1
 SEVERAL = 4
 """Pulses on one channel that are no noise then: it has so many in 2e-5 of recordings."""
 
+PULSES = "the time: pulses there"
+
 OFF_COURSE = "the time: single samples are off course there"
 """What these follow."""
 
@@ -251,8 +253,8 @@ def _pulses(looks: list[_Look], time: FloatArray) -> list[Unexplained]:
         if len(found) < SEVERAL:
             continue
         p = float(pdtrc(len(found) - 1, CHANCE)) * len(CHANNELS)
-        where = _densest(np.asarray(start + APART * (found + 0.5)), (start, stop))
-        out.append(Unexplained((channel,), (where,), "the time: pulses there", p))
+        where = densest(np.asarray(start + APART * (found + 0.5)), (start, stop))
+        out.append(Unexplained((channel,), (where,), PULSES, p))
     return out
 
 
@@ -307,7 +309,7 @@ def _runs(
     return first, last, begin, np.minimum(moments[last] + beyond, whole[1])
 
 
-def _densest(moments: FloatArray, whole: Interval) -> Interval:
+def densest(moments: FloatArray, whole: Interval) -> Interval:
     """Return where pulses at (k,) moments most likely begin and end, in order of time.
 
     Poisson processes: inside with the rate that is seen, outside with that of noise.

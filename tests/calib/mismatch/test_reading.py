@@ -10,6 +10,7 @@ from calib.effects.base import Term
 from calib.mismatch import diagnose_recording
 from calib.mismatch.samples.samples import SPIKES
 from calib.recording import CHANNELS, Recording
+from calib.statics import find_poses
 
 from .bench import GRAVITY, recording
 
@@ -73,3 +74,22 @@ def test_it_is_said_where_no_turn_has_all_of_its_samples() -> None:
     turns = 13
     assert any(f"in {turns} of {turns} some are lost" in need for need in found.missing)
     assert [f.effect for f in found.findings] == ["dropped_samples", TERM.effect]
+
+
+def test_spikes_in_a_part_of_a_recording_are_said_of_that_part() -> None:
+    real = recording(poses=16)
+    rng, gyro = np.random.default_rng(1), real.gyro.copy()
+    a, b = len(real) // 3, len(real) // 2
+    # In a turn a few look like a motion that does not close.
+    poses = find_poses(real)
+    rests = [np.arange(x + 3, y - 3, 12) for x, y in zip(poses.start, poses.stop, strict=True)]
+    at = np.concatenate(rests)
+    at = at[(at >= a) & (at < b)]
+    gyro[at, 1] += rng.choice([-8.0, 8.0], len(at))
+    found = diagnose_recording(replace(real, gyro=gyro), gravity=GRAVITY)
+    assert not found.findings
+    (left,) = found.unexplained
+    assert (left.follows, left.channels) == (SPIKES, ("gyro.y",))
+    ((start, stop),) = left.intervals
+    assert start == pytest.approx(real.time[a], abs=2.0)
+    assert stop == pytest.approx(real.time[b], abs=2.0)

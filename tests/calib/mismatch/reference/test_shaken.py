@@ -9,8 +9,8 @@ from calib.mismatch import diagnose_against, diagnose_reference
 from calib.mismatch.reference.alignment import Alignment
 from calib.mismatch.reference.shaken import noise_beside
 from calib.mismatch.samples.resting import look_at_rests
+from calib.mismatch.samples.samples import SPIKES
 from calib.mismatch.samples.spectrum import LOUDER_THERE
-from calib.mismatch.samples.within import OFF_COURSE
 from calib.model import SensorModel
 from calib.recording import Recording
 from calib.simulate import Sampling, simulate
@@ -104,7 +104,7 @@ def test_single_samples_off_course_are_said_beside_a_simulation_and_another_imu(
         diagnose_reference(spiky(real), other, gravity=GRAVITY),
     ):
         (left,) = found.unexplained
-        assert (left.follows, left.channels) == (OFF_COURSE, ("gyro.y",))
+        assert (left.follows, left.channels) == (SPIKES, ("gyro.y",))
     assert not diagnose_against(real, simulation, gravity=GRAVITY).unexplained
 
 
