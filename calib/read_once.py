@@ -36,6 +36,9 @@ LIVELY = 4.0
 THROUGHOUT = 0.5
 """Share of the parts, of `faults.BLOCK` steps each, in which a sample comes again, at least."""
 
+FEW = 4
+"""Parts below which what comes again may be one mishap, or two."""
+
 BEYOND = 2.0
 """Times as many come again as by chance, at least."""
 
@@ -83,7 +86,7 @@ def find_rereads(values: FloatArray) -> BoolArray:
     at, between = step[:-1][lively], np.diff(step)[lively] - 1
     at, between = at[between < faults.BLOCK], between[between < faults.BLOCK]
     parts = faults.block_sums(between[:, None] > 0)
-    if not len(at) or (parts > 0).mean() < THROUGHOUT:
+    if len(at) < FEW * faults.BLOCK or (parts > 0).mean() < THROUGHOUT:
         return out
     count = int(between.sum())
     number = np.bincount(at // faults.BLOCK, between + 1, -(-len(same) // faults.BLOCK))

@@ -133,3 +133,11 @@ def test_the_clock_of_the_sensor_is_found_again() -> None:
     assert np.std(once.time - real.time[: len(once)]) > 1.5e-3
     assert np.std(late) < 1e-4
     assert late.mean() == pytest.approx(0.5 / 133, abs=1.5e-3)
+
+
+def test_two_mishaps_in_a_short_motion_are_none_of_the_host() -> None:
+    steps = RNG(1).integers(5, 10, (150, 3)) * RNG(2).choice([-1, 1], (150, 3))
+    steps[[60, 120]] = 0
+    values = np.concatenate((np.cumsum(steps, axis=0), np.full((1000, 3), 99))).astype(float)
+    values[900] += 1.0
+    assert not find_rereads(values).any()
