@@ -33,6 +33,8 @@ SPIKE, ISOLATED, OTHERS = 9.0, 4.0, 4.0
 """A spike over the local scatter, over the ten samples around it; what other channels may show."""
 LONGEST_SPIKE = 3
 """Samples of a spike, at most: as many as are lost where a few bytes are."""
+SPIKES_PART = 256 * NEARBY
+"""Samples that are looked at for spikes at a time."""
 SHARED = 0.15
 """Of a spike's size over the noise: a knock shows on other channels by more than this."""
 SHAKEN = 50.0
@@ -378,11 +380,16 @@ def find_spikes(values: FloatArray, *, lsb: FloatArray) -> list[tuple[int, int, 
     if len(values) < 2 * BLOCK:
         return []
     floor = np.maximum(noise_at_rest(values), lsb)[:, None]
-    # Channel by channel samples lie side by side in memory.
+    # Channel by channel samples lie side by side, and parts of them stay in a processor's cache.
     rows = np.ascontiguousarray(values.T)
     found: list[tuple[int, int, int]] = []
-    for length in range(1, LONGEST_SPIKE + 1):
-        found += _spikes(rows, length, floor, lsb[:, None])
+    for begin in range(0, len(values), SPIKES_PART):
+        first = max(begin - 2 * NEARBY, 0)
+        part = rows[:, first : begin + SPIKES_PART + 2 * NEARBY]
+        for length in range(1, LONGEST_SPIKE + 1):
+            for start, stop, c in _spikes(part, length, floor, lsb[:, None]):
+                if begin <= first + start < begin + SPIKES_PART:
+                    found.append((first + start, first + stop, c))
     return sorted(found)
 
 

@@ -43,20 +43,31 @@ def measured(recording: Recording) -> Measured:
 
 
 def mended(recording: Recording) -> tuple[Recording, IntArray]:
-    """Return a recording without spikes, and the samples and channel of each, (k, 3).
+    """Return a recording without spikes, and the samples and channel of each, (k, 3)."""
+    spikes = spikes_of(recording)
+    return bridged(recording, spikes), spikes
+
+
+def spikes_of(recording: Recording) -> IntArray:
+    """Return the samples ``[start, stop)`` and channel of each spike, (k, 3)."""
+    values = faults.values_of(recording)
+    found = faults.find_spikes(values, lsb=faults.resolution(values))
+    return np.array(found, np.int64).reshape(-1, 3)
+
+
+def bridged(recording: Recording, spikes: IntArray) -> Recording:
+    """Return a recording without its spikes (k, 3).
 
     A byte that is lost on the way makes one. In its place is the cubic through the two samples on
     either side.
     """
-    values = faults.values_of(recording)
-    found = faults.find_spikes(values, lsb=faults.resolution(values))
-    spikes = np.array(found, np.int64).reshape(-1, 3)
     if not len(spikes):
-        return recording, spikes
-    for start, stop, c in found:
+        return recording
+    values = faults.values_of(recording)
+    for start, stop, c in spikes.tolist():
         beside = np.array([start - 2, start - 1, stop, stop + 1])
         values[start:stop, c] = cubic(beside, values[beside, c], np.arange(start, stop))
-    return replace(recording, accel=values[:, :3], gyro=values[:, 3:]), spikes
+    return replace(recording, accel=values[:, :3], gyro=values[:, 3:])
 
 
 def cubic(at: IntArray, values: FloatArray, asked: IntArray) -> FloatArray:

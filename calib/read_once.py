@@ -95,9 +95,9 @@ def find_rereads(values: FloatArray) -> BoolArray:
         return out
     out[1:] = same
     start, stop = runs(same)
-    for begin, end in zip(start, stop, strict=True):
-        if end - begin >= faults.BLOCK:
-            out[begin + 1 : end + 1] = False  # it stands still, or is stuck
+    still = stop - start >= faults.BLOCK  # or stuck
+    for begin, end in zip(start[still].tolist(), stop[still].tolist(), strict=True):
+        out[begin + 1 : end + 1] = False
     return out
 
 

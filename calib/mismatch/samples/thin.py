@@ -23,7 +23,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib import faults
-from calib.measured import mended
+from calib.measured import bridged, spikes_of
 from calib.mismatch.findings.diagnosis import Unexplained
 from calib.mismatch.noise.hush import audible
 from calib.mismatch.rows.choice import choose_poses
@@ -64,6 +64,10 @@ WINDOW = 512
 
 Batches = Callable[[], Iterable[Recording]]
 """Gives a recording batch by batch, from the start whenever it is called."""
+
+
+_Section = tuple[Recording, tuple[Unexplained, ...], Samples]
+"""Samples, what was odd about them, and which were read again."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,7 +119,8 @@ def thin(
     told: dict[tuple[object, ...], Unexplained] = {}
     samples, first, last = 0, 0.0, 0.0
     again: list[Samples] = []
-    for part, what, twice in _sampled(batches(), section, progress):
+    spikes: list[IntArray] = []
+    for part, what, twice in _sampled(batches(), section, progress, spikes):
         for left in what:
             key = left.channels, left.follows
             where = told[key].intervals if key in told else ()
@@ -143,7 +148,8 @@ def thin(
     which = choose_poses(finder.accel(start, stop), start, stop, interval=finder.interval)
     keep = _kept(start[which], stop[which], finder.interval, resting)
     del finder  # a mean of every 0.1 s, which is no longer needed
-    written, seen, index = _gather(batches, section, keep, (start, stop), progress)
+    read = _sampled(batches(), section, progress, spikes)
+    written, seen, index = _gather(read, keep, (start, stop))
     recording = audible(written)
     poses = average_poses(
         recording, np.searchsorted(index, start[which]), np.searchsorted(index, stop[which])
@@ -162,12 +168,17 @@ def _and(seen: Samples, odd: Iterable[Unexplained], again: list[Samples]) -> Sam
 
 
 def _sampled(
-    batches: Iterable[Recording], section: int, progress: Callable[[int], None]
-) -> Iterator[tuple[Recording, tuple[Unexplained, ...], Samples]]:
+    batches: Iterable[Recording],
+    section: int,
+    progress: Callable[[int], None],
+    known: list[IntArray],
+) -> Iterator[_Section]:
     """Yield sections as sensors sampled them, what was odd there, and what was read again.
 
-    Beside each are some samples of those before and after, so that it ends nowhere.
+    Beside each are some samples of those before and after, so that it ends nowhere. The spikes of
+    each are added to those `known`, and are not looked for again where they are.
     """
+    number = 0
     before: tuple[Recording, ...] = ()
     parts = (_checked(each) for each in sections(batches, section))
     part, wild = next(parts, (None, ()))
@@ -180,10 +191,13 @@ def _sampled(
         begin = sum(map(len, before))
         own = slice(*np.searchsorted(again, [begin, begin + len(part)]).tolist())
         first, last = begin - own.start, begin + len(part) - own.stop
-        good, spikes = mended(once)
+        if number == len(known):
+            known.append(spikes_of(once))
+        spikes = known[number]
+        number += 1
         here = spikes[(spikes[:, 0] >= first) & (spikes[:, 0] < last)]
         odd = (*wild, *off_course(once, here))
-        yield good.slice(first, last), odd, read_again(whole, again[own])
+        yield bridged(once, spikes).slice(first, last), odd, read_again(whole, again[own])
         before = (part.slice(max(len(part) - BESIDE, 0), len(part)),)
         part, wild = following, further
 
@@ -265,11 +279,7 @@ def _share(length: IntArray, total: int) -> int:
 
 
 def _gather(
-    batches: Batches,
-    section: int,
-    keep: IntArray,
-    rests: tuple[IntArray, IntArray],
-    progress: Callable[[int], None],
+    read: Iterable[_Section], keep: IntArray, rests: tuple[IntArray, IntArray]
 ) -> tuple[Recording, Samples, IntArray]:
     """Return the samples that remain, what all of them show, and the numbers of those that remain.
 
@@ -285,7 +295,7 @@ def _gather(
     seen: list[Samples] = []
     spoilt: list[BoolArray] = []
     offset, before = 0, None
-    for once, _, _ in _sampled(batches(), section, progress):
+    for once, _, _ in read:
         part = evened(once)
         # One sample more, so that no step from sample to sample is missed.
         whole = part if before is None else join((before, part))
