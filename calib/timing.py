@@ -20,6 +20,9 @@ from calib.types import BoolArray, FloatArray, IntArray
 EVENED = "stamps evened out"
 """Key of a note: by how much they scattered."""
 
+SHARED = "stamps shared"
+"""Key of a note: how far apart stamps are of which each is that of several samples."""
+
 FEWEST = 64
 """Samples below which stamps stay as they are."""
 

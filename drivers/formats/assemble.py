@@ -9,7 +9,9 @@ import numpy as np
 
 from calib.errors import InvalidSampleError
 from calib.recording import CHANNELS, Clock, DeviceInfo, Recording
+from calib.timing import SHARED
 from calib.types import BoolArray, FloatArray, IntArray
+from drivers.formats.ticks import Ticks
 
 MAX_REVERSAL = 1.0
 """s; rows out of order may be dropped, but not a clock that started again."""
@@ -20,7 +22,8 @@ class Assembler:
     """Makes the batches of one recording, whatever file they come from.
 
     Keeps what runs on from batch to batch: the last time, the number of rows, and rows that were
-    dropped at the end of a batch and so are lost before the next one.
+    dropped at the end of a batch and so are lost before the next one. Where many samples share a
+    stamp they are counted on from it, and the note `SHARED` says so.
 
     Parameters
     ----------
@@ -42,6 +45,7 @@ class Assembler:
     complete: bool = True
     rows: int = 0
     dropped: int = 0
+    _ticks: Ticks = field(default_factory=Ticks)
     _pending: int = 0
     _last: float = -np.inf
 
@@ -64,6 +68,7 @@ class Assembler:
         self.rows += len(time)
         if len(time) == 0:
             return None
+        time = self._ticks.counted_on(time)
         bad = self._not_finite(time, accel, gyro, temperature, first)
         late = self._not_increasing(time, bad, first)
         if late is not None:
@@ -92,9 +97,12 @@ class Assembler:
         )
 
     def _notes(self) -> Mapping[str, str]:
-        if not self.dropped:
-            return self.notes
-        return self.notes | {"dropped_rows": str(self.dropped)}
+        found = {}
+        if self._ticks.interval:
+            found[SHARED] = f"{self._ticks.tick:.4g} s apart, counted on between"
+        if self.dropped:
+            found["dropped_rows"] = str(self.dropped)
+        return self.notes | found
 
     def _not_finite(
         self,

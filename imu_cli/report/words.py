@@ -74,6 +74,8 @@ def notes(document: Mapping[str, Any]) -> list[str]:
     known, used = recording.get("poses", 0), recording.get("poses_used", 0)
     if used < known:
         out.append(f"{used} of {known} poses were looked at.")
+    if "shared_stamps" in recording:
+        out.append(f"Several samples share a time stamp: {recording['shared_stamps']}.")
     if "stamps" in recording:
         out.append(
             f"Time stamps scatter by {recording['stamps']}, but samples were taken evenly: even "

@@ -27,7 +27,7 @@ from calib.mismatch.noise.hush import HUSHED
 from calib.model import SensorModel
 from calib.read_once import HELD
 from calib.recording import Recording
-from calib.timing import EVENED
+from calib.timing import EVENED, SHARED
 from calib.types import FloatArray
 
 Verdict = Literal["consistent", "explained", "partly_explained", "unexplained", "undetermined"]
@@ -299,6 +299,7 @@ def summarise(recording: Recording) -> dict[str, object]:
         "samples": len(recording),
         "rate": 1.0 / recording.interval if recording.interval else 0.0,
         "clock": recording.clock,
+        **({"shared_stamps": recording.notes[SHARED]} if SHARED in recording.notes else {}),
         **({"stamps": recording.notes[EVENED]} if EVENED in recording.notes else {}),
         **({"held": recording.notes[HELD]} if HELD in recording.notes else {}),
         **({"silent": recording.notes[HUSHED]} if HUSHED in recording.notes else {}),
