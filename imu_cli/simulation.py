@@ -14,6 +14,7 @@ from calib.effects import effects
 from calib.effects.base import Term
 from calib.effects.text import parse_term
 from calib.gravity import STANDARD_GRAVITY as G
+from calib.measured import mended
 from calib.mismatch.reference.beside import motion_beside, without_alignment
 from calib.mismatch.reference.referencemode import ReferenceMotion
 from calib.mismatch.reference.twinned import with_sensor
@@ -203,7 +204,8 @@ def _of_reference(known: Mapping[str, Any]) -> str:
 
 
 def _twin(plan: Plan, log: Path, *, rng: np.random.Generator) -> Simulated:
-    recording = read_recording(log, profile=plan.profile, imu=plan.imu)
+    # Samples that were garbled on the way are no motion.
+    recording, _ = mended(read_recording(log, profile=plan.profile, imu=plan.imu))
     calibration = None if plan.calibration is None else load_calibration(plan.calibration)
     sensor = calibration if plan.sensor is None else load_calibration(plan.sensor)
     own = SensorModel()

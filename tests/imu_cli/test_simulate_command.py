@@ -111,6 +111,28 @@ def test_twin_of_a_recording(sensor: Path, tmp_path: Path) -> None:
     assert np.std(found.accel - recorded.accel) < 0.06
 
 
+def test_a_garbled_sample_is_no_motion_of_the_twin(sensor: Path, tmp_path: Path) -> None:
+    log, garbled = tmp_path / "log.csv", tmp_path / "garbled.csv"
+    assert run("--sensor", sensor, "--duration", "40s", "-o", log).exit_code == 0
+    lines = log.read_text().splitlines()
+    head = next(k for k, line in enumerate(lines) if line.startswith("time"))
+    column = lines[head].split(",").index("gyro_y")
+    for row in (900, 1800, 2500):
+        values = lines[head + row].split(",")
+        values[column] = str(float(values[column]) + 4.0)
+        lines[head + row] = ",".join(values)
+    garbled.write_text("\n".join(lines) + "\n")
+    twins = []
+    for name in (log, garbled):
+        twin = tmp_path / f"twin-{name.stem}.arrow"
+        given = ("--like", name, "--calibration", sensor, "--noise", 0)
+        assert run(*given, "-o", twin).exit_code == 0
+        twins.append(read_recording(twin))
+    assert len(twins[0]) == len(twins[1])
+    assert np.abs(twins[0].gyro - twins[1].gyro).max() < 0.1
+    assert np.abs(twins[0].accel - twins[1].accel).max() < 0.5
+
+
 def test_a_twin_says_which_sensor_it_is_of_in_any_format(sensor: Path, tmp_path: Path) -> None:
     log = tmp_path / "log.arrow"
     assert run("--sensor", sensor, "--duration", "40s", "-o", log).exit_code == 0
