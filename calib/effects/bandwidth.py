@@ -33,6 +33,9 @@ GONE = 0.05
 """Share of a signal below which a low-pass has taken it away for good: a hand's tremor is ten to
 fifty times the noise of a consumer part."""
 
+CONTINUED = 0.5
+"""How far values are continued beyond either end, s: several times the delay of any low-pass."""
+
 
 class Bandwidth(TransformEffect):
     """First order ``1 / (1 + s/w0)``, second ``1 / (1 + sqrt(2) s/w0 + s²/w0²)`` (Butterworth).
@@ -242,15 +245,19 @@ def _sharpen(time: FloatArray, values: FloatArray, cutoff: float, *, order: int)
 
 
 class _Spectrum:
-    """The spectrum of (n, k) values at rest at both ends, taken once for any low-pass."""
+    """The spectrum of (n, k) values, taken once for any low-pass."""
 
     def __init__(self, values: FloatArray, interval: float) -> None:
-        # On as it ends, to a length of small factors, and then backwards, so that it comes round.
-        n = _smooth_number(len(values))
-        held = np.repeat(values[-1:], n - len(values), axis=0)
-        whole = np.concatenate((values.T, held.T), axis=1)
+        # On at either end as it came there, turned about it: who begins or ends in a motion does
+        # not stop. Then held, to a length of small factors, and backwards, so that it comes round.
+        more = min(int(np.ceil(CONTINUED / interval)), len(values) - 1)
+        before = 2.0 * values[:1] - values[more:0:-1]
+        after = 2.0 * values[-1:] - values[-2 : -2 - more : -1]
+        n = _smooth_number(len(values) + 2 * more)
+        held = np.repeat(after[-1:] if more else values[-1:], n - len(values) - 2 * more, axis=0)
+        whole = np.concatenate((before.T, values.T, after.T, held.T), axis=1)
         there_and_back = np.concatenate((whole, whole[:, ::-1]), axis=1)
-        self._number, self._length = len(values), 2 * n
+        self._within, self._length = slice(more, more + len(values)), 2 * n
         self._frequency = np.fft.rfftfreq(2 * n, interval)
         self._values = np.fft.rfft(there_and_back)
 
@@ -259,7 +266,7 @@ class _Spectrum:
         gain = _response(np.asarray(self._frequency), cutoff, order=order)
         if early:
             gain = gain * np.exp(2j * np.pi * self._frequency * early)
-        return np.fft.irfft(gain * self._values, self._length)[:, : self._number].T
+        return np.fft.irfft(gain * self._values, self._length)[:, self._within].T
 
     def restored(self, low_passes: Iterable[tuple[float, float]], *, order: int) -> FloatArray:
         """Return the (n, k) values as they were before low-passes.
@@ -274,7 +281,7 @@ class _Spectrum:
                 passed *= np.exp(2j * np.pi * self._frequency * late)
             power = np.square(passed.real) + np.square(passed.imag)
             spectrum = (1 + GONE**2) * passed.conj() / (power + GONE**2) * spectrum
-        return np.fft.irfft(spectrum, self._length)[:, : self._number].T
+        return np.fft.irfft(spectrum, self._length)[:, self._within].T
 
 
 @lru_cache(maxsize=2)

@@ -258,6 +258,17 @@ def _blocks(
     return out
 
 
+def _told_by_both(before: FloatArray, after: FloatArray) -> FloatArray:
+    """Return the directions that the larger fit foretells and the other does too.
+
+    It has fewer of its own only where rounding takes some of them.
+    """
+    few = before.shape[1]
+    if after.shape[1] <= few:
+        return after
+    return np.asarray(after @ np.linalg.svd(after.T @ before)[0][:, :few])
+
+
 def _gain(before: LeftOut, after: LeftOut) -> tuple[float, tuple[float, float]]:
     """Return the held-out log-likelihood gained, with the full noise model.
 
@@ -273,7 +284,7 @@ def _gain(before: LeftOut, after: LeftOut) -> tuple[float, tuple[float, float]]:
     """
     gain, square, number = 0.0, np.zeros(2), 0
     for pair in zip(before.blocks, after.blocks, strict=True):
-        told = pair[1][1]
+        told = _told_by_both(*(vectors for _, vectors, _ in pair))
         for i, (values, vectors, pull) in enumerate(pair):
             spread = (told.T @ vectors) / np.sqrt(values)
             error = spread @ ((vectors.T @ pull) / np.sqrt(values))

@@ -10,6 +10,7 @@ import numpy as np
 from calib import faults
 from calib.effects import effects
 from calib.measured import measured
+from calib.mismatch.engine import diagnose_recording
 from calib.mismatch.findings.diagnosis import (
     Diagnosis,
     Finding,
@@ -61,6 +62,14 @@ _SELDOM_ALONE = ("earth_rate", "gravity_magnitude", "reference_tilt", "reference
 """What is in a simulation's own signals already, or is a scale that the baseline has; and what is
 wrong with a room, or with markers."""
 
+MOVES = 0.05
+"""rad/s by which the rate of a motion varies at least."""
+
+BY_ITSELF = (
+    "motion to compare: neither it nor the simulation turns, so it was judged by itself; rests "
+    "tell of time and temperature"
+)
+
 
 @one_thread()
 def diagnose_against(
@@ -102,6 +111,9 @@ def diagnose_against(
     if seen.fatal:
         return unfit(seen, summary)
     still = at_rest(real, simulated)
+    if still and max(_turns_by(real), _turns_by(simulated)) < MOVES:
+        found = diagnose_recording(given, gravity=gravity, model=model)
+        return replace(found, missing=(*found.missing, BY_ITSELF))
     if still:
         return undetermined(still, summary)
     alignment = align(real.time, real.gyro, simulated.time, simulated.gyro)
@@ -168,13 +180,19 @@ def at_rest(*recordings: Recording) -> str:
     for name, recording in zip(
         ("the recording", "what it is compared with"), recordings, strict=True
     ):
-        moved = np.linalg.norm(recording.gyro - np.median(recording.gyro, axis=0), axis=1).std()
-        if recording.duration < LEAST_OVERLAP or moved < 0.05:
+        moved = _turns_by(recording)
+        if recording.duration < LEAST_OVERLAP or moved < MOVES:
             return (
                 f"motion to compare: {name} lasts {recording.duration:.3g} s and turns by "
                 f"{np.degrees(moved):.2g} dps; turn it for {LEAST_OVERLAP:g} s or more"
             )
     return ""
+
+
+def _turns_by(recording: Recording) -> float:
+    """Return how much the rate of turning varies, rad/s."""
+    off = recording.gyro - np.median(recording.gyro, axis=0)
+    return float(np.linalg.norm(off, axis=1).std())
 
 
 def conclude(

@@ -67,6 +67,9 @@ the motion. A simulation's own noise hides that; as loud as the recording's it l
 HEARD = 0.3
 """Power of a truth's rates beside the recording's noise from which it shows in that."""
 
+CLEARLY = 5.0
+"""Log-likelihood by which a low-pass of the recording's must be ahead of noise of the truth's."""
+
 KNOWN, SMOOTH = 0.8, 5
 """Share of the frequencies that the slower of both has, of which the spline knows, and how many of
 a spectrum are taken together: each has an error of a tenth or two."""
@@ -208,7 +211,7 @@ def _shows_all(
     """Whether all that is fast in the rates of a truth, and beyond a noise, is in a recording too.
 
     Of the cross-spectrum with the recording, relative to the truth's own, noise of the truth's
-    takes its share.
+    takes its share; so does a low-pass of the sensor, which leaves less in the recording.
     """
     from scipy.signal import csd, welch  # half a second to import
 
@@ -222,14 +225,47 @@ def _shows_all(
     window = "blackmanharris"
     f, own = welch(rate, sampling, window, nperseg=length, axis=0)
     _, both = csd(rate, real.gyro, sampling, window, nperseg=length, axis=0)
+    _, seen = welch(real.gyro, sampling, window, nperseg=length, axis=0)
+    white = 2.0 * noise**2 / sampling
     reached = KNOWN * 0.5 * min(sampling, 1.0 / truth.recording.interval)
     fast = (f > NARROWEST) & (f < reached)
-    for shown, shared in zip(own.T, both.T, strict=True):
-        heard = np.flatnonzero(fast & (shown > HEARD * 2.0 * noise**2 / sampling))
-        for some in np.array_split(heard, max(1, len(heard) // SMOOTH)):
-            if np.abs(shared[some].sum()) < COHERENT * shown[some].sum():
-                return False
+    # Neighbours of that window are half of them independent, and so are half of its overlaps.
+    number = 0.5 * len(rate) / length
+    for k in range(3):
+        heard = np.flatnonzero(fast & (own[:, k] > HEARD * white))
+        groups = np.array_split(heard, max(1, len(heard) // SMOOTH))
+        size = np.array([len(some) for some in groups])
+        shown, power = (np.array([x[some, k].sum() for some in groups]) for x in (own, seen))
+        shared = np.array([np.abs(both[some, k].sum()) for some in groups])
+        if (shared < COHERENT * shown).any() and not _low_passed(
+            shown, shared, power, white * size, number * size
+        ):
+            return False
     return True
+
+
+def _low_passed(
+    shown: FloatArray, shared: FloatArray, power: FloatArray, white: FloatArray, number: FloatArray
+) -> bool:
+    """Whether a sensor's low-pass, rather than noise of the truth's, takes what is not shared.
+
+    Of motion m and noise n the truth has m + n, and the recording m: as much as is shared. Through
+    a low-pass H it has ``|H|² m``, and ``H m`` is shared.
+
+    Parameters
+    ----------
+    shown, shared, power, white : (k,) arrays
+        Spectrum of the truth, the cross-spectrum's length, the recording's spectrum and that of its
+        noise, by frequency.
+    number : (k,) array
+        How many independent ones they are the means of.
+    """
+    left = power - white
+    # A length is never below zero: of nothing shared it is what chance makes of both.
+    square = np.maximum(np.square(shared) - shown * power / number, 0.0)
+    noisy = number * np.square((left - np.sqrt(square)) / power)
+    filtered = number * np.square((left - square / shown) / power)
+    return bool(0.5 * (noisy - filtered).sum() > CLEARLY)
 
 
 def fastest_noise(recording: Recording) -> FloatArray:

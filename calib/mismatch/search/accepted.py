@@ -14,7 +14,10 @@ from calib.mismatch.hypotheses.score import Stack
 from calib.mismatch.noise.contrast import contrast_variance
 from calib.mismatch.rows.rows import Rows
 from calib.recording import CHANNELS
-from calib.types import FloatArray
+from calib.types import BoolArray, FloatArray
+
+UNLIKE = 0.1
+"""Part of what a low-pass takes away that one of another make would not."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,7 +103,10 @@ def fitted(rows: Rows, accepted: list[Accepted] | tuple[Accepted, ...]) -> Float
 
 
 def contrast_noise(rows: Rows, accepted: Sequence[Accepted], *also: Candidate) -> FloatArray:
-    """Return the variance of the contrast rows, as it is outside of what is found in windows."""
+    """Return the variance of the contrast rows, as it is outside of what is found in windows.
+
+    And beside physics that is in the mean, but that the model has not taken up.
+    """
     apart = np.zeros(len(rows.residual) - rows.n_dense, bool)
     for item in (*(a.candidate for a in accepted), *also):
         if item.physical or item.interval is None:
@@ -109,4 +115,17 @@ def contrast_noise(rows: Rows, accepted: Sequence[Accepted], *also: Candidate) -
         inside = (rows.interval[:, 0] < stop) & (rows.interval[:, 1] > start)
         own = np.isin(rows.channel, [CHANNELS.index(c) for c in item.channels])
         apart |= (inside[rows.segment] & own)[rows.n_dense :]
-    return contrast_variance(rows, apart=apart)
+    beside = [a for a in accepted if a.candidate.physical and not a.in_model]
+    return contrast_variance(_without(rows, beside, ~apart) if beside else rows, apart=apart)
+
+
+def _without(rows: Rows, beside: list[Accepted], which: BoolArray) -> Rows:
+    """Return the rows without most of some findings in their contrasts, as those marked fit it."""
+    weight = (which / np.sqrt(rows.white_diagonal))[:, None]
+    mean, left = fitted(rows, beside)[rows.n_dense :], rows.residual[rows.n_dense :]
+    size = np.linalg.norm(mean * weight, axis=0)
+    mean = mean / np.where(size > 0, size, np.inf)
+    fit = np.linalg.lstsq(mean * weight, left * weight[:, 0], rcond=1e-9)[0]
+    start = rows.baseline.shape[1] + rows.nuisance.shape[1]
+    fit[start:] *= 1.0 - UNLIKE
+    return rows.with_residual(np.append(rows.residual[: rows.n_dense], left - mean @ fit))

@@ -28,7 +28,7 @@ from calib.mismatch.hypotheses.places import joined
 from calib.mismatch.hypotheses.windows import touched
 from calib.mismatch.noise.noise import make_whitener
 from calib.mismatch.rows.rows import Kind, Rows
-from calib.mismatch.search.accepted import Accepted, fitted
+from calib.mismatch.search.accepted import UNLIKE, Accepted, fitted
 from calib.mismatch.search.estimate import Estimate, pseudo_inverse
 from calib.mismatch.search.put_down import WORDS, put_down
 from calib.mismatch.search.ranking import chance
@@ -78,6 +78,7 @@ def explain(
     shapes: list[tuple[int, str]] = []
     of_poses: list[Unexplained] = []
     again, first_rests = returned(fit, accepted), put_down(accepted)
+    of_filters = _left_by_filters(outcome, fit)
 
     @cache
     def after() -> LeftOut:
@@ -95,7 +96,7 @@ def explain(
             # What warms up does so in time; without a thermometer, or with one that is stuck,
             # nobody can tell which it follows.
             rivals = (Rival(heat, 1.0), *rivals)
-        if i in first_rests:
+        if i in first_rests or i in of_filters:
             continue
         if not a.candidate.physical:
             unexplained.append(_unexplained(rows, a, rivals))
@@ -195,6 +196,33 @@ def explain(
     covariance = (fit.joint(shapes) * np.outer(scale, scale))[np.ix_(index, index)]
     unexplained += _of_poses(of_poses)
     return findings, joined(unexplained), (tuple(known), covariance)
+
+
+def _left_by_filters(outcome: Outcome, fit: Estimate) -> set[int]:
+    """Return the findings that are what a filter of another make leaves of its effect.
+
+    No filter is exactly of the forms that are tried. What another form or cut-off would explain
+    better is that of one that was found first, and so is what another explains nearly as well, if
+    it is smaller than what filters are unlike by.
+    """
+    rows, accepted = outcome.rows, outcome.accepted
+    filters = [i for i, a in enumerate(accepted) if a.candidate.present]
+    out: set[int] = set()
+    if not filters or len(accepted) < 2:
+        return out
+    whitener = make_whitener(rows, outcome.levels, outcome.contrast, rows.baseline[:, :0])
+    parts = [a.columns @ fit.step[fit.at[i] : fit.at[i + 1]] for i, a in enumerate(accepted)]
+    power = np.square(whitener.whiten(np.stack(parts, axis=1))).sum(axis=0)
+    for i, a in enumerate(accepted):
+        own = a.posterior.get(a.candidate.group, 0.0)
+        for k in filters:
+            b = accepted[k]
+            other = a.posterior.get(b.candidate.group, 0.0)
+            if b.candidate.group == a.candidate.group or k > i:
+                continue
+            if other > own or (other > TIE * own and power[i] < UNLIKE**2 * power[k]):
+                out.add(i)
+    return out
 
 
 def _of_windows(fit: Estimate, which: int, a: Accepted, *, looks: int) -> tuple[float, float]:

@@ -10,6 +10,9 @@ from calib.mismatch.rows.rows import Rows
 from calib.mismatch.search.accepted import Accepted, fitted
 from calib.types import BoolArray, FloatArray
 
+THERE = 1e-6
+"""How far the coefficient of what is there or not may be from one."""
+
 
 def solve(
     rows: Rows,
@@ -41,6 +44,7 @@ def prior_rows(
     table that turns about the vertical) stays there. A smooth function can take the place of the
     baseline. At rest the two are exactly alike, but in motion, or beside a truth with noise, only
     nearly so; what keeps them apart is the size that the evidence gave the rival, at most `LARGE`.
+    And how strong something is that is there or not is in its shape alone.
     """
     start = rows.baseline.shape[1] + rows.nuisance.shape[1]
     width = start + sum(a.columns.shape[1] for a in accepted)
@@ -55,6 +59,8 @@ def prior_rows(
             spread[own] = LARGE
         elif rows.aligned:
             spread[own] = SCALES[-1]
+        if a.candidate.present:
+            spread[own], value[own] = THERE, 1.0
         if a.in_model:
             value[own] = -a.values / a.typical
         at = own.stop

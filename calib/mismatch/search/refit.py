@@ -221,7 +221,7 @@ def _stepped(
         variance = np.concatenate((rows.variance(levels), contrast))
         with np.errstate(over="ignore", invalid="ignore"):
             there = _step(problem, rows, accepted, levels, contrast)
-            bent = there.rows.residual - (rows.residual - there.removed)
+            bent = there.rows.residual - (rows.residual - there.removed) - there.changed
             off = float((np.square(bent) / variance).sum())
         ways.append(there.way)
         rows, accepted = there.rows, there.accepted
@@ -249,11 +249,15 @@ def unmoved(seen: FloatArray, rows: Rows) -> bool:
 
 
 class _Stepped(NamedTuple):
-    """Where a step leads, what it should have taken from the rows, and how it moved the model."""
+    """Where a step leads, what it should have taken from the rows, and how it moved the model.
+
+    ``changed`` is by how much what the model has not taken up became another there.
+    """
 
     rows: Rows
     accepted: list[Accepted]
     removed: FloatArray
+    changed: FloatArray
     way: tuple[dict[str, float], FloatArray]
 
 
@@ -268,7 +272,7 @@ def _step(
     p, q = rows.baseline.shape[1], rows.nuisance.shape[1]
     removed = rows.baseline @ step[:p] + rows.nuisance @ step[p : p + q]
     terms, at = [], p + q
-    moved = []
+    moved, beside = [], []
     for a in accepted:
         k = a.columns.shape[1]
         own = step[at : at + k]
@@ -278,12 +282,17 @@ def _step(
             removed = removed + a.columns @ own
             a = replace(a, values=a.values + change, in_model=True)
             terms.append(_term(a))
+            own = np.zeros(k)
         moved.append(a)
+        beside.append(own)
     baseline, nuisance = dict(zip(rows.names, step[:p], strict=True)), step[p : p + q]
     problem.move(baseline, nuisance, tuple(terms))
     rows = problem.rows()
     renewed = [_renew(a, rows, reference=problem.reference) for a in moved]
-    return _Stepped(rows, renewed, removed, (baseline, nuisance))
+    changed = np.zeros(len(removed))
+    for a, new, own in zip(moved, renewed, beside, strict=True):
+        changed += (new.columns - a.columns) @ own
+    return _Stepped(rows, renewed, removed, changed, (baseline, nuisance))
 
 
 def put_back(problem: Problem, rows: Rows, accepted: list[Accepted]) -> Rows:

@@ -21,6 +21,7 @@ from calib.mismatch.search.choice import LEAST, choose, is_part, possible
 from calib.mismatch.search.estimate import Estimate, estimate, settle
 from calib.mismatch.search.ranking import make_stack, rank
 from calib.mismatch.search.refit import Problem, put_back, refit, unmoved
+from calib.mismatch.search.resettled import resettled
 from calib.mismatch.search.twins import MIMICKED, twins
 from calib.mismatch.search.whole import whole_fit, whole_odds
 from calib.types import FloatArray
@@ -125,6 +126,7 @@ def search(problem: Problem, *, skip: tuple[str, ...] = ()) -> Outcome:
         whole_odds(problem, rows, stack, accepted, i, levels, mimicked=MIMICKED, least=2 * TWIN)
         for i in range(len(accepted))
     ]
+    rows, accepted = resettled(problem, rows, accepted, levels, contrast)
     rows, accepted = settle(rows, accepted, levels, contrast, reference=problem.reference)
     tried = frozenset(c.name for c in stack.physics.values())
     return Outcome(rows, tuple(accepted), levels, contrast, ranking.total, tried)

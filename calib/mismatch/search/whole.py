@@ -22,10 +22,16 @@ from calib.effects.base import TransformEffect
 from calib.mismatch.hypotheses.candidates import Candidate
 from calib.mismatch.hypotheses.families import candidate_columns
 from calib.mismatch.hypotheses.score import Stack
-from calib.mismatch.noise.noise import Levels, Whitener, find_levels, make_whitener
+from calib.mismatch.noise.contrast import contrast_likelihood
+from calib.mismatch.noise.noise import (
+    Levels,
+    Whitener,
+    find_levels,
+    make_whitener,
+)
 from calib.mismatch.rows.restored import STILL, whole_change
 from calib.mismatch.rows.rows import Rows
-from calib.mismatch.search.accepted import Accepted, contrast_noise, fitted
+from calib.mismatch.search.accepted import UNLIKE, Accepted, contrast_noise, fitted
 from calib.mismatch.search.estimate import pseudo_inverse
 from calib.mismatch.search.refine import likelihood_gain
 from calib.mismatch.search.refit import BENT, Problem, Refit, put_back, refit, take_up
@@ -50,6 +56,9 @@ much a cut-off may still move, relative to it: the rest is refined with everythi
 CLEAR, TILT = 36.0, 0.25
 """Power by which a low-pass of a noisy truth differs from a delay at least, and the gain beyond it,
 in parts of that power, where it is one: half of it is expected, and minus half of a delay."""
+
+SETTLES = 2
+"""How often noise is estimated beside what is left, and what is fitted beside that noise."""
 
 HALVED = 5
 """How often one is halved, at most, until it leads up."""
@@ -127,13 +136,32 @@ class Judge:
         tried = any(c.name == LOW_PASS for c in stack.physics.values())
         self.noisy = problem.reference and not tried
         self.rows, self.mean = rows, fitted(rows, accepted)
-        self.contrast = contrast_noise(rows, accepted)
-        self.settle(levels)
+        self._settle(levels, contrast_noise(rows, accepted))
 
-    def settle(self, levels: FloatArray) -> None:
-        """Judge under the noise of these levels from now on."""
-        self.levels = levels
-        self.whitener: Whitener = make_whitener(self.rows, levels, self.contrast, self.mean)
+    def settle(self, whole: Whole) -> float:
+        """Judge under the noise that an explanation leaves from now on; return the likelihood.
+
+        Of what it leaves, as a logarithm.
+        """
+        left = self.rows.with_residual(self.rows.residual - whole.column)
+        # What is fitted is no noise either, and beside less of it is known better.
+        for _ in range(SETTLES):
+            levels = self.without(whole)
+            off = left.residual - self.mean @ self._fitted(left.residual)
+            fitted_too = left.with_residual(off + UNLIKE * whole.column)
+            self._settle(levels.values, contrast_noise(fitted_too, self.accepted))
+        return levels.log_likelihood + contrast_likelihood(left.with_residual(off), self.contrast)
+
+    def _fitted(self, residual: FloatArray) -> FloatArray:
+        """Return the coefficients of what is fitted, beside the noise as it is."""
+        size = np.linalg.norm(self.mean, axis=0)
+        size[size == 0] = 1.0
+        white = self.whitener.whiten(np.column_stack((self.mean / size, residual)))
+        return np.asarray(pseudo_inverse(white[:, :-1]) @ white[:, -1] / size)
+
+    def _settle(self, levels: FloatArray, contrast: FloatArray) -> None:
+        self.levels, self.contrast = levels, contrast
+        self.whitener: Whitener = make_whitener(self.rows, levels, contrast, self.mean)
         self.y = self.whitener.project(self.rows.residual)
 
     def gain(self, column: FloatArray) -> float:
@@ -153,16 +181,19 @@ class Judge:
     def most_likely(self, found: Sequence[Whole]) -> Whole:
         """Return the explanation that is most probable, each under noise of its own.
 
-        Beside a truth the noise of the best holds for all: shapes, which tell the most there, do
-        not tell of levels.
+        Beside a noisy truth the noise of the best holds for all: what that truth has in common with
+        itself a low-pass leaves, and lower levels with it.
         """
         if not self.problem.reference:
             return max(found, key=lambda whole: self.without(whole).log_likelihood)
+        if not self.noisy:
+            return max(found, key=self.settle)
         first = max(found, key=self._value)
-        self.settle(self.without(first).values)
+        self.settle(first)
         delay, *low_passes = found
-        clear = [own for own in low_passes if not self.noisy or self.is_clear(own, delay)]
-        return max((delay, *clear), key=self._value)
+        return max(
+            (delay, *(own for own in low_passes if self.is_clear(own, delay))), key=self._value
+        )
 
     def is_clear(self, low_pass: Whole, delay: Whole) -> bool:
         """Whether the rows are nearer to a low-pass than to a delay by more than noise tilts them.
@@ -223,12 +254,8 @@ class Judge:
 
     def _clock_beside(self, column: FloatArray) -> float:
         """Return by how much the clocks' offset moves, s, as columns have it, beside a change."""
-        rows = self.rows
-        size = np.linalg.norm(self.mean, axis=0)
-        size[size == 0] = 1.0
-        white = self.whitener.whiten(np.column_stack((self.mean / size, rows.residual - column)))
-        which = rows.baseline.shape[1] + rows.aligned.index(CLOCK)
-        return float((pseudo_inverse(white[:, :-1])[which] @ white[:, -1]) / size[which])
+        which = self.rows.baseline.shape[1] + self.rows.aligned.index(CLOCK)
+        return float(self._fitted(self.rows.residual - column)[which])
 
     def _tried(self, family: Family, size: float, moves: float) -> tuple[Whole, FloatArray]:
         """Return a member of a family, and its whitened column (m, 1).
@@ -459,7 +486,7 @@ def _explanations(
         found.append(judge.best(family, starts))
     # Levels that had to make up for it leave sizes free that those beside the best do not.
     first = max(found, key=lambda whole: judge.gain(whole.column))
-    judge.settle(judge.without(first).values)
+    judge.settle(first)
     return _anew(judge, found)
 
 

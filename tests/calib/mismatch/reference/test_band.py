@@ -9,6 +9,7 @@ from calib.effects.base import Term
 from calib.mismatch import diagnose_against
 from calib.mismatch.reference.alignment import Alignment
 from calib.mismatch.reference.band import (
+    _low_passed,
     denoised,
     fastest_noise,
     low_passed,
@@ -100,3 +101,19 @@ def test_slow_motion_stays_where_white_noise_is_taken_away() -> None:
     assert (error.std(axis=0) < [0.02, 0.02, 0.04]).all()
     # Without noise all of it stays.
     np.testing.assert_allclose(denoised(slow, 0.0), slow, atol=1e-9)
+
+
+@pytest.mark.parametrize("make", ["low-pass", "noise"])
+def test_a_low_pass_of_the_sensor_is_no_noise_of_the_truth(make: str) -> None:
+    """Of a motion m that falls with frequency the recording has ``|H|² m``, or m of ``m + n``."""
+    rng = np.random.default_rng(7)
+    f = np.linspace(6.0, 40.0, 12)
+    white, number = np.ones(12), np.full(12, 200.0)
+    motion = 100.0 / np.square(f / 6.0)
+    gain = 1.0 / np.sqrt(1.0 + np.square(f / 15.0))
+    if make == "low-pass":
+        shown, shared, left = motion, gain * motion, np.square(gain) * motion
+    else:
+        shown, shared, left = motion / gain, motion, motion
+    power = (left + white) * (1.0 + rng.normal(size=12) / np.sqrt(number))
+    assert _low_passed(shown, shared, power, white, number) == (make == "low-pass")
