@@ -467,11 +467,18 @@ def test_shorts_within_turns_are_pulses_where_they_are(count: float) -> None:
     assert item.intervals[0][1] > real.time[rests.stop[-3]]
 
 
+def beside_perfect(name: str, seconds: float, term: Term) -> tuple[Recording, Recording]:
+    """Return a recording of a motion of the library, and a perfect simulation of it."""
+    moves = make_motion(name, rng=np.random.default_rng(48), duration=seconds, gravity=GRAVITY)
+    sensor = SensorModel(terms=(term,))
+    real = simulate(moves, sensor, CONSUMER, rng=np.random.default_rng(1), rate=100.0)
+    rng = np.random.default_rng(2)
+    return real, simulate(moves, SensorModel(), NoiseModel(), rng=rng, rate=100.0)
+
+
 def test_where_neither_turns_the_recording_is_judged_by_itself():
-    soak = make_motion("thermal", rng=np.random.default_rng(3), duration=200.0, gravity=GRAVITY)
-    model = SensorModel(terms=(Term("gyro_warm_up", {"ky": 0.003, "tau": 60.0}),))
-    real = simulate(soak, model, CONSUMER, rng=np.random.default_rng(4), rate=50.0)
-    other = simulate(soak, SensorModel(), NoiseModel(), rng=np.random.default_rng(5), rate=50.0)
+    warming = Term("gyro_warm_up", {"ky": 0.003, "tau": 60.0})
+    real, other = beside_perfect("thermal", 200.0, warming)
     found = diagnose_against(real, other, gravity=GRAVITY)
     (item,) = found.findings
     assert "gyro_warm_up" in {item.effect, *(r.effect for r in item.rivals)}
@@ -505,10 +512,8 @@ def test_a_low_pass_of_any_make_is_one_finding(make: str):
 
 def test_a_pendulum_behind_a_low_pass_is_not_taken_for_one_with_a_cubic_scale():
     """``x'' = -w³/2 - ... w`` of a pendulum: what a low-pass takes away looks like a cube."""
-    swing = make_motion("pendulum", rng=np.random.default_rng(48), duration=120.0, gravity=GRAVITY)
-    model = SensorModel(terms=(Term("bandwidth", {"gyro": 1.0, "gyro_cutoff": 25.0}),))
-    real = simulate(swing, model, CONSUMER, rng=np.random.default_rng(1), rate=100.0)
-    other = simulate(swing, SensorModel(), NoiseModel(), rng=np.random.default_rng(2), rate=100.0)
+    passed = Term("bandwidth", {"gyro": 1.0, "gyro_cutoff": 25.0})
+    real, other = beside_perfect("pendulum", 120.0, passed)
     found = diagnose_against(real, other, gravity=GRAVITY)
     (item,) = found.findings
     assert item.effect == "bandwidth"
