@@ -105,7 +105,7 @@ def fitted(rows: Rows, accepted: list[Accepted] | tuple[Accepted, ...]) -> Float
 def contrast_noise(rows: Rows, accepted: Sequence[Accepted], *also: Candidate) -> FloatArray:
     """Return the variance of the contrast rows, as it is outside of what is found in windows.
 
-    And beside physics that is in the mean, but that the model has not taken up.
+    And beside what is there or not, which is in the mean: the model does not take it up.
     """
     apart = np.zeros(len(rows.residual) - rows.n_dense, bool)
     for item in (*(a.candidate for a in accepted), *also):
@@ -115,7 +115,7 @@ def contrast_noise(rows: Rows, accepted: Sequence[Accepted], *also: Candidate) -
         inside = (rows.interval[:, 0] < stop) & (rows.interval[:, 1] > start)
         own = np.isin(rows.channel, [CHANNELS.index(c) for c in item.channels])
         apart |= (inside[rows.segment] & own)[rows.n_dense :]
-    beside = [a for a in accepted if a.candidate.physical and not a.in_model]
+    beside = [a for a in accepted if a.candidate.present and not a.in_model]
     return contrast_variance(_without(rows, beside, ~apart) if beside else rows, apart=apart)
 
 
