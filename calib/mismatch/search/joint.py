@@ -26,7 +26,7 @@ def solve(
     step = np.zeros(mean.shape[1])
     mean = mean[:, kept]
     whitener = make_whitener(rows, levels, contrast, mean[:, :0])
-    prior, value = prior_rows(rows, accepted)
+    prior, value = prior_rows(rows, accepted, whole=True)
     design, scale = scaled(np.vstack((whitener.whiten(mean), prior[:, kept])))
     y = np.append(whitener.whiten(rows.residual), value)
     found = np.linalg.lstsq(design, y, rcond=1e-9)[0]
@@ -35,7 +35,7 @@ def solve(
 
 
 def prior_rows(
-    rows: Rows, accepted: list[Accepted] | tuple[Accepted, ...]
+    rows: Rows, accepted: list[Accepted] | tuple[Accepted, ...], *, whole: bool = False
 ) -> tuple[FloatArray, FloatArray]:
     """Return rows (k, p) of the priors, and their values (k,).
 
@@ -44,7 +44,7 @@ def prior_rows(
     table that turns about the vertical) stays there. A smooth function can take the place of the
     baseline. At rest the two are exactly alike, but in motion, or beside a truth with noise, only
     nearly so; what keeps them apart is the size that the evidence gave the rival, at most `LARGE`.
-    And how strong something is that is there or not is in its shape alone.
+    With ``whole`` what is there or not is there: how strong it is is in its shape alone.
     """
     start = rows.baseline.shape[1] + rows.nuisance.shape[1]
     width = start + sum(a.columns.shape[1] for a in accepted)
@@ -59,7 +59,7 @@ def prior_rows(
             spread[own] = LARGE
         elif rows.aligned:
             spread[own] = SCALES[-1]
-        if a.candidate.present:
+        if whole and a.candidate.present:
             spread[own], value[own] = THERE, 1.0
         if a.in_model:
             value[own] = -a.values / a.typical
