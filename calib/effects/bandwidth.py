@@ -253,9 +253,10 @@ class _Spectrum:
         more = min(int(np.ceil(CONTINUED / interval)), len(values) - 1)
         before = 2.0 * values[:1] - values[more:0:-1]
         after = 2.0 * values[-1:] - values[-2 : -2 - more : -1]
-        n = _smooth_number(len(values) + 2 * more)
-        held = np.repeat(after[-1:] if more else values[-1:], n - len(values) - 2 * more, axis=0)
-        whole = np.concatenate((before.T, values.T, after.T, held.T), axis=1)
+        longer = np.concatenate((before, values, after))
+        n = _smooth_number(len(longer))
+        held = np.repeat(longer[-1:], n - len(longer), axis=0)
+        whole = np.concatenate((longer.T, held.T), axis=1)
         there_and_back = np.concatenate((whole, whole[:, ::-1]), axis=1)
         self._within, self._length = slice(more, more + len(values)), 2 * n
         self._frequency = np.fft.rfftfreq(2 * n, interval)

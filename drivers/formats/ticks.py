@@ -45,6 +45,11 @@ class Ticks:
         time : (n,) array, s
             Its stamps.
         """
+        if not self.interval and np.isfinite(time[-1]):
+            step = np.diff(time, prepend=self._stamp)
+            if step.min() > 0:  # as nearly always
+                self._stamp = self._given = float(time[-1])
+                return time
         known = np.where(np.isfinite(time), time, -np.inf)
         latest = np.maximum.accumulate(np.r_[self._stamp, known])
         forward = (known >= latest[:-1]) & np.isfinite(known)

@@ -22,7 +22,7 @@ from calib.mismatch.hypotheses.places import gathered, joined
 from calib.mismatch.noise.hush import audible
 from calib.mismatch.reference.alignment import LEAST_OVERLAP, Alignment, align
 from calib.mismatch.reference.alike import check_apart
-from calib.mismatch.reference.band import follows_noise, matched, too_few
+from calib.mismatch.reference.band import STILL, follows_noise, matched, too_few
 from calib.mismatch.reference.carried import OF_GYRO
 from calib.mismatch.reference.comparison import ComparisonProblem
 from calib.mismatch.reference.oriented import oriented
@@ -61,9 +61,6 @@ left out."""
 _SELDOM_ALONE = ("earth_rate", "gravity_magnitude", "reference_tilt", "reference_smoothing")
 """What is in a simulation's own signals already, or is a scale that the baseline has; and what is
 wrong with a room, or with markers."""
-
-MOVES = 0.05
-"""rad/s by which the rate of a motion varies at least."""
 
 BY_ITSELF = (
     "motion to compare: neither it nor the simulation turns, so it was judged by itself; rests "
@@ -111,7 +108,7 @@ def diagnose_against(
     if seen.fatal:
         return unfit(seen, summary)
     still = at_rest(real, simulated)
-    if still and max(_turns_by(real), _turns_by(simulated)) < MOVES:
+    if still and max(_turns_by(real), _turns_by(simulated)) < STILL:
         found = diagnose_recording(given, gravity=gravity, model=model)
         return replace(found, missing=(*found.missing, BY_ITSELF))
     if still:
@@ -181,7 +178,7 @@ def at_rest(*recordings: Recording) -> str:
         ("the recording", "what it is compared with"), recordings, strict=True
     ):
         moved = _turns_by(recording)
-        if recording.duration < LEAST_OVERLAP or moved < MOVES:
+        if recording.duration < LEAST_OVERLAP or moved < STILL:
             return (
                 f"motion to compare: {name} lasts {recording.duration:.3g} s and turns by "
                 f"{np.degrees(moved):.2g} dps; turn it for {LEAST_OVERLAP:g} s or more"

@@ -23,12 +23,7 @@ from calib.mismatch.hypotheses.candidates import Candidate
 from calib.mismatch.hypotheses.families import candidate_columns
 from calib.mismatch.hypotheses.score import Stack
 from calib.mismatch.noise.contrast import contrast_likelihood
-from calib.mismatch.noise.noise import (
-    Levels,
-    Whitener,
-    find_levels,
-    make_whitener,
-)
+from calib.mismatch.noise.noise import Levels, Whitener, find_levels, make_whitener
 from calib.mismatch.rows.restored import STILL, whole_change
 from calib.mismatch.rows.rows import Rows
 from calib.mismatch.search.accepted import UNLIKE, Accepted, contrast_noise, fitted
@@ -191,9 +186,8 @@ class Judge:
         first = max(found, key=self._value)
         self.settle(first)
         delay, *low_passes = found
-        return max(
-            (delay, *(own for own in low_passes if self.is_clear(own, delay))), key=self._value
-        )
+        clear = [own for own in low_passes if self.is_clear(own, delay)]
+        return max((delay, *clear), key=self._value)
 
     def is_clear(self, low_pass: Whole, delay: Whole) -> bool:
         """Whether the rows are nearer to a low-pass than to a delay by more than noise tilts them.
