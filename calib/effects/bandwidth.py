@@ -74,6 +74,14 @@ class Bandwidth(TransformEffect):
         late = 0.0 if both is None else group_delay(both, 2)
         return SPLINE_REACH + seconds_of_samples(late, interval)
 
+    def typical(self, *, span: tuple[float, float]) -> dict[str, float]:
+        """Return a filter for each triad: one that both have in common would be a second in a row.
+
+        The rest is as for any effect.
+        """
+        whole = super().typical(span=span)
+        return {name: value for name, value in whole.items() if name != "both_cutoff"}
+
     def columns(self, state: State, shape: Mapping[str, float]) -> dict[str, Column]:
         """Return what the low-pass takes away from each triad whose cut-off is given.
 

@@ -264,6 +264,11 @@ def test_earth_rate_by_latitude() -> None:
     assert np.linalg.norm(list(typical.values())) == pytest.approx(7.292115e-5)
 
 
+def test_a_typical_low_pass_is_one_filter_for_each_triad() -> None:
+    typical = get_effect("bandwidth").typical(span=(0.0, 1.0))
+    assert set(typical) == {"accel_cutoff", "gyro_cutoff"}
+
+
 def test_rate_of_temperature_is_fitted_through_its_noise() -> None:
     time = np.arange(0.0, 300.0, 0.01)
     noise = np.random.default_rng(3).normal(0, 0.03, len(time))
