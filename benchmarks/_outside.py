@@ -144,14 +144,15 @@ def _gain_window(rows: Rows, rng: np.random.Generator) -> Case:
 
 
 def _magnet(rows: Rows, rng: np.random.Generator) -> Case:
+    """A magnet on a spring, which nods: it follows gravity, and no centrifugal force."""
     channel = str(rng.choice(CHANNELS[3:]))
 
     def draw(rng: np.random.Generator) -> Disturbance:
         order = rng.normal(size=3)
 
         def add(state: State) -> dict[str, np.ndarray]:
-            up = state.force / np.linalg.norm(state.force, axis=1, keepdims=True)
-            return {channel: np.sin(4 * (up @ order) / np.linalg.norm(order) + 1.0)}
+            phase = 4 * (state.gravity_direction @ order) / np.linalg.norm(order)
+            return {channel: np.sin(phase + 1.0)}
 
         return add
 
