@@ -103,6 +103,7 @@ def test_a_bias_that_drifts_is_no_sway() -> None:
 
 
 @pytest.mark.parametrize("swayed", [0.25, 1.0])
+@pytest.mark.long
 def test_a_hand_that_sways_does_not_spoil_the_calibration(swayed: float) -> None:
     truth = np.array(list(GYRO.parameters("gyro").values()))
     distances, errors = [], []

@@ -15,6 +15,7 @@ from imu_cli.story import EFFECT
 
 
 @pytest.mark.skipif(os.name == "nt", reason="needs a pty, which Windows has not")
+@pytest.mark.long
 def test_the_demo_names_what_was_concealed_and_leaves_its_files(tmp_path: Path) -> None:
     done = CliRunner().invoke(app, ["demo", "--out", str(tmp_path)], catch_exceptions=False)
     assert done.exit_code == 0, done.stdout + done.stderr

@@ -55,6 +55,7 @@ def test_json_is_alone_on_stdout_and_the_model_is_written(
     assert abs(terms[0].parameters["mxy"] - 0.03) < 0.003
 
 
+@pytest.mark.long
 def test_what_has_moved_since_a_calibration_is_no_effect_and_is_said(
     log: Path, diagnosed: tuple[str, Path], tmp_path: Path
 ) -> None:

@@ -102,6 +102,7 @@ def test_a_calibration_with_an_effect_simulates_corrects_and_shows_it(
         "gyro_warm_up:kx=0.014,ky=0.014,kz=0.014,tau=60",
     ],
 )
+@pytest.mark.long
 def test_what_a_diagnosis_found_corrects_another_recording(effect: str, tmp_path: Path) -> None:
     def recorded(name: str, *options: object, seed: int) -> Recording:
         run(

@@ -25,6 +25,7 @@ def read_at(real: Recording, rate: float) -> Recording:
     return Recording(ask, real.accel[last], real.gyro[last], "host", real.temperature[last])
 
 
+@pytest.mark.long
 def test_effects_are_found_beside_what_was_read_again() -> None:
     found = diagnose_recording(read_at(recording(TERM), 65.0), gravity=GRAVITY)
     again, sensitivity = found.findings

@@ -141,6 +141,7 @@ def test_a_turn_about_the_vertical_is_warned_of() -> None:
     assert any("about the vertical" in w for w in warnings)
 
 
+@pytest.mark.long
 def test_a_bumped_pose_is_told_and_asked_for_again() -> None:
     good = a_recording(SensorModel(), poses=14)
     poses = find_poses(good)
@@ -173,6 +174,7 @@ def test_the_screen_fits_a_terminal_of_eighty_columns() -> None:
         assert part in text
 
 
+@pytest.mark.long
 def test_a_session_that_was_stopped_is_taken_up_and_ends_by_itself(tmp_path: Path) -> None:
     path = tmp_path / "bench.arrow"
     stop = threading.Event()
@@ -206,6 +208,7 @@ def test_a_session_that_was_stopped_is_taken_up_and_ends_by_itself(tmp_path: Pat
         assert error <= second.status.targets[name]
 
 
+@pytest.mark.long
 def test_auto_on_a_replay_writes_everything(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -89,6 +89,7 @@ def test_a_device_that_is_not_there_is_an_error(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("number", "code", "printed"), [(signal.SIGINT, 130, True), (signal.SIGKILL, -9, False)]
 )
+@pytest.mark.long
 def test_a_run_that_is_stopped_is_marked_aborted(
     tmp_path: Path, number: int, code: int, printed: bool
 ) -> None:
@@ -122,6 +123,7 @@ def test_a_serial_number_cannot_leave_its_folder(tmp_path: Path, serial: str) ->
     assert run(tmp_path, more=("--serial", serial)).exit_code == 2
 
 
+@pytest.mark.long
 def test_a_unit_is_flashed_and_verified_over_a_port(tmp_path: Path) -> None:
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
     emulator = [sys.executable, "-m", "imu_cli", "emulate", "vectornav", "--motion", "bench"]

@@ -186,6 +186,7 @@ def test_each_kind_of_file_has_a_report(calibration: Calibration, tmp_path: Path
 
 @pytest.mark.skipif(CHROMIUM is None, reason="needs Chromium (Debian package chromium)")
 @pytest.mark.parametrize(("width", "height"), [(1280, 900), (820, 1180)])
+@pytest.mark.long
 def test_a_browser_shows_it_without_an_error(
     calibration: Calibration, tmp_path: Path, width: int, height: int
 ) -> None:

@@ -20,6 +20,7 @@ def test_nothing_senses_more_than_the_earth_turns():
 
 
 @pytest.mark.parametrize("reading", [None, 31.0])
+@pytest.mark.long
 def test_without_a_thermometer_that_moves_a_warm_up_may_be_one_of_temperature(reading):
     term = Term("gyro_warm_up", {"kx": 0.01, "kz": -0.01, "tau": 20.0})
     real = recording(term)

@@ -189,6 +189,7 @@ def test_of_a_recording_that_only_moves_nothing_is_known():
         found.calibration(recording, gravity=Gravity(GRAVITY, "given"))
 
 
+@pytest.mark.long
 def test_a_low_pass_that_both_triads_share_is_named() -> None:
     # Their common delay shows nowhere; what it takes from fast turns looks like a size effect.
     real = recording(Term("bandwidth", {"both_cutoff": 7.0}), rate=100.0)
@@ -199,6 +200,7 @@ def test_a_low_pass_that_both_triads_share_is_named() -> None:
     assert abs((7.0 / found.parameters["both_cutoff"].value) ** 2 - 1.0) < 0.2
 
 
+@pytest.mark.long
 def test_a_strong_low_pass_of_one_triad_is_one_finding() -> None:
     # It delays a turn by more than any linear change of it holds for.
     real = recording(Term("bandwidth", {"accel_cutoff": 6.0, "order": 1.0}), seed=8)
@@ -222,6 +224,7 @@ def test_a_low_pass_that_is_as_good_as_a_delay_is_either() -> None:
 
 
 @pytest.mark.parametrize(("cutoff", "known"), [(10.0, True), (20.0, False)])
+@pytest.mark.long
 def test_a_low_pass_is_there_or_not_and_its_cutoff_is_right(cutoff: float, known: bool) -> None:
     real = recording(Term("bandwidth", {"gyro_cutoff": cutoff, "order": 1}), rate=100.0, seed=5)
     diagnosis = diagnose_recording(real, gravity=GRAVITY)
@@ -259,6 +262,7 @@ def test_a_warm_up_is_counted_from_where_the_recording_begins() -> None:
 
 
 @pytest.mark.parametrize("form", [WHOLE, NONE])
+@pytest.mark.long
 def test_what_settles_after_turns_is_known_whatever_it_does_in_them(form: int) -> None:
     sizes = {"kx": 0.012, "ky": -0.009, "kz": 0.006}
     truth = Term("accel_settling", {**sizes, "tau": 4.0, "in_turns": form})

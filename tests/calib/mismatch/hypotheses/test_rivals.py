@@ -116,6 +116,7 @@ def test_a_moved_window_holds_what_is_as_fast_in_seconds():
     assert night.shape["order"] <= 64
 
 
+@pytest.mark.long
 def test_what_follows_a_field_in_the_room_is_unexplained_and_so_is_what_a_triad_has_at_once():
     real = recording(seed=8)
     state = motion_of(real)
@@ -136,6 +137,7 @@ def test_what_follows_a_field_in_the_room_is_unexplained_and_so_is_what_a_triad_
 
 
 @pytest.mark.parametrize(("triad", "size"), [(CHANNELS[:3], 0.009), (CHANNELS[3:], 3.5e-4)])
+@pytest.mark.long
 def test_what_pushes_a_triad_in_one_rest_is_unexplained_there(triad, size):
     """Each axis has a third of what there is to see."""
     real = recording(seed=8)
@@ -149,6 +151,7 @@ def test_what_pushes_a_triad_in_one_rest_is_unexplained_there(triad, size):
 
 
 @pytest.mark.parametrize(("channel", "size"), [("accel.y", 0.012), ("gyro.y", 6e-4)])
+@pytest.mark.long
 def test_a_wave_in_a_window_is_found_though_a_rest_and_a_turn_have_most_of_a_period(channel, size):
     real = recording(seed=8)
     start, stop = 0.3 * real.time[-1], 0.75 * real.time[-1]
@@ -181,6 +184,7 @@ def test_nearby_windows_lie_around_a_window_and_make_no_step_of_a_bias():
 
 
 @pytest.mark.parametrize(("channel", "size"), [("gyro.y", 0.001), ("accel.x", 0.03)])
+@pytest.mark.long
 def test_jumps_in_a_window_are_unexplained_in_that_window(channel, size):
     real = recording(seed=8)
     rng = np.random.default_rng(1)

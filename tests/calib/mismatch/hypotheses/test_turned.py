@@ -54,6 +54,7 @@ def slowly(part: FloatArray) -> FloatArray:
     ("triad", "how", "interval"),
     [("accel", for_good, (0.45, 1.0)), ("gyro", slowly, (0.35, 1.0))],
 )
+@pytest.mark.long
 def test_a_triad_that_turns_against_the_other_is_unexplained_from_when_it_does(
     triad: str, how: Callable[[FloatArray], FloatArray], interval: tuple[float, float]
 ):

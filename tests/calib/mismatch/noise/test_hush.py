@@ -19,6 +19,7 @@ def noiseless(seed: int) -> Recording:
 
 
 @pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.long
 def test_a_recording_without_noise_shows_nothing(seed: int) -> None:
     found = diagnose_recording(noiseless(seed), gravity=GRAVITY)
     assert [f.effect for f in found.findings] == []

@@ -138,6 +138,7 @@ def test_steps_go_on_until_nothing_is_left_that_noise_was_taken_for():
 
 
 @pytest.mark.parametrize("seed", [7, 3])
+@pytest.mark.long
 def test_a_delay_that_a_low_pass_mimics_is_a_tie_and_nothing_is_left(seed):
     real = recorded(Term("time_offset", {"gyro_delay": 0.003}), seed=seed)
     found = diagnose_against(real, simulation(), gravity=GRAVITY)
@@ -508,6 +509,7 @@ def test_a_low_pass_of_any_make_is_one_finding(make: str):
         assert abs(q.value - cutoff) < 3.0 * q.sigma < 0.02 * cutoff
 
 
+@pytest.mark.long
 def test_a_pendulum_behind_a_low_pass_is_not_taken_for_one_with_a_cubic_scale():
     """``x'' = -w³/2 - ... w`` of a pendulum: what a low-pass takes away looks like a cube."""
     passed = Term("bandwidth", {"gyro": 1.0, "gyro_cutoff": 25.0})

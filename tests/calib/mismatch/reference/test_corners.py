@@ -65,6 +65,7 @@ def test_the_motion_of_these_tests_is_one():
         ((100.0, 50.0), 0.1 * NOISE),
     ],
 )
+@pytest.mark.long
 def test_corners_that_a_simulation_rounds_off_are_no_error_of_the_sensor(rates, noise):
     """They looked like a low-pass and a delay, at p < 1e-6."""
     real = recorded(rates[0], noise)
@@ -73,6 +74,7 @@ def test_corners_that_a_simulation_rounds_off_are_no_error_of_the_sensor(rates, 
     assert found.missing or found.summary["corners"] > 0
 
 
+@pytest.mark.long
 def test_an_effect_is_found_between_corners():
     real = recorded(100.0, NOISE, gain=1.002)
     found = diagnose_against(real, simulated(200.0), gravity=GRAVITY)

@@ -51,6 +51,7 @@ def test_two_simulations_of_one_motion_are_consistent(diagnose, rate, other):
 
 
 @pytest.mark.parametrize(("rate", "other"), [(50, 80), (50, 50)])
+@pytest.mark.long
 def test_a_term_of_one_is_found_with_its_size(rate, other):
     found = diagnose_against(made(rate, MISALIGNED), made(other), gravity=GRAVITY)
     assert [f.effect for f in found.findings] == ["gyro_misalignment"]

@@ -239,6 +239,7 @@ def test_what_axes_that_never_turn_would_have_upsets_nothing():
         assert q.sigma < 0.005
 
 
+@pytest.mark.long
 def test_a_lost_sample_is_counted_in_samples_of_the_recording():
     """Beside noisy captured motion every third sample of it is compared."""
     rng = np.random.default_rng(6)
@@ -257,6 +258,7 @@ def test_a_lost_sample_is_counted_in_samples_of_the_recording():
     assert count.value == pytest.approx(-2.0, abs=0.1)
 
 
+@pytest.mark.long
 def test_a_repeated_sample_is_one_finding_though_all_that_follows_is_late():
     turn = motion().turns[3]
     term = Term("dropped_samples", {"count": -1.0, "moment": float(turn.mean())})
@@ -281,6 +283,7 @@ def test_samples_lost_at_rest_are_lost_anywhere_in_it(count, turn):
 
 
 @pytest.mark.parametrize("count", [-1.0, -2.0])
+@pytest.mark.long
 def test_samples_repeated_at_rest_are_one_finding(count):
     at = float(motion().turns[1][1]) + 0.8
     real = recorded(Term("dropped_samples", {"count": count, "moment": at}), seed=13)
@@ -416,6 +419,7 @@ def test_turns_about_one_axis_leave_little_that_two_imus_differ_by(name):
 
 
 @pytest.mark.parametrize("seed", [0, 2])
+@pytest.mark.long
 def test_a_captured_swing_is_not_taken_for_its_mirror_image(seed):
     """To a gyroscope the other way round is the same as upside down."""
     made, rng = pendulum(amplitude=1.0, duration=60.0), np.random.default_rng(seed)

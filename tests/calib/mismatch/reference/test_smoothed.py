@@ -84,6 +84,7 @@ def test_nothing_is_smoothed_in_what_was_not():
     assert not found.unexplained
 
 
+@pytest.mark.long
 def test_a_table_is_commanded_and_not_smoothed():
     real, reference = recorded(5), captured(5)
     table = ReferenceMotion(reference.time, reference.quat, fixed=True)

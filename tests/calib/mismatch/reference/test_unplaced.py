@@ -50,6 +50,7 @@ def names(found: Diagnosis) -> set[str]:
 
 
 @pytest.mark.parametrize("degrees", [0.0, 0.3, 2.0])
+@pytest.mark.long
 def test_a_body_that_is_carried_about_gives_the_accelerometer_no_false_name(degrees):
     found = diagnose_reference(recorded(), captured(degrees=degrees), gravity=GRAVITY)
     assert not names(found)
@@ -68,6 +69,7 @@ def test_a_body_that_is_carried_about_gives_the_accelerometer_no_false_name(degr
         Term("accel_cross_product", {"kx_xy": 1e-3}),
     ],
 )
+@pytest.mark.long
 def test_what_gyroscope_and_rests_tell_is_found_without_positions(term):
     found = diagnose_reference(recorded(term), captured(), gravity=GRAVITY)
     assert names(found) == {term.effect}

@@ -108,6 +108,7 @@ def test_a_hand_at_the_end_of_a_rest_is_no_rest():
 
 
 @pytest.mark.parametrize("seed", [3, 8])
+@pytest.mark.long
 def test_a_hand_at_the_end_of_a_recording_gets_no_name(seed):
     found = diagnose_recording(touched((0, 2), seed=seed), gravity=GRAVITY)
     assert not found.findings

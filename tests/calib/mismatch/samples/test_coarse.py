@@ -56,6 +56,7 @@ QUADRATIC = Term("accel_quadratic", {"kx": 3e-3, "ky": -3e-3, "kz": 3e-3})
     ("triad", "term", "shown"),
     [("gyro", ASYMMETRY, "only its turns tell"), ("accel", QUADRATIC, "only means of its rests")],
 )
+@pytest.mark.long
 def test_something_tells_of_coarse_counts(triad: str, term: Term, shown: str) -> None:
     """In a turn a gyroscope passes many counts; and means of rests err in a way that is known."""
     made = bench(137, term, duration=120.0)
@@ -79,6 +80,7 @@ def test_something_tells_of_coarse_counts(triad: str, term: Term, shown: str) ->
         pytest.param("record-player", 1, 60.0, 1.0, 100.0, 0.3, id="stuck in a rest"),
     ],
 )
+@pytest.mark.long
 def test_coarse_counts_of_an_accelerometer_are_all_that_is_found(
     kind: str, seed: int, duration: float, noise: float, rate: float, lsb: float
 ) -> None:
@@ -112,6 +114,7 @@ def test_counts_that_noise_hides_are_no_matter() -> None:
 
 
 @pytest.mark.parametrize("seed", [135, 136])
+@pytest.mark.long
 def test_an_extreme_value_that_is_stuck_once_is_no_full_scale(seed: int) -> None:
     made = recorded(seed)
     gyro = made.gyro.copy()
@@ -126,6 +129,7 @@ def test_an_extreme_value_that_is_stuck_once_is_no_full_scale(seed: int) -> None
 
 
 @pytest.mark.parametrize("share", [0.8, 0.94])
+@pytest.mark.long
 def test_a_full_scale_is_one_if_it_is_reached_but_once(share: float) -> None:
     made = recorded(137)
     limit = share * float(np.abs(made.gyro).max())

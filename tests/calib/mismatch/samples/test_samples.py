@@ -120,6 +120,7 @@ def test_what_one_axis_shows_of_the_range_is_the_range_of_all() -> None:
 
 
 @pytest.mark.parametrize(("seed", "share"), [(36, 0.6), (4, 0.45), (12, 0.6)])
+@pytest.mark.long
 def test_a_rest_that_a_clipped_turn_alone_joins_to_the_others_gets_no_name(
     seed: int, share: float
 ) -> None:
@@ -132,6 +133,7 @@ def test_a_rest_that_a_clipped_turn_alone_joins_to_the_others_gets_no_name(
     assert not found.unexplained
 
 
+@pytest.mark.long
 def test_a_bias_that_sticks_to_a_coarse_count_at_rest_is_no_second_finding() -> None:
     for seed in (3, 5):
         recording = simulated(seed=seed)
@@ -160,6 +162,7 @@ def test_counts_are_coarse_though_a_rest_has_a_few_jerks() -> None:
     assert finding.channels == ("gyro.x", "gyro.y", "gyro.z")
 
 
+@pytest.mark.long
 def test_means_off_by_coarse_counts_are_no_second_finding() -> None:
     for seed in (3, 5):
         recording = simulated(seed=seed)

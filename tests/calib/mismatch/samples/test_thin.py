@@ -59,6 +59,7 @@ def test_nothing_depends_on_the_batches(real: Recording, once: Thinned, size: in
     assert once.seen.findings == again.seen.findings
 
 
+@pytest.mark.long
 def test_the_diagnosis_is_the_same_however_it_arrives(real: Recording, once: Thinned) -> None:
     found = [
         diagnose_thinned(arrived, gravity=GRAVITY).to_json()

@@ -79,6 +79,7 @@ def test_a_profile_with_two_tops_is_followed_over_both(monkeypatch):
 
 
 @pytest.mark.parametrize(("tau", "start"), [(30.0, 60.0), (250.0, 90.0)])
+@pytest.mark.long
 def test_a_time_constant_is_settled_and_its_errors_are_honest(tau, start):
     _, self_mode = problem()
     rows = self_mode.rows()

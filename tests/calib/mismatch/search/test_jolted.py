@@ -100,6 +100,7 @@ def farthest(rows: Rows) -> float:
 
 
 @pytest.mark.parametrize("seed", [1, 4])
+@pytest.mark.long
 def test_turns_that_err_by_more_than_others_stand_out_no_more(seed: int):
     rows = rows_of(brisk())
     segments = rows.segment[rows.turns.index[:, 0]]

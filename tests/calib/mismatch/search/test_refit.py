@@ -75,6 +75,7 @@ def test_what_turns_by_a_tenth_is_fitted_as_well_as_what_turns_by_a_thousandth()
 
 
 @pytest.mark.parametrize(("size", "follows"), [(1000.0, PUSHED), (150.0, "velocity")])
+@pytest.mark.long
 def test_what_no_sensor_puts_out_has_a_diagnosis(size: float, follows: str) -> None:
     """A step that leads nowhere is not taken: the next ones would go on to numbers that overflow.
 

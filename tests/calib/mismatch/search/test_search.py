@@ -19,6 +19,7 @@ from ..bench import GRAVITY, problem, recording
 from .stacked import candidate
 
 
+@pytest.mark.long
 def test_what_an_exponential_leaves_is_not_named_after_it_again():
     real = recording(
         Term("gyro_warm_up", {"kx": 0.02, "ky": -0.02, "tau": 15.0}),
