@@ -254,7 +254,7 @@ def _samples(recording: Recording, at_rest: BoolArray) -> list[Finding]:
             Finding(
                 "spikes",
                 f"{_many(len(spikes), 'spike')}: samples that are off course, and back at once "
-                f"({', '.join(names)})",
+                f"({', '.join(names)}); calibrate, verify and diagnose bridge them",
                 names,
                 len(spikes),
                 _first(time[[k for k, *_ in spikes]]),

@@ -243,6 +243,14 @@ def test_spikes_are_named_and_a_knock_is_none(size: float) -> None:
     assert audit(knock).findings == ()
 
 
+def test_spikes_are_said_with_what_becomes_of_them() -> None:
+    finding = the_finding(changed(5, np.array([300, 1000, 5000]), lambda v: v + 0.3))
+    assert finding.kind == "spikes"
+    assert finding.channels == ("gyro.z",)
+    assert finding.count == 3
+    assert "calibrate, verify and diagnose bridge them" in finding.message
+
+
 @pytest.mark.parametrize(
     ("triad", "factor", "unit"),
     [
