@@ -107,12 +107,11 @@ def diagnose_against(
     summary = summarise(real)
     if seen.fatal:
         return unfit(seen, summary)
-    still = at_rest(real, simulated)
-    if still and max(_turns_by(real), _turns_by(simulated)) < STILL:
+    if still := at_rest(real, simulated):
+        if max(_turns_by(real), _turns_by(simulated)) >= STILL:
+            return undetermined(still, summary)
         found = diagnose_recording(given, gravity=gravity, model=model)
         return replace(found, missing=(*found.missing, BY_ITSELF))
-    if still:
-        return undetermined(still, summary)
     alignment = align(real.time, real.gyro, simulated.time, simulated.gyro)
     if follows_noise(real, RecordingTruth(simulated, gravity), alignment):
         return undetermined(UNSIGNED, summary)

@@ -30,6 +30,7 @@ from calib.mismatch.noise.noise import make_whitener
 from calib.mismatch.rows.rows import Kind, Rows
 from calib.mismatch.search.accepted import UNLIKE, Accepted, fitted
 from calib.mismatch.search.estimate import Estimate, pseudo_inverse
+from calib.mismatch.search.joint import scaled
 from calib.mismatch.search.put_down import WORDS, put_down
 from calib.mismatch.search.ranking import chance
 from calib.mismatch.search.returned import THERE, returned
@@ -360,10 +361,9 @@ def _proof(
     others = [a for i, a in enumerate(outcome.accepted) if i != which]
     mean = fitted(rows, others)
     residual = rows.residual
-    scale = np.linalg.norm(mean, axis=0)
-    scale[scale == 0] = 1.0
+    unit, scale = scaled(mean)
     whitener = make_whitener(rows, outcome.levels, outcome.contrast, mean[:, :0])
-    without, determined = _least_squares(whitener.whiten(mean / scale), whitener.whiten(residual))
+    without, determined = _least_squares(whitener.whiten(unit), whitener.whiten(residual))
     sigma = np.sqrt(np.diag(fit.covariance))
     absorbed = []
     for j, name in enumerate(names):
@@ -381,7 +381,7 @@ def _proof(
         channels=own.candidate.channels,
         after=after() if rows is outcome.rows else None,
     )
-    left = residual - (mean / scale) @ without
+    left = residual - unit @ without
     return tuple(absorbed[:8]), proof, left
 
 

@@ -28,6 +28,7 @@ from calib.mismatch.rows.restored import STILL, whole_change
 from calib.mismatch.rows.rows import Rows
 from calib.mismatch.search.accepted import UNLIKE, Accepted, contrast_noise, fitted
 from calib.mismatch.search.estimate import pseudo_inverse
+from calib.mismatch.search.joint import scaled
 from calib.mismatch.search.refine import likelihood_gain
 from calib.mismatch.search.refit import BENT, Problem, Refit, put_back, refit, take_up
 from calib.types import FloatArray
@@ -149,9 +150,8 @@ class Judge:
 
     def _fitted(self, residual: FloatArray) -> FloatArray:
         """Return the coefficients of what is fitted, beside the noise as it is."""
-        size = np.linalg.norm(self.mean, axis=0)
-        size[size == 0] = 1.0
-        white = self.whitener.whiten(np.column_stack((self.mean / size, residual)))
+        unit, size = scaled(self.mean)
+        white = self.whitener.whiten(np.column_stack((unit, residual)))
         return np.asarray(pseudo_inverse(white[:, :-1]) @ white[:, -1] / size)
 
     def _settle(self, levels: FloatArray, contrast: FloatArray) -> None:
