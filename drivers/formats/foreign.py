@@ -22,6 +22,9 @@ from drivers.formats.text import TextTable, decode_head
 
 DELIMITERS = (",", ";", "\t", " ")
 
+EXACT = 15
+"""Digits of a whole number up to which a floating point number is exact."""
+
 
 class Foreign(Format):
     """Any other text log."""
@@ -101,7 +104,7 @@ class TextLog:
         for name in itertools.chain(*self._columns, [self._heat] if self._heat else []):
             self._types[name] = pa.float64()
         if self._stamp is not None:
-            self._types[self._stamp] = self._stamp_type(lines[-1], delimiter)
+            self._types[self._stamp] = self._stamp_type(lines[at:], delimiter)
         self.table = TextTable(
             source,
             delimiter=delimiter,
@@ -137,15 +140,20 @@ class TextLog:
             f"{', '.join(self._names[:12])}"
         )
 
-    def _stamp_type(self, line: str, delimiter: str) -> Any:
-        """Return int64 where stamps are whole: nanoseconds since 1970 need all 64 bits."""
+    def _stamp_type(self, lines: Sequence[str], delimiter: str) -> Any:
+        """Return int64 where stamps need it: nanoseconds since 1970 do.
+
+        Seconds may be whole ones in some lines; and others are exact as floating point numbers.
+        """
         assert self.profile.time is not None
         assert self._stamp is not None
         if self.profile.time.factor is None:
             return pa.timestamp("ns")
-        fields, position = split_line(line, delimiter), self._names.index(self._stamp)
-        whole = position < len(fields) and re.fullmatch(r"[+-]?\d+", fields[position].strip())
-        return pa.int64() if whole else pa.float64()
+        position = self._names.index(self._stamp)
+        rows = [split_line(line, delimiter) for line in lines if line.strip()]
+        stamps = [fields[position].strip() for fields in rows if position < len(fields)]
+        whole = all(re.fullmatch(r"[+-]?\d+", stamp) for stamp in stamps)
+        return pa.int64() if whole and max(map(len, stamps), default=0) > EXACT else pa.float64()
 
 
 def read_text(

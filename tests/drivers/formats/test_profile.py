@@ -153,6 +153,19 @@ def test_seconds_since_an_epoch_count_from_the_first(tmp_path: Path) -> None:
     assert recording.time.tolist() == [0.0, 0.25, 0.75]
 
 
+@pytest.mark.parametrize("number", [10, 11, 12, 101])
+def test_seconds_are_whole_in_some_lines(tmp_path: Path, number: int) -> None:
+    time = np.arange(number) / 10
+    text = "".join(f"{t:.9g},1,2,3,4,5,6\n" for t in time)
+    profile = plain(
+        top="",
+        time='column = 1\nunit = "s"',
+        accel='columns = [2, 3, 4]\nunit = "m/s^2"',
+        gyro='columns = [5, 6, 7]\nunit = "rad/s"',
+    )
+    np.testing.assert_array_equal(read(tmp_path, text, profile).time, time)
+
+
 def test_a_counter_that_wraps_runs_on(tmp_path: Path) -> None:
     true = np.arange(0, 40) * 10_000 + 2**32 - 55_000
     text = "".join(f"1,2,3,4,5,6,{stamp % 2**32}\n" for stamp in true)
