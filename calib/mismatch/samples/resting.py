@@ -8,6 +8,7 @@ from dataclasses import replace
 from calib.mismatch.findings.diagnosis import Finding, Unexplained
 from calib.mismatch.samples.samples import SPIKES
 from calib.mismatch.samples.spectrum import LOUDER_THERE, look_at_spectrum
+from calib.mismatch.samples.swings import look_for_swings
 from calib.mismatch.samples.within import OFF_COURSE, PULSES, look_within
 from calib.poses import Poses
 from calib.recording import Recording
@@ -21,7 +22,9 @@ def look_at_rests(recording: Recording, poses: Poses) -> tuple[Unexplained, ...]
     """Return lines, bursts, pulses and other disturbances of samples at rest."""
     if not len(poses):
         return ()
-    return (*look_at_spectrum(recording, poses), *look_within(recording, poses))
+    found = (*look_at_spectrum(recording, poses), *look_within(recording, poses))
+    known = {channel for item in found for channel in item.channels}
+    return (*found, *look_for_swings(recording, poses, known))
 
 
 def unsaid(

@@ -1,0 +1,332 @@
+"""Lines that swing a few times in a rest: slower than a periodogram of samples can tell.
+
+Mains that are sampled at nearly their own rate, a pump, a compressor: what swings once in a second
+or in five is gone from the means of rests, and within each it is a wander like any other. But it
+swings on through all of them. So all rests are seen as one signal, with nothing between them, whose
+spectrum is as fine as the recording is long: what wanders is there at neighbouring frequencies, and
+what swings stands out of them.
+
+What both triads show, as gravity would have it, is motion of the sensor.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import chdtri, fdtrc, logsumexp, softmax
+
+from calib.faults import noise_in_counts, resolution, values_of
+from calib.mismatch.findings.diagnosis import Interval, Unexplained
+from calib.mismatch.hypotheses.ends import expected_overlap
+from calib.mismatch.hypotheses.windows import windows
+from calib.mismatch.samples.knocks import knocked
+from calib.mismatch.samples.spectrum import CLAIM, HIDDEN, LENGTH, SHARE, SWING
+from calib.poses import Poses
+from calib.read_once import HELD
+from calib.recording import CHANNELS, TRIADS, Recording
+from calib.types import FloatArray, IntArray
+
+BLOCK = 6
+"""Samples that are one here, where rests are long enough for periodograms of samples."""
+
+BOTH_SIDES = 5
+"""Bins of such a periodogram below which a line has too few neighbours there."""
+
+LONGEST, SEVERAL = 20.0, 8
+"""s of a rest, at most, and blocks, at least, that are one piece."""
+
+FEWEST = 8
+"""Pieces below which nothing is said, and of which the mean tells what all do alike."""
+
+SECTION = 1 << 15
+"""Blocks of one spectrum, at most: of a longer recording it is the mean of several."""
+
+MARGIN = 0.25
+"""s at either end of a rest that may still belong to the turn."""
+
+WIDTHS = 4
+"""Factor between widths in which power is summed: what swings at no steady pace is wider."""
+
+SIDE, LEAST, APART = 24, 6, 2
+"""Neighbours on either side that are compared, at most and at least, and how many are left out:
+over these a line spreads."""
+
+QUANTILES = 16
+"""Lengths of pieces that stand for all of them."""
+
+LOST, LOWEST = 0.3, 0.6
+"""Cycles in a piece below which its mean takes nearly all of a line away, and from which on one is
+looked for: of slower ones the means themselves tell."""
+
+EFFICIENCY = 2.0 / np.pi
+"""Of a median of many, relative to their mean."""
+
+BESIDE = 1.5
+"""Times the highest frequency up to which a faster line spreads to it."""
+
+ALSO = 0.01
+"""P-value below which another channel has the line of one."""
+
+
+class _Signal(NamedTuple):
+    """Means over blocks of samples at rest, without that of their piece of it.
+
+    Parameters
+    ----------
+    at : (n,) array of int
+        Their places in time, in blocks.
+    piece : (n,) array of int
+        Of which piece each is, from 0.
+    values : (n, 6) array
+    step : float, s
+        Length of a block.
+    length : (k,) array, s
+        Of the pieces, as far as they are quiet.
+    interval : (k, 2) array, s
+        When they begin and end.
+    """
+
+    at: IntArray
+    piece: IntArray
+    values: FloatArray
+    step: float
+    length: FloatArray
+    interval: FloatArray
+
+
+class _Line(NamedTuple):
+    """What stands out at one frequency (Hz), on each channel, (6,).
+
+    That is its power, the floor that it stands out of, as it was in a block, and how rarely noise
+    alone stands out so far.
+    """
+
+    frequency: float
+    power: FloatArray
+    floor: FloatArray
+    chance: FloatArray
+
+
+class _Scale(NamedTuple):
+    """Power in parts of ``width`` bins from the first, its floor, and the p-values, (m, 6) each."""
+
+    width: int
+    power: FloatArray
+    floor: FloatArray
+    chance: FloatArray
+
+
+def look_for_swings(
+    recording: Recording, poses: Poses, known: Collection[str]
+) -> list[Unexplained]:
+    """Return slow lines of the six channels at rest, but of those of which more is `known`."""
+    signal = _at_rest(recording, poses)
+    if signal is None:
+        return []
+    spectrum = _Spectrum(signal, slow=signal.step > 1.5 * recording.interval)
+    values = values_of(recording)
+    moving = np.ones(len(recording), bool)
+    for a, b in zip(poses.start, poses.stop, strict=True):
+        moving[a:b] = False
+    coarse = noise_in_counts(values, moving, resolution(values)) < HIDDEN
+    gravity = float(np.linalg.norm(poses.accel, axis=1).mean())
+    out = []
+    for c, channel in enumerate(CHANNELS):
+        followed = TRIADS[channel.split(".")[0]] in recording.notes.get(HELD, "")
+        if channel in known or coarse[c] or followed:
+            continue
+        line = spectrum.most(c)
+        if line is None or line.power[c] < SHARE * spectrum.noise[c] or _moves(line, c, gravity):
+            continue
+        p = float(line.chance[c]) * spectrum.looks
+        if p < CLAIM:
+            where = _where(recording, signal, line, c)
+            follows = f"a line at {line.frequency:.3g} Hz"
+            out.append(Unexplained((channel,), (where,), follows, p))
+    return out
+
+
+def _at_rest(recording: Recording, poses: Poses) -> _Signal | None:
+    """Return the samples of rests as one signal, None of too few.
+
+    Without what all rests do alike since they began: what settles does that.
+    """
+    interval = recording.interval
+    long = np.median(poses.stop - poses.start) >= LENGTH if len(poses) else False
+    step = interval * (BLOCK if long else 1)
+    margin = round(MARGIN / max(interval, 1e-9))
+    quiet = ~knocked(recording, poses)
+    pieces, began = list[IntArray](), list[int]()
+    for a, b in zip(poses.start.tolist(), poses.stop.tolist(), strict=True):
+        own = a + margin + np.flatnonzero(quiet[a + margin : b - margin])
+        number = int(np.ceil(len(own) * interval / LONGEST))
+        parts = np.array_split(own, number) if number else []
+        some = [part for part in parts if len(part) * interval >= SEVERAL * step]
+        pieces += some
+        began += [a] * len(some)
+    if len(pieces) < FEWEST:
+        return None
+    sample = np.concatenate(pieces)
+    piece = np.repeat(np.arange(len(pieces)), [len(part) for part in pieces])
+    place = ((recording.time[sample] - recording.time[0]) / step).astype(np.int64)
+    at, first, count = np.unique(place, return_index=True, return_counts=True)
+    every = np.hstack((recording.accel[sample], recording.gyro[sample]))
+    values = np.add.reduceat(every, first) / count[:, None]
+    piece = piece[first]
+    begin = ((recording.time[began] - recording.time[0]) / step).astype(np.int64)
+    values = values - _means(values, piece)
+    values = values - _means(values, at - begin[piece], least=FEWEST)
+    length = step * np.bincount(piece, minlength=len(pieces)).astype(np.float64)
+    ends = np.array([recording.time[part[[0, -1]]] for part in pieces])
+    return _Signal(at - at[0], piece, values, step, length, ends)
+
+
+def _means(values: FloatArray, which: IntArray, *, least: int = 1) -> FloatArray:
+    """Return the mean of the (n, 6) values of its kind for each; 0 of kinds of fewer than least."""
+    number = np.bincount(which)
+    mean = np.stack([np.bincount(which, column) for column in values.T], axis=1)
+    return np.asarray((mean * (number >= least)[:, None] / np.maximum(number, 1)[:, None])[which])
+
+
+class _Spectrum:
+    """The spectrum of a signal from one cycle in a rest on: white noise has the same everywhere.
+
+    Parameters
+    ----------
+    signal : _Signal
+    slow : bool
+        Whether only those lines are looked for that no periodogram of samples tells.
+    """
+
+    def __init__(self, signal: _Signal, *, slow: bool) -> None:
+        number = int(signal.at[-1]) + 1
+        sections = -(-number // SECTION)
+        size = -(-number // sections)
+        power, part = np.zeros((size // 2 + 1, 6)), signal.at // size
+        for k in range(sections):
+            whole, own = np.zeros((size, 6)), part == k
+            whole[signal.at[own] - k * size] = signal.values[own]
+            power += np.square(np.abs(np.fft.rfft(whole, axis=0)))
+        count = np.bincount(part)
+        self._number = float(np.square(count).sum() / count.sum())
+        # Independent values at one frequency: of sections, and of what is at rest in them.
+        self._many = float(count.sum() / self._number)
+        self._share = self._number / size
+        self._resolution = 1.0 / (size * signal.step)
+        frequency = self._resolution * np.arange(len(power))
+        typical = np.quantile(signal.length, (np.arange(QUANTILES) + 0.5) / QUANTILES)
+        lost = np.mean([np.square(np.sinc(frequency * length)) for length in typical], axis=0)
+        usual = float(np.median(signal.length))
+        self._first = int(np.searchsorted(frequency, LOST / usual))
+        power /= len(signal.at) * (1.0 - lost[:, None]).clip(1e-9)
+        self._power = power[self._first : -1]
+        self._lowest = LOWEST / usual
+        self._highest = BOTH_SIDES * BLOCK / (LENGTH * signal.step) if slow else np.inf
+        self._scales = list(self._each())
+        self.noise = np.median(self._power, axis=0)
+        self.looks = float(sum(scale.chance.size for scale in self._scales))
+
+    def _each(self) -> Iterator[_Scale]:
+        width = 1
+        while len(self._power) // width > 2 * (LEAST + APART):
+            m = len(self._power) // width
+            parts = self._power[: m * width].reshape(m, width, 6).mean(axis=1)
+            floor, beside = _floors(parts)
+            freedom = 2.0 * self._many * max(width * self._share, 1.0)
+            low = chdtri(freedom, 0.5) / freedom
+            floor = floor / low
+            ratio = parts / np.where(floor > 0, floor, np.inf)
+            inside = np.isfinite(floor[:, 0])
+            scatter = np.median(np.abs(np.log(np.maximum(ratio[inside], 1e-12))), axis=0) / 0.6745
+            own = np.minimum(freedom, 2.0 / np.maximum(np.square(scatter), 1e-9) + 2.0)
+            of_floor = np.maximum(freedom * beside * EFFICIENCY, 1.0)
+            chance = fdtrc(own, of_floor[:, None], ratio)
+            middle = self._middle(np.arange(m), width)
+            beyond = (middle < self._lowest) | (middle > BESIDE * self._highest)
+            chance[beyond | ~inside] = 1.0
+            yield _Scale(width, parts, floor, chance)
+            width *= WIDTHS
+
+    def _middle(self, part: IntArray, width: int) -> FloatArray:
+        bins = self._first + width * part + 0.5 * (width - 1)
+        return np.asarray(bins * self._resolution)
+
+    def most(self, channel: int) -> _Line | None:
+        """Return what stands out most on one channel; None where nothing could."""
+        if not self._scales:
+            return None
+        scale = min(self._scales, key=lambda s: float(s.chance[:, channel].min()))
+        k = int(np.argmin(scale.chance[:, channel]))
+        if not np.isfinite(scale.floor[k, channel]):
+            return None
+        # By its height: of lines that stand far out, all p-values are zero.
+        found = np.flatnonzero(scale.chance[:, channel] <= scale.chance[k, channel])
+        k = int(found[np.argmax(scale.power[found, channel])])
+        near = slice(max(k - 1, 0), k + 2)
+        over = (scale.power[near] - scale.floor[k]).sum(axis=0) * scale.width
+        inside = self._power[k * scale.width : (k + 1) * scale.width, channel]
+        at = self._first + k * scale.width + int(np.argmax(inside))
+        frequency = at * self._resolution
+        if frequency > self._highest:
+            return None  # what is left of one that is faster
+        power = 2.0 * np.maximum(over, 0.0) / self._number
+        return _Line(frequency, power, scale.floor[k], scale.chance[k])
+
+
+def _floors(parts: FloatArray) -> tuple[FloatArray, IntArray]:
+    """Return the median of neighbours on the side where it is larger, (m, 6); of how many, (m,).
+
+    Infinite where a side has too few.
+    """
+    m = len(parts)
+    floor, number = np.full(parts.shape, np.inf), np.zeros(m, np.int64)
+    side = min(SIDE, max((m - 2 * APART - 1) // 2, LEAST))
+    reach = side + APART
+    if m > 2 * reach:
+        window = np.lib.stride_tricks.sliding_window_view(parts, side, axis=0)
+        middle = np.median(window, axis=2)
+        k = np.arange(reach, m - reach)
+        floor[k] = np.maximum(middle[k - reach], middle[k + APART + 1])
+        number[k] = side
+    for k in (*range(LEAST + APART, min(reach, m)), *range(max(m - reach, reach), m)):
+        below = parts[max(k - reach, 0) : k - APART]
+        above = parts[k + APART + 1 : k + reach + 1]
+        if min(len(below), len(above)) >= LEAST:
+            floor[k] = np.maximum(np.median(below, axis=0), np.median(above, axis=0))
+            number[k] = min(len(below), len(above))
+    return floor, number
+
+
+def _moves(line: _Line, channel: int, gravity: float) -> bool:
+    """Whether the sensor itself swings: accelerometers show what gyroscopes' angle makes of g."""
+    accel, gyro = line.power[:3].sum(), line.power[3:].sum()
+    other = slice(3, 6) if channel < 3 else slice(0, 3)
+    heavy = SWING * np.square(gravity / (2 * np.pi * line.frequency))
+    return bool((line.chance[other] < ALSO).any() and accel > heavy * gyro)
+
+
+def _where(recording: Recording, signal: _Signal, line: _Line, channel: int) -> Interval:
+    """Return where a line is: throughout, or in the window that overlaps it most on average.
+
+    Of its power in each piece the mean is one in and one out of the window; that it is throughout
+    is as likely as that it is in any window.
+    """
+    turned = np.exp(-2j * np.pi * line.frequency * signal.step * signal.at)
+    swing = signal.values[:, channel] * turned
+    each = np.bincount(signal.piece, swing.real) + 1j * np.bincount(signal.piece, swing.imag)
+    number = len(each)
+    power = np.square(np.abs(each)) / (np.bincount(signal.piece) * line.floor[channel])
+    total = np.append(0.0, np.cumsum(power))
+    first, last = np.array([*windows(number), (0, number)]).T
+    long, inside = last - first, total[last] - total[first]
+    here = np.maximum(inside / long, 1.0)
+    there = np.maximum((total[-1] - inside) / np.maximum(number - long, 1), 1.0)
+    value = -long * np.log(here) - inside / here
+    value -= (number - long) * np.log(there) + (total[-1] - inside) / there
+    value[:-1] = np.where(here > there, value - np.log(len(value)), -np.inf)[:-1]
+    if not value[-1] < logsumexp(value[:-1]):
+        return float(recording.time[0]), float(recording.time[-1])
+    begin, end = signal.interval[first[:-1], 0], signal.interval[last[:-1] - 1, 1]
+    return expected_overlap(begin, end, softmax(value[:-1]))
