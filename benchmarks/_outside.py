@@ -282,6 +282,20 @@ def _aliased_motor(rows: Rows, rng: np.random.Generator) -> Case:
     return Case(add, (a, b), lambda _: add, fast=True)
 
 
+def _slow_hum(rows: Rows, rng: np.random.Generator) -> Case:
+    """Mains that are sampled at nearly their own rate, or a pump: a swing in 0.2 to 5 s."""
+    a, b = _window(rows, rng) if rng.random() < 0.5 else whole(rows)
+    channel = str(rng.choice(CHANNELS))
+    frequency, phase = np.exp(rng.uniform(np.log(0.2), np.log(5.0))), rng.uniform(0, 6)
+
+    def add(state: State) -> dict[str, np.ndarray]:
+        inside = (state.time >= a) & (state.time < b)
+        swing = np.sqrt(2.0) * np.sin(2 * np.pi * frequency * state.time + phase)
+        return {channel: inside * swing}
+
+    return Case(add, (a, b), lambda _: add, fast=True)
+
+
 def _brief_shorts(rows: Rows, rng: np.random.Generator) -> Case:
     """A contact that closes to a constant for some hundredths of a second, every other second."""
     a, b = _window(rows, rng)
@@ -309,5 +323,6 @@ OUTSIDE: dict[str, Callable[[Rows, np.random.Generator], Case]] = {
     "room_field": _room_field,
     "passing_magnet": _passing_magnet,
     "aliased_motor": _aliased_motor,
+    "slow_hum": _slow_hum,
     "brief_shorts": _brief_shorts,
 }

@@ -41,7 +41,7 @@ from calib.simulation.bench import bench_protocol
 from calib.simulation.noise import CONSUMER
 
 GRAVITY = 9.80665
-THRESHOLDS = (CLAIM, 3, 5, 10, 100)
+THRESHOLDS = (CLAIM, 5, 10, 100)
 MOST = 0.005
 TOGETHER = 250
 """Draws that are scored at a time."""

@@ -23,7 +23,8 @@ class Assembler:
 
     Keeps what runs on from batch to batch: the last time, the number of rows, and rows that were
     dropped at the end of a batch and so are lost before the next one. Where many samples share a
-    stamp they are counted on from it, and the note `SHARED` says so.
+    stamp they are counted on from it, and the note `SHARED` says so. A thermometer that is nan in
+    every row is none.
 
     Parameters
     ----------
@@ -48,6 +49,8 @@ class Assembler:
     _ticks: Ticks = field(default_factory=Ticks)
     _pending: int = 0
     _last: float = -np.inf
+    _warm: bool | None = None
+    """Whether the thermometer says anything, once that is known."""
 
     def add(
         self,
@@ -69,6 +72,7 @@ class Assembler:
         if len(time) == 0:
             return None
         time = self._ticks.counted_on(time)
+        temperature = self._measured(temperature, first)
         bad = self._not_finite(time, accel, gyro, temperature, first)
         late = self._not_increasing(time, bad, first)
         if late is not None:
@@ -96,8 +100,22 @@ class Assembler:
             notes=self._notes(),
         )
 
+    def _measured(self, temperature: FloatArray | None, first: int) -> FloatArray | None:
+        """Return the temperature, None where no row has one."""
+        if temperature is None:
+            return None
+        if self._warm is None:
+            self._warm = not np.isnan(temperature).all()
+        if not self._warm and not np.isnan(temperature).all():
+            row = int(np.argmin(np.isnan(temperature)))
+            raise InvalidSampleError(
+                f"{self.name}, {self.row_name(first + row)}: temperature is {temperature[row]}, "
+                "after rows that had none, expected one in each row or in none"
+            )
+        return temperature if self._warm else None
+
     def _notes(self) -> Mapping[str, str]:
-        found = {}
+        found = {} if self._warm is not False else {"temperature": "nan in every row: left out"}
         if self._ticks.interval:
             found[SHARED] = f"{self._ticks.tick:.4g} s apart, counted on between"
         if self.dropped:

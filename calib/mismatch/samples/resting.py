@@ -7,9 +7,9 @@ from dataclasses import replace
 
 from calib.mismatch.findings.diagnosis import Finding, Unexplained
 from calib.mismatch.samples.samples import SPIKES
-from calib.mismatch.samples.spectrum import LOUDER_THERE, look_at_spectrum
+from calib.mismatch.samples.spectrum import LINE, LOUDER_THERE, look_at_spectrum
 from calib.mismatch.samples.swings import look_for_swings
-from calib.mismatch.samples.within import OFF_COURSE, PULSES, look_within
+from calib.mismatch.samples.within import OFF_COURSE, PULSES, RESTLESS, look_within
 from calib.poses import Poses
 from calib.recording import Recording
 
@@ -22,9 +22,22 @@ def look_at_rests(recording: Recording, poses: Poses) -> tuple[Unexplained, ...]
     """Return lines, bursts, pulses and other disturbances of samples at rest."""
     if not len(poses):
         return ()
-    found = (*look_at_spectrum(recording, poses), *look_within(recording, poses))
+    fast = look_at_spectrum(recording, poses)
+    found = [*fast, *(item for item in look_within(recording, poses) if not _is_line(item, fast))]
     known = {channel for item in found for channel in item.channels}
     return (*found, *look_for_swings(recording, poses, known))
+
+
+def _is_line(item: Unexplained, lines: Sequence[Unexplained]) -> bool:
+    """Whether a stretch is restless by a line that has been found on the same channel there."""
+    (a, b), *_ = item.intervals
+    return item.follows == RESTLESS and any(
+        line.follows.startswith(LINE)
+        and set(item.channels) <= set(line.channels)
+        and min(b, end) > max(a, begin)
+        for line in lines
+        for begin, end in line.intervals
+    )
 
 
 def unsaid(

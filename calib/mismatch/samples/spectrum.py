@@ -33,6 +33,9 @@ HIDDEN = 0.5
 _HERE = 0.01
 """The same for whether one rest has what is known to be in the recording, a line or a burst."""
 
+LINE = "a line at "
+"""What a line follows, before its frequency."""
+
 LOUDER_THERE = "the time: noise is louder there"
 """What a burst follows."""
 
@@ -236,7 +239,7 @@ def _lines(
     # In most of them: throughout.
     if 0 < len(here) < 0.8 * len(found):
         where = (float(poses.interval[here[0], 0]), float(poses.interval[here[-1], 1]))
-    return [Unexplained((channel,), (where,), f"a line at {frequency:.3g} Hz", float(p[k]))]
+    return [Unexplained((channel,), (where,), f"{LINE}{frequency:.3g} Hz", float(p[k]))]
 
 
 def _peak(power: FloatArray, k: int) -> float:

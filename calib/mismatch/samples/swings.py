@@ -22,7 +22,7 @@ from calib.mismatch.findings.diagnosis import Interval, Unexplained
 from calib.mismatch.hypotheses.ends import expected_overlap
 from calib.mismatch.hypotheses.windows import windows
 from calib.mismatch.samples.knocks import knocked
-from calib.mismatch.samples.spectrum import CLAIM, HIDDEN, LENGTH, SHARE, SWING
+from calib.mismatch.samples.spectrum import CLAIM, HIDDEN, LENGTH, LINE, SHARE, SWING
 from calib.poses import Poses
 from calib.read_once import HELD
 from calib.recording import CHANNELS, TRIADS, Recording
@@ -143,7 +143,7 @@ def look_for_swings(
         p = float(line.chance[c]) * spectrum.looks
         if p < CLAIM:
             where = _where(recording, signal, line, c)
-            follows = f"a line at {line.frequency:.3g} Hz"
+            follows = f"{LINE}{line.frequency:.3g} Hz"
             out.append(Unexplained((channel,), (where,), follows, p))
     return out
 

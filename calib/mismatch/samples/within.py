@@ -51,6 +51,9 @@ PULSES = "the time: pulses there"
 OFF_COURSE = "the time: single samples are off course there"
 """What these follow."""
 
+RESTLESS = "the time: it is restless there"
+"""What a stretch of rests that differs in kind follows."""
+
 MOST_SPIKES = 500
 """Single samples of a channel that are looked at, at most; of more, every second or third."""
 
@@ -359,7 +362,7 @@ def _stretches(
             continue
         gain = np.where(stands[k, :, c] > 0, 0.5 * np.square(stands[k, :, c]), -np.inf)
         where = expected_overlap(ends[first, 0], ends[last - 1, 1], np.exp(gain - gain.max()))
-        out.append(Unexplained((channel,), (where,), "the time: it is restless there", p))
+        out.append(Unexplained((channel,), (where,), RESTLESS, p))
     return out
 
 

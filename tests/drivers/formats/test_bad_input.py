@@ -64,3 +64,24 @@ def test_what_was_cut_reads_to_its_last_whole_part(name: str, count: int) -> Non
     assert len(recording) == count
     assert not recording.complete
     assert "cut" in recording.notes
+
+
+def test_a_thermometer_that_says_nothing_is_none(tmp_path: Path) -> None:
+    head = ",".join(f"{n} (m/s^2)" for n in ("acc x", "acc y", "acc z"))
+    head += "," + ",".join(f"{n} (rad/s)" for n in ("gyr x", "gyr y", "gyr z"))
+    rows = [f"{k / 50},0,0,9.8,0.1,0.2,{k}" for k in range(200)]
+    path = tmp_path / "log.csv"
+
+    def write(temperature: list[str]) -> None:
+        lines = [f"{row},{t}" for row, t in zip(rows, temperature, strict=True)]
+        path.write_text("\n".join([f"time (s),{head},temp (degC)", *lines, ""]))
+
+    write(["nan"] * 200)
+    parts = [read_recording(path), *open_batches(path, batch=64)]
+    assert {part.temperature is None for part in parts} == {True}
+    assert "left out" in parts[0].notes["temperature"]
+    write(["nan"] * 199 + ["21.5"])
+    with pytest.raises(InvalidSampleError, match="temperature is nan"):
+        read_recording(path)
+    with pytest.raises(InvalidSampleError, match=r"line 201: temperature is 21\.5, after rows"):
+        list(open_batches(path, batch=64))

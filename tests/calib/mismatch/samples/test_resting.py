@@ -2,11 +2,16 @@
 
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from calib.mismatch.findings.diagnosis import Unexplained
-from calib.mismatch.samples.resting import unsaid
-from calib.mismatch.samples.spectrum import LOUDER_THERE
+from calib.mismatch.samples.resting import look_at_rests, unsaid
+from calib.mismatch.samples.spectrum import LINE as A_LINE
+from calib.mismatch.samples.spectrum import LOUDER_THERE, look_at_spectrum
+from calib.mismatch.samples.within import look_within
+from calib.poses import average_poses
+from calib.recording import Recording
 
 LOUD = Unexplained(("accel.x", "accel.y"), ((3.0, 9.0),), LOUDER_THERE, 1e-9)
 LINE = Unexplained(("accel.x",), ((0.0, 20.0), (30.0, 40.0)), "a line at 21 Hz", 1e-9)
@@ -36,3 +41,17 @@ def test_a_rest_in_which_a_bias_steps_has_a_spectrum_of_its_own(channel, moment,
     (item,) = unsaid((LINE,), [step])
     assert item.intervals == left
     assert unsaid((LOUD,), [found("accel_bias_step", ("accel.y",), moment=5.0)]) == ()
+
+
+def test_a_line_in_some_rests_is_said_once():
+    rng = np.random.default_rng(4)
+    time = np.arange(24_000) / 100.0
+    accel, gyro = 0.04 * rng.normal(size=(2, len(time), 3)) + [[[0.0, 0.0, 9.8]], [[0.0, 0.0, 0.0]]]
+    gyro[:, 1] += ((time > 60.0) & (time < 130.0)) * 0.08 * np.sin(2 * np.pi * 3.6 * time)
+    recording = Recording(time, accel, gyro, "device")
+    start = np.arange(0, len(time), 800)
+    poses = average_poses(recording, start, start + 650)
+    assert [item.follows[: len(A_LINE)] for item in look_at_spectrum(recording, poses)] == [A_LINE]
+    assert [item.channels for item in look_within(recording, poses)] == [("gyro.y",)]
+    (item,) = look_at_rests(recording, poses)
+    assert float(item.follows.removeprefix(A_LINE).split()[0]) == pytest.approx(3.6, abs=0.05)

@@ -80,7 +80,7 @@ def test_causes_on_other_channels_lend_no_weight(stacked):
 
     assert chosen({gyro: 0.6, accel: 0.5}) is None
     assert chosen({gyro: 0.6, wave: 0.5}) is gyro
-    assert chosen({gyro: 1.0, accel: 0.5}) is gyro
+    assert chosen({gyro: 1.2, accel: 0.5}) is gyro
 
 
 def test_what_is_passed_over_does_not_make_the_claim_stronger(stacked):

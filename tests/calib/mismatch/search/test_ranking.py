@@ -15,6 +15,7 @@ from calib.mismatch.noise.noise import (
     level_likelihood,
 )
 from calib.mismatch.rows.grid import make_grid
+from calib.mismatch.search import ranking as ranking_module
 from calib.mismatch.search.accepted import accept, fitted
 from calib.mismatch.search.ranking import (
     CLAIM,
@@ -32,9 +33,9 @@ from .stacked import candidate
 
 
 def test_a_p_value_is_no_less_rare_than_evidence_of_noise():
-    # Of 10000 draws of known noise 41 reach the claim (`benchmarks/evidence.py`), of 710 clean
-    # recordings 7 (`concealed.py --parts clean`).
-    assert 41 / 10000 < 7 / 710 < chance(CLAIM) < 0.015
+    # Of 10000 draws of known noise 24 reach the claim (`benchmarks/evidence.py`), of 1400 clean
+    # recordings at most 8 (`concealed.py --parts clean`).
+    assert 24 / 10000 < 8 / 1400 < chance(CLAIM) < 0.01
     assert chance(1e-3) == 1.0
 
 
@@ -52,8 +53,7 @@ def test_levels_with_all_physics_are_where_they_were_before(stacked):
     first = rank(rows, stack, [], expected_levels(rows))
     again = rank(rows, stack, [], expected_levels(rows), every=first.every)
     assert again.every == pytest.approx(first.every, rel=0.2)
-    near = first.evidence > -5.0
-    assert near.any()
+    near = first.evidence > first.evidence.max() - 1.0
     assert again.evidence[near] == pytest.approx(first.evidence[near], abs=0.1)
 
 
@@ -89,8 +89,9 @@ def test_a_fit_starts_from_levels_that_were_found_beside_what_is_fitted():
         assert ranking.levels_with(other) is ranking.levels
 
 
-def test_what_is_fitted_in_full_is_worth_what_it_is_beforehand(stacked):
+def test_what_is_fitted_in_full_is_worth_what_it_is_beforehand(stacked, monkeypatch):
     """No drift makes it show, so that none is found for it; beside a part of it one is."""
+    monkeypatch.setattr(ranking_module, "SHORT", 20.0)
     rows, stack = stacked
     axes = ("kx", "ky", "kz")
     whole, part = (candidate(stack, "accel_cubic", names) for names in (axes, axes[:1]))
