@@ -99,6 +99,7 @@ def test_the_commands_for_a_device_are_parsed(page: Path) -> None:
             pass
 
 
+@pytest.mark.long
 def test_the_documentation_builds() -> None:
     pytest.importorskip("mkdocs", reason="needs mkdocs-material (extra docs)")
     done = subprocess.run(

@@ -86,6 +86,7 @@ def test_what_has_moved_since_a_calibration_is_no_effect_and_is_said(
     assert moved["shift"] == pytest.approx(-0.03, abs=4 * moved["sigma"])
 
 
+@pytest.mark.long
 def test_the_screen_says_what_where_and_how_sure(log: Path) -> None:
     result = CliRunner().invoke(app, ["diagnose", str(log)], env={"COLUMNS": "40"})
     assert result.exit_code == 0
@@ -121,6 +122,7 @@ def test_a_missing_file_and_a_wrong_gravity_are_refused(log: Path, tmp_path: Pat
     assert "m/s²" in wrong.output
 
 
+@pytest.mark.long
 def test_gravity_is_taken_from_the_latitude_or_from_the_calibration(
     log: Path, tmp_path: Path
 ) -> None:
@@ -137,6 +139,7 @@ def test_gravity_is_taken_from_the_latitude_or_from_the_calibration(
     assert both.exit_code == 2
 
 
+@pytest.mark.long
 def test_a_pipe_is_diagnosed_as_the_file_is(
     log: Path, diagnosed: tuple[str, Path], tmp_path: Path
 ) -> None:
@@ -161,6 +164,7 @@ def test_it_is_interrupted_cleanly(log: Path, monkeypatch: pytest.MonkeyPatch) -
     assert "Traceback" not in result.stderr
 
 
+@pytest.mark.long
 def test_a_simulation_in_a_csv_of_other_units_is_read_by_a_profile_of_its_own(
     log: Path, tmp_path: Path
 ) -> None:

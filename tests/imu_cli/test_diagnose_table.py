@@ -70,6 +70,7 @@ def test_a_commanded_profile_gives_arm_tilt_and_time(commanded: Path, tmp_path: 
     assert "accel.scale_factor_error.x" in document["missing"][0]
 
 
+@pytest.mark.long
 def test_a_table_whose_every_pose_is_known_is_consistent(tmp_path: Path) -> None:
     motion = motion_of("rate-table", 130.0)
     time = np.arange(0.0, 130.0, 1 / 80)

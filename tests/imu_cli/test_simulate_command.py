@@ -275,6 +275,7 @@ def test_a_reference_without_positions_is_said_to_stay(moved: Motion, tmp_path: 
     assert not result.stderr
 
 
+@pytest.mark.long
 def test_a_reference_in_the_time_and_frame_of_a_log(
     moved: Motion, sensor: Path, tmp_path: Path
 ) -> None:

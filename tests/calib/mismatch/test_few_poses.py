@@ -37,6 +37,7 @@ def test_what_differs_between_few_poses_has_no_name(poses: int) -> None:
     assert {t.effect for t in found.model.terms} == {f.effect for f in found.findings}
 
 
+@pytest.mark.long
 def test_enough_poses_tell_it() -> None:
     assert "gyro_g_sensitivity" in {f.effect for f in _diagnose(9, _OF_POSE).findings}
 

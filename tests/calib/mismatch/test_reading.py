@@ -48,6 +48,7 @@ def test_nothing_is_found_where_one_triad_measures_half_as_often(triad: str) -> 
     assert found.summary["held"] in ("accelerometer", "gyroscope")
 
 
+@pytest.mark.long
 def test_a_diagnosis_says_which_samples_are_off_course_and_nothing_else() -> None:
     spikes = {(500, 0): 30.0, (1200, 4): -8.0, (2100, 2): 30.0, (2500, 4): 8.0}
     real = recording(poses=16)
@@ -77,6 +78,7 @@ def test_it_is_said_where_no_turn_has_all_of_its_samples() -> None:
     assert [f.effect for f in found.findings] == ["dropped_samples", TERM.effect]
 
 
+@pytest.mark.long
 def test_spikes_in_a_part_of_a_recording_are_said_of_that_part() -> None:
     real = recording(poses=16)
     rng, gyro = np.random.default_rng(1), real.gyro.copy()

@@ -44,6 +44,7 @@ def diagnose(*terms: Term, clock: str = "invalid", seed: int = 3) -> tuple[Recor
 
 
 @pytest.mark.parametrize("clock", ["invalid", "device"])
+@pytest.mark.long
 def test_powers_of_temperature_and_its_rate_are_told_apart(clock):
     real, found = diagnose(BIAS, RATE, clock=clock)
     by_name = {f.effect: f for f in found.findings}
@@ -73,6 +74,7 @@ def test_powers_of_temperature_and_its_rate_are_told_apart(clock):
 
 
 @pytest.mark.parametrize("seed", [5, 6])
+@pytest.mark.long
 def test_a_sensor_without_terms_gets_none(seed):
     for clock in ("invalid", "device"):
         _, found = diagnose(clock=clock, seed=seed)

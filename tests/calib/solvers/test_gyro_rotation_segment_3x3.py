@@ -162,6 +162,7 @@ def test_errors_of_the_accelerometer_reach_the_parameters_as_stated() -> None:
         np.testing.assert_allclose(column, change, atol=0.03 * np.abs(change).max())
 
 
+@pytest.mark.long
 def test_the_covariance_covers_a_bias_that_wanders_and_no_more_where_it_does_not() -> None:
     clean = simulate(
         Motion(protocol()),

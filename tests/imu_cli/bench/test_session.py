@@ -100,6 +100,7 @@ def test_every_parameter_is_shown_and_errors_fall() -> None:
         assert before is None or error is None or error < 1.6 * before
 
 
+@pytest.mark.long
 def test_swapped_axes_are_warned_of() -> None:
     good = a_recording(SensorModel())
     swapped = Recording(good.time, good.accel, good.gyro[:, [1, 0, 2]], "device")

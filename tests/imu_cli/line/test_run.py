@@ -68,6 +68,7 @@ def test_a_good_unit_passes_and_stands_in_the_history(tmp_path: Path) -> None:
     assert outcomes(tmp_path) == ["PASS"]
 
 
+@pytest.mark.long
 def test_a_unit_outside_its_limits_fails(tmp_path: Path) -> None:
     done = run(tmp_path, bias="1 mg")
     assert done.exit_code == 6, done.stderr

@@ -11,6 +11,7 @@ from calib.mismatch import diagnose_recording
 from ..bench import GRAVITY, recording
 
 
+@pytest.mark.long
 def test_nothing_senses_more_than_the_earth_turns():
     """A g-sensitivity that is alike on all axes looks like a rotation about the vertical."""
     alike = Term("gyro_g_sensitivity", dict.fromkeys(("gxx", "gyy", "gzz"), 1e-4))

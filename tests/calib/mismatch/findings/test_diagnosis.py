@@ -243,6 +243,7 @@ def test_a_low_pass_is_there_or_not_and_its_cutoff_is_right(cutoff: float, known
     assert model.sigmas["bandwidth.gyro_cutoff"] == pytest.approx(found.sigma)
 
 
+@pytest.mark.long
 def test_a_warm_up_is_counted_from_where_the_recording_begins() -> None:
     real = recording(Term("gyro_warm_up", {"kx": 0.02, "tau": 30.0}), seed=4)
     early = real.time < real.time[0] + 12.0

@@ -276,6 +276,7 @@ def test_steps_of_a_converter_on_its_own_axis_follow_the_direction_of_gravity(si
     assert left == [("direction of gravity", ("accel.x",))]
 
 
+@pytest.mark.long
 def test_what_weakens_a_triad_in_a_window_is_one_gain_of_it():
     real = recording(seed=8)
     force = motion_of(real).force
@@ -289,6 +290,7 @@ def test_what_weakens_a_triad_in_a_window_is_one_gain_of_it():
     assert overlap(left.intervals[0], (start, stop)) > 0.7
 
 
+@pytest.mark.long
 def test_a_gain_that_grows_in_a_window_and_snaps_back_is_unexplained_there():
     real = recording(seed=8)
     start, stop = 0.3 * real.time[-1], 0.7 * real.time[-1]

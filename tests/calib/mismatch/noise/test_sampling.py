@@ -113,6 +113,7 @@ def test_what_a_sensor_feels_off_the_axis_of_a_turn_is_expected() -> None:
     assert 0.25 < np.square(errors).mean() / np.mean(expected) < 4.0
 
 
+@pytest.mark.long
 def test_jolts_move_the_rows_of_a_turn_together() -> None:
     rng = np.random.default_rng(2)
     time, force, rate, up = turn(0.016, 2.0)

@@ -129,6 +129,7 @@ def test_one_effect_is_found_and_nothing_else(slug, values):
         assert q.value == pytest.approx(value, abs=5 * q.sigma + 0.02 * abs(value))
 
 
+@pytest.mark.long
 def test_steps_go_on_until_nothing_is_left_that_noise_was_taken_for():
     """What another finding had bent raised the noise: a fit beside it ended before its end."""
     real = recorded(Term("time_offset", {"gyro_delay": 0.003}), seed=7)
@@ -359,6 +360,7 @@ def test_a_twin_of_the_recording_itself_is_no_truth(noise):
             assert not follows_noise(log, RecordingTruth(other, GRAVITY), alignment)
 
 
+@pytest.mark.long
 def test_a_repeated_sample_is_one_finding():
     term = Term("dropped_samples", {"count": -1.0, "moment": float(motion().turns[3].mean())})
     found = diagnose_against(recorded(term), simulation(), gravity=GRAVITY)
@@ -391,6 +393,7 @@ def test_a_simulation_that_ends_within_a_turn_is_cut_where_it_is_not_known(cut):
     assert error[known & (at > stop - 0.3)].max() < 0.3 * noise < error[~known].max()
 
 
+@pytest.mark.long
 def test_a_simulation_of_few_samples_is_compared_up_to_what_it_resolves():
     """Its spline would err like a low-pass; a motion that is sampled well enough is left whole."""
     few = simulate(motion(), SensorModel(), NoiseModel(), rng=np.random.default_rng(5), rate=20.0)

@@ -41,6 +41,7 @@ def test_clocks_that_run_apart_are_brought_together(
     assert found.moments(found.times(real.time)) == pytest.approx(real.time, abs=1e-9)
 
 
+@pytest.mark.long
 def test_a_rate_that_is_named_wrong_by_far_is_the_clock_and_nothing_else() -> None:
     real, truth = pair("bench", 120.0)
     late = Recording(1.03 * real.time, real.accel, real.gyro, real.clock)

@@ -154,6 +154,7 @@ def test_values_that_no_unit_makes_are_refused_by_name(values):
         {"accel": lambda x: 0.0 * x},
     ],
 )
+@pytest.mark.long
 def test_columns_that_do_not_move_end_in_a_verdict_or_a_clear_error(bad):
     real, good = _with(**bad), made(64)
     for one, other in ((real, good), (good, real)):

@@ -60,6 +60,7 @@ def test_forces_that_tell_nothing_lead_nowhere() -> None:
     assert oriented(RecordingTruth(none, GRAVITY)).quat is None
 
 
+@pytest.mark.long
 def test_a_field_of_the_room_is_followed_beside_a_simulation() -> None:
     simulation, motion = moved(4, NoiseModel(), 80.0)
     real = in_a_field(moved(4, CONSUMER, 100.0)[0], motion, 0.03)

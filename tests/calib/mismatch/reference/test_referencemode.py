@@ -149,6 +149,7 @@ def test_a_low_pass_takes_as_much_of_what_an_arm_feels_as_of_all_else():
     assert np.sqrt(np.mean(of_limited**2)) > 10 * np.sqrt(np.mean(left**2))
 
 
+@pytest.mark.long
 def test_half_a_metre_from_what_is_captured_there_is_an_arm_and_no_other_gravity():
     rng = np.random.default_rng(4)
     real = recorded(Term("accel_lever_arm", {"rx": 0.5}), rate=104.0)
@@ -198,6 +199,7 @@ def test_noise_of_angles_makes_no_slow_force_of_the_noise_of_positions():
     assert slow[1] < 0.7 * slow[0]
 
 
+@pytest.mark.long
 def test_a_sensor_with_errors_off_the_centre_of_a_table_has_an_arm_and_nothing_else():
     """What turning makes it feel is misaligned and scaled as all else; the height stays open."""
     arm = (0.08, 0.0, 0.02)
@@ -382,6 +384,7 @@ def test_beside_an_imu_that_nobody_calibrated_an_arm_is_no_size_effect(turn):
         assert q.sigma > 0.005 * abs(value)
 
 
+@pytest.mark.long
 def test_the_cube_of_a_rate_has_no_square_beside_an_imu_with_a_bias():
     """Of twelve degrees per second: (w + b)³ has 3 b w² in it, and that one's rests show b."""
     cube = {"kx": 3e-4, "ky": -2e-4, "kz": 2e-4}

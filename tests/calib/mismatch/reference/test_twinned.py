@@ -54,6 +54,7 @@ def test_a_twin_says_which_sensor_it_is_of():
     assert found.reference_temperature == SENSOR.reference_temperature
 
 
+@pytest.mark.long
 def test_what_is_left_out_is_what_the_sensor_of_the_twin_lacks():
     found = diagnose_against(real(), twin(), gravity=GRAVITY)
     assert found.names

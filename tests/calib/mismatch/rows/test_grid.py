@@ -76,6 +76,7 @@ def test_vibration_is_that_of_the_rest_to_its_very_end():
     np.testing.assert_allclose(quiet[0], noise**2, rtol=0.1)
 
 
+@pytest.mark.long
 def test_rectified_vibration_is_named():
     _, recording = shaken(Term("accel_vibration_rectification", {"kx": 0.5, "ky": 0.0, "kz": 0.0}))
     diagnosis = diagnose_recording(recording, gravity=GRAVITY)

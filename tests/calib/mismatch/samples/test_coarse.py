@@ -35,6 +35,7 @@ def bench(seed: int, *terms: Term, duration: float) -> Recording:
 @pytest.mark.parametrize(
     ("seed", "triad", "times"), [(131, "gyro", 12.0), (132, "gyro", 25.0), (131, "accel", 25.0)]
 )
+@pytest.mark.long
 def test_counts_of_many_times_the_noise_leave_nothing_else_to_say(
     seed: int, triad: str, times: float
 ) -> None:
@@ -105,6 +106,7 @@ def test_rounding_that_is_half_hidden_follows_nothing() -> None:
     assert not found.unexplained
 
 
+@pytest.mark.long
 def test_counts_that_noise_hides_are_no_matter() -> None:
     made = recorded(134)
     lsb = 0.5 * NOISE["gyro"]

@@ -92,6 +92,7 @@ def test_a_turn_that_ends_with_a_knock_is_no_loss(seed: int) -> None:
     assert not find_losses(knocked)
 
 
+@pytest.mark.long
 def test_where_and_how_many_are_found_among_the_jolts_of_a_hand() -> None:
     found = 0
     for seed in range(2, 8):
@@ -145,6 +146,7 @@ def test_a_turn_that_misses_its_closure_otherwise_is_no_loss() -> None:
     assert find_losses(problem_of(replace(whole, gyro=gyro))) == []
 
 
+@pytest.mark.long
 def test_a_loss_is_one_finding_and_its_turn_is_left_out_of_the_rest() -> None:
     whole = recording(rate=100.0)
     poses = find_poses(whole)

@@ -49,6 +49,7 @@ def same(a: Recording, b: Recording) -> bool:
 
 @settings(max_examples=25, deadline=None)
 @given(size=st.integers(1, 6000))
+@pytest.mark.long
 def test_nothing_depends_on_the_batches(real: Recording, once: Thinned, size: int) -> None:
     again = thinned(real, size)
     assert same(once.recording, again.recording)

@@ -98,6 +98,7 @@ def test_few_pulses_are_told_from_noise_and_a_knock_is_none() -> None:
     assert not look_within(Recording(real.time, both[:, :3], both[:, 3:], "device"), poses)
 
 
+@pytest.mark.long
 def test_a_disturbance_in_the_samples_alone_is_unexplained_and_has_no_name() -> None:
     recording, where = disturbed(simulated(seed=68, poses=18), [4], louder, 68)
     found = diagnose_recording(recording, gravity=GRAVITY)

@@ -62,6 +62,7 @@ def test_columns_are_what_they_were_where_a_fit_went_straight():
     assert small < 0.01 < large
 
 
+@pytest.mark.long
 def test_what_turns_by_a_tenth_is_fitted_as_well_as_what_turns_by_a_thousandth():
     """One step of the linearised fit would leave fifty standard errors."""
     pairs = ("xy", "xz", "yx", "yz", "zx", "zy")

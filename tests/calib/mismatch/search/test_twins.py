@@ -81,6 +81,7 @@ def test_what_a_known_rival_mimics_wholly_is_a_tie_however_many_parameters_it_ha
     assert ("gyro_g_sensitivity" in names) is (not north)
 
 
+@pytest.mark.long
 def test_what_hardly_shows_has_no_twins():
     """Within the noise everything is alike: thirty effects were rivals of one that had faded."""
     _, made = problem()

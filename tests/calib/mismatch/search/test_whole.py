@@ -117,6 +117,7 @@ def test_nothing_else_is_taken_for_a_delay() -> None:
 
 
 @pytest.mark.parametrize(("delay", "tied"), [(0.008, True), (0.06, False)])
+@pytest.mark.long
 def test_a_low_pass_is_as_likely_as_a_short_delay(delay: float, tied: bool) -> None:
     self_mode, rows, stack = problem("late", delay)
     start = accept(stack, candidate(stack, "time_offset", "gyro_delay"), 100.0)
