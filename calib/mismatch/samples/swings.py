@@ -12,6 +12,7 @@ What both triads show, as gravity would have it, is motion of the sensor.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -121,7 +122,10 @@ class _Scale(NamedTuple):
 def look_for_swings(
     recording: Recording, poses: Poses, known: Collection[str]
 ) -> list[Unexplained]:
-    """Return slow lines of the six channels at rest, but of those of which more is `known`."""
+    """Return slow lines at rest, but not of channels of which more is `known`.
+
+    One of several channels is one item.
+    """
     signal = _at_rest(recording, poses)
     if signal is None:
         return []
@@ -132,7 +136,7 @@ def look_for_swings(
         moving[a:b] = False
     coarse = noise_in_counts(values, moving, resolution(values)) < HIDDEN
     gravity = float(np.linalg.norm(poses.accel, axis=1).mean())
-    out = []
+    out = dict[float, Unexplained]()
     for c, channel in enumerate(CHANNELS):
         followed = TRIADS[channel.split(".")[0]] in recording.notes.get(HELD, "")
         if channel in known or coarse[c] or followed:
@@ -143,9 +147,19 @@ def look_for_swings(
         p = float(line.chance[c]) * spectrum.looks
         if p < CLAIM:
             where = _where(recording, signal, line, c)
-            follows = f"{LINE}{line.frequency:.3g} Hz"
-            out.append(Unexplained((channel,), (where,), follows, p))
-    return out
+            item = Unexplained((channel,), (where,), f"{LINE}{line.frequency:.3g} Hz", p)
+            same = [f for f in out if abs(f - line.frequency) <= APART * spectrum.resolution]
+            at = same[0] if same else line.frequency
+            out[at] = _both(out[at], item) if same else item
+    return list(out.values())
+
+
+def _both(one: Unexplained, other: Unexplained) -> Unexplained:
+    """Return what is on the channels of two, as the more certain one has it."""
+    (a, b), (c, d) = one.intervals[0], other.intervals[0]
+    surer = min(one, other, key=lambda item: item.p_value)
+    channels = (*one.channels, *other.channels)
+    return replace(surer, channels=channels, intervals=((min(a, c), max(b, d)),))
 
 
 def _at_rest(recording: Recording, poses: Poses) -> _Signal | None:
@@ -214,8 +228,8 @@ class _Spectrum:
         # Independent values at one frequency: of sections, and of what is at rest in them.
         self._many = float(count.sum() / self._number)
         self._share = self._number / size
-        self._resolution = 1.0 / (size * signal.step)
-        frequency = self._resolution * np.arange(len(power))
+        self.resolution = 1.0 / (size * signal.step)
+        frequency = self.resolution * np.arange(len(power))
         typical = np.quantile(signal.length, (np.arange(QUANTILES) + 0.5) / QUANTILES)
         lost = np.mean([np.square(np.sinc(frequency * length)) for length in typical], axis=0)
         usual = float(np.median(signal.length))
@@ -251,7 +265,7 @@ class _Spectrum:
 
     def _middle(self, part: IntArray, width: int) -> FloatArray:
         bins = self._first + width * part + 0.5 * (width - 1)
-        return np.asarray(bins * self._resolution)
+        return np.asarray(bins * self.resolution)
 
     def most(self, channel: int) -> _Line | None:
         """Return what stands out most on one channel; None where nothing could."""
@@ -268,7 +282,7 @@ class _Spectrum:
         over = (scale.power[near] - scale.floor[k]).sum(axis=0) * scale.width
         inside = self._power[k * scale.width : (k + 1) * scale.width, channel]
         at = self._first + k * scale.width + int(np.argmax(inside))
-        frequency = at * self._resolution
+        frequency = at * self.resolution
         if frequency > self._highest:
             return None  # what is left of one that is faster
         power = 2.0 * np.maximum(over, 0.0) / self._number

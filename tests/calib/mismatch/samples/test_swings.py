@@ -98,6 +98,17 @@ def test_a_line_that_wanders_is_one() -> None:
     assert (channel, found) == ("accel.x", pytest.approx(1.1, abs=0.06))
 
 
+def test_a_line_of_several_channels_is_one() -> None:
+    time, values, poses = rests(12)
+    swing = np.sin(2 * np.pi * 0.7 * time)
+    values[:, 4] += 1.0 * NOISE[4] * swing
+    values[:, 5] -= 0.8 * NOISE[5] * swing
+    values[:, 0] += 1.0 * NOISE[0] * np.sin(2 * np.pi * 1.9 * time)
+    recording = Recording(time, values[:, :3], values[:, 3:], "device")
+    found = look_for_swings(recording, poses, ())
+    assert sorted(item.channels for item in found) == [("accel.x",), ("gyro.y", "gyro.z")]
+
+
 def test_what_wanders_or_settles_is_no_line() -> None:
     """Flicker and walks, of all sizes; and a start that every rest of a robot has in common."""
     for seed in range(30):
