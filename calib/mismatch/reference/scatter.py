@@ -177,4 +177,6 @@ def _of_parts(parts: FloatArray, y: FloatArray, design: FloatArray, power: float
         # Columns may be the same but for rounding.
         factor = linalg.cho_factor(normal / np.outer(size, size) + ALIKE * np.eye(len(size)))
         left = y - design @ (linalg.cho_solve(factor, weighted.T @ y / size) / size)
+    # At rest nothing else is left of it, and no sample is without noise.
+    share[0] = max(share[0], least)
     return np.asarray(share)

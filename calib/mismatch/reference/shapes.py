@@ -11,6 +11,7 @@ from functools import cached_property
 import numpy as np
 from scipy import sparse
 
+from calib.errors import NoCommonMotionError
 from calib.mismatch.reference.colour import Blur
 from calib.mismatch.reference.flicker import Slow, flicker_levels, flicker_of, slow_left
 from calib.mismatch.reference.scatter import Scatter
@@ -22,6 +23,11 @@ SEGMENTS = 80
 
 SHORTEST, FEWEST = 1.0, 12
 """s and points of a window, at least."""
+
+TORN = (
+    "what the two have in common is torn by gaps: no stretch is free of them for long enough to be "
+    f"compared, expected {FEWEST} samples in a row or more"
+)
 
 SHAPES = 1200
 """Rows that follow a shape within a window, at most: those that tell most are kept."""
@@ -117,6 +123,8 @@ def cut(
     Where the accelerometer is ``judged``, (n,) bool, in parts only, windows begin and end with
     these. None ends within a turn where a rest that is ``still``, (k, 2) s, begins or ends nearby.
     """
+    if len(time) < FEWEST:
+        raise NoCommonMotionError(TORN)
     span = time[-1] - time[0]
     count = int(np.clip(span / SHORTEST, 1, SEGMENTS))
     even = time[0] + span * np.arange(count + 1) / count
@@ -135,6 +143,8 @@ def cut(
         away = np.abs(even[:, None] - time[fixed]).min(axis=1)
         edges = np.unique(np.concatenate(([0, len(time)], fixed, edges[away > half])))
     keep = np.diff(edges) >= FEWEST
+    if not keep.any():
+        raise NoCommonMotionError(TORN)
     return edges[:-1][keep], edges[1:][keep]
 
 

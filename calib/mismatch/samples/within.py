@@ -398,7 +398,9 @@ def _louder(
     own = np.maximum(scatter - outside[:, :1], 0.0)
     error = own / np.maximum(n, 1.0) + own / np.maximum(m, 1.0) + by_chance
     spread = own + outside[:, :1]
-    freedom = (m - 1.0) * np.square(spread / np.maximum(own, 1e-5 * spread))
+    excess = np.maximum(own, 1e-5 * spread)
+    share = np.divide(spread, excess, out=np.ones_like(spread), where=excess > 0)
+    freedom = (m - 1.0) * np.square(share)
     stand = np.where(enough, more / np.sqrt(error), 0.0)
     tail = stdtr(np.maximum(freedom, 1.0), -stand)
     # The quieter half of normal errors has a mean of -0.8.

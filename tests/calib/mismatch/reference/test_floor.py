@@ -173,3 +173,12 @@ def test_a_channel_that_is_stuck_is_named():
     assert found.unexplained[0].channels == ("gyro.x",)
     with pytest.raises(NoCommonMotionError, match=r"gyro\.x stands still"):
         diagnose_reference(made(64, noise=CONSUMER), real, gravity=GRAVITY)
+
+
+def test_gaps_everywhere_are_said():
+    """A slow reference is compared over stretches that a log without half of its samples lacks."""
+    recording, reference = made(100, noise=CONSUMER), made(20, noise=CONSUMER)
+    kept = np.random.default_rng(8).random(len(recording)) > 0.5
+    parts = {n: getattr(recording, n)[kept] for n in ("time", "accel", "gyro", "temperature")}
+    with pytest.raises(NoCommonMotionError, match="torn by gaps"):
+        diagnose_reference(replace(recording, **parts, lost=None), reference, gravity=GRAVITY)

@@ -11,7 +11,7 @@ from calib.effects.vibration import vibration_variance
 from calib.mismatch import diagnose_reference
 from calib.mismatch.reference.band import beyond, low_passed, smoothed
 from calib.mismatch.reference.colour import WHITE, Blur, Colour, gaussian, whitening
-from calib.mismatch.reference.scatter import Scatter, scatter
+from calib.mismatch.reference.scatter import Scatter, _of_parts, scatter
 from calib.mismatch.reference.shapes import find_shapes
 from calib.mismatch.reference.windowed import make_rows
 from calib.mismatch.rows.rows import Kind, Rows
@@ -237,3 +237,13 @@ def test_the_arm_between_two_imus_is_right_when_they_are_shaken_harder_than_they
     for true, q in zip(ARM, item.parameters.values(), strict=True):
         assert q.sigma < 1e-3
         assert abs(q.value - true) < 3.0 * q.sigma
+
+
+def test_no_sample_is_without_noise():
+    """At rest a sensor that is hardly noisy has nothing of what it errs by in motion."""
+    moves = (np.arange(600) > 200).astype(float)
+    errs = 3.0 * moves * np.random.default_rng(5).normal(size=600)
+    parts = np.stack((np.ones(600), moves), axis=1)
+    share = _of_parts(parts, errs, np.zeros((600, 1)), 1.0)
+    assert share[0] > 0
+    assert share[1] == pytest.approx(9.0, rel=0.2)
