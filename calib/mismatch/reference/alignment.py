@@ -21,7 +21,8 @@ import numpy as np
 
 from calib.errors import NoCommonMotionError
 from calib.mismatch.reference.stilled import BIASED
-from calib.types import FloatArray, IntArray
+from calib.mismatch.reference.truths import near
+from calib.types import BoolArray, FloatArray, IntArray
 
 LEAST_CORRELATION = 0.5
 """Of the sizes of the rates: below it the two did not see the same motion. Noise and unlike motion
@@ -53,6 +54,10 @@ may match at another time."""
 FASTEST = 0.1
 """Share by which one clock may be faster than the other: oscillators of the cheapest parts, or a
 rate that a data sheet gives within so much."""
+
+AGAIN, KNOWN = 2, 0.5
+"""How often gaps are left out, at most, as the first time is off by what they hide; and the share
+that must be left: a profile of corners has nothing between these."""
 
 LIVELY = 120.0
 """s of the recording that are tried against a stretched reference."""
@@ -91,6 +96,9 @@ def align(
 ) -> Alignment:
     """Find the reference's time at each of a recording's.
 
+    What one of them lacks in a gap is then left out of the other as well, and the time found again:
+    a gap may hide the fastest turn.
+
     Parameters
     ----------
     time, ref_time : (n,), (m,) arrays, s
@@ -102,6 +110,25 @@ def align(
     NoCommonMotionError
         If either is at rest all along, or they do not show the same motion.
     """
+    found = _aligned(time, rate, ref_time, ref_rate)
+    for _ in range(AGAIN):
+        own = _outside_gaps(ref_time, found.times(time))
+        other = _outside_gaps(time, found.moments(ref_time))
+        if (own.all() and other.all()) or min(own.mean(), other.mean()) < KNOWN:
+            break
+        found = _aligned(time[own], rate[own], ref_time[other], ref_rate[other])
+    return found
+
+
+def _outside_gaps(known: FloatArray, time: FloatArray) -> BoolArray:
+    """Return where times (n,) are in no gap of what is known, (n,) bool."""
+    beyond = (time < known[0]) | (time > known[-1]) if len(known) else np.ones(len(time), bool)
+    return np.asarray(near(known, time) | beyond)
+
+
+def _aligned(
+    time: FloatArray, rate: FloatArray, ref_time: FloatArray, ref_rate: FloatArray
+) -> Alignment:
     step = max(STEP, _interval(time), _interval(ref_time))
     a, b = _even(time, rate, step), _even(ref_time, ref_rate, step)
     for name, values in (("the recording", a), ("the reference", b)):

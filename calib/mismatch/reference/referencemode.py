@@ -62,6 +62,10 @@ is never so much about one axis, a table's profile is."""
 BRIDGE = 8
 """Samples beside an end, or a gap, after which a spline has forgotten it to a hundredth."""
 
+HOLE = 0.035
+"""s from one orientation to the next up to which a spline knows what is between: a body that is
+moved by hand, or by a table, has next to nothing beyond 15 Hz."""
+
 SWAPPED = "swapped_markers"
 """Of the summary: what was left out, as one marker was taken for another."""
 
@@ -160,6 +164,9 @@ class ReferenceMotion:
             values = np.hstack((values, self.position[first : last + 1]))
         if not good.all():
             values[~good] = PchipInterpolator(time[good], values[good])(time[~good])
+            holes = ~good & short_holes(time, good)
+            values[holes] = make_interp_spline(time[good], values[good], k=DEGREE)(time[holes])
+            good = good | holes
         if bandwidth is not None:
             values = smoothed(time, values, bandwidth)
         # A cubic spline would lose 2 % of the acceleration of a tremor.
@@ -182,6 +189,14 @@ class ReferenceMotion:
     def inverted(self) -> ReferenceMotion:
         """Return the reference with the inverse orientations."""
         return replace(self, quat=self.quat * np.array([1.0, -1.0, -1.0, -1.0]))
+
+
+def short_holes(time: FloatArray, good: BoolArray) -> BoolArray:
+    """Return where what is good, (n,) bool with its first and last, is at most a `HOLE` apart."""
+    number = np.arange(len(time))
+    before = np.maximum.accumulate(np.where(good, number, 0))
+    after = np.minimum.accumulate(np.where(good, number, len(time) - 1)[::-1])[::-1]
+    return np.asarray(time[after] - time[before] <= HOLE)
 
 
 def _one_sign(quat: FloatArray, good: BoolArray) -> FloatArray:
@@ -359,6 +374,11 @@ def _placed_below(
     truth = reference.truth(gravity=gravity)
     rough = replace(truth, recording=low_passed(truth.recording, bandwidth))
     known = rough.recording.time[truth.covers(truth.recording.time)]
+    if len(known) < 2:
+        raise NoCommonMotionError(
+            "the reference is torn by gaps: it is nowhere free of them for long enough to be "
+            "compared, expected some seconds"
+        )
     rate = rough.state(known).rate
     # Faster than the sensor ever turned: markers that were taken for one another.
     rate[np.linalg.norm(rate, axis=1) > BRISK * np.linalg.norm(real.gyro, axis=1).max()] = 0.0

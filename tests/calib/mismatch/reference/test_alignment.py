@@ -41,6 +41,29 @@ def test_clocks_that_run_apart_are_brought_together(
     assert found.moments(found.times(real.time)) == pytest.approx(real.time, abs=1e-9)
 
 
+@pytest.mark.parametrize("torn", ["recording", "truth", "both"])
+def test_a_gap_that_hides_the_fastest_turn_moves_no_clock(torn: str) -> None:
+    real, truth = pair("bench", 60.0)
+    size = np.linalg.norm(truth.gyro, axis=1)
+    fastest = float(truth.time[int(np.argmax(size))])
+    kept = [
+        np.abs(r.time - fastest - shift) > 0.4 if torn in (name, "both") else np.ones(len(r), bool)
+        for r, name, shift in ((real, "recording", 0.0), (truth, "truth", 0.2))
+    ]
+    times = real.time[kept[0]], START + truth.time[kept[1]]
+    found = align(times[0], real.gyro[kept[0]], times[1], truth.gyro[kept[1]])
+    assert found.correlation > 0.99
+    assert np.abs(found.times(real.time) - START - real.time).max() < 2e-3
+
+
+def test_where_little_is_beside_anything_else_nothing_is_a_gap() -> None:
+    """A log that wrote four samples of every forty is aligned by what is between them as well."""
+    real, truth = pair("bench", 60.0)
+    some = np.arange(len(truth)) % 40 < 4
+    found = align(real.time, real.gyro, START + truth.time[some], truth.gyro[some])
+    assert np.abs(found.times(real.time) - START - real.time).max() < 0.1
+
+
 @pytest.mark.long
 def test_a_rate_that_is_named_wrong_by_far_is_the_clock_and_nothing_else() -> None:
     real, truth = pair("bench", 120.0)

@@ -109,6 +109,23 @@ def test_motion_capture_with_a_gap_gives_arm_and_delay(inverse):
         assert got["accel_lever_arm"][name].value == pytest.approx(value, abs=1e-3)
 
 
+@pytest.mark.parametrize(("rate", "share"), [(60.0, 0.05), (120.0, 0.15), (240.0, 0.3)])
+def test_orientations_that_are_missing_here_and_there_are_bridged(rate, share):
+    """To a tenth of a sensor's noise; a hole of a quarter of a second is left out."""
+    whole = captured(start=0.0, rate=rate)
+    missing = np.random.default_rng(4).random(len(whole.time)) < share
+    torn = replace(whole, quat=np.where(missing[:, None], np.nan, whole.quat))
+    truth, time = torn.truth(gravity=GRAVITY), np.arange(1.0, 30.0, 0.01)
+    known, state, true = truth.covers(time), truth.state(time), motion().state(time)
+    hole = (time > 500 / rate) & (time < 530 / rate)
+    assert known.mean() > 0.7
+    assert not known[hole].any()
+    off = [(state.rate - true.rate)[known], (state.force - true.force)[known]]
+    noise = CONSUMER.gyro_noise_density, CONSUMER.accel_noise_density
+    for error, density in zip(off, noise, strict=True):
+        assert np.sqrt(np.mean(np.square(error))) < 0.1 * density * np.sqrt(50.0)
+
+
 @pytest.mark.parametrize(("rate", "other"), [(50.0, 60.0), (50.0, 200.0), (100.0, 60.0)])
 @pytest.mark.parametrize("bandwidth", [None, 5.0, 15.0])
 def test_what_a_captured_motion_predicts_is_what_a_sensor_feels(rate, other, bandwidth):
