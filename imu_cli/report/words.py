@@ -86,6 +86,10 @@ def notes(document: Mapping[str, Any]) -> list[str]:
             f"Samples of the {recording['held']} come again until there is a new one: it is read "
             "more often than it measures. Between its own its course was followed by cubics."
         )
+    if "up" in recording:
+        out.append(
+            f"In the world of the reference {recording['up']} is up: it was turned until that is z."
+        )
     if "swapped_markers" in recording:
         left = recording["swapped_markers"]
         out.append(

@@ -33,11 +33,12 @@ from calib.mismatch.reference.oriented import oriented_at_rests
 from calib.mismatch.reference.shaken import noise_beside
 from calib.mismatch.reference.swaps import swapped
 from calib.mismatch.reference.truths import DEGREE, RecordingTruth
+from calib.mismatch.reference.upright import TIPPED, in_words, turn_up, vertical
 from calib.mismatch.reference.witnessed import white_noise
 from calib.mismatch.samples.samples import Samples, look_at_samples, with_reading
 from calib.model import SensorModel
 from calib.recording import Recording
-from calib.rotation import mat_from_quat, quat_multiply
+from calib.rotation import mat_from_quat, quat_multiply, rotate
 from calib.statics import find_poses
 from calib.stillness import runs
 from calib.threads import one_thread
@@ -65,6 +66,13 @@ BRIDGE = 8
 HOLE = 0.035
 """s from one orientation to the next up to which a spline knows what is between: a body that is
 moved by hand, or by a table, has next to nothing beyond 15 Hz."""
+
+ASTRAY = 0.05
+"""Share of the signals' power that a reference in another world leaves at least: gravity that is
+`TIPPED` leaves a tenth of its own."""
+
+UP = "up"
+"""Of the summary: the axis of the reference's world that is up, where that is not z."""
 
 SWAPPED = "swapped_markers"
 """Of the summary: what was left out, as one marker was taken for another."""
@@ -336,10 +344,16 @@ def _captured(
     real: Recording, reference: ReferenceMotion, gravity: float, spoilt: BoolArray
 ) -> tuple[Matched, Alignment, FloatArray, dict[str, object], ReferenceMotion]:
     """Align a captured motion, and limit both to the band that they share; say what is left out."""
-    ways = (_placed(real, way, gravity) for way in (reference, reference.inverted()))
-    reference, truth, alignment, mat, _ = min(ways, key=lambda placed: placed.error)
-    bad = swapped(reference.time, reference.quat, real, alignment, mat)
     notes: dict[str, object] = {}
+    ways = [_placed(real, way, gravity) for way in (reference, reference.inverted())]
+    best = min(ways, key=lambda placed: placed.error)
+    if best.error > ASTRAY:
+        for way in ways:
+            up = _up(real, way)
+            if up is not None and (other := _turned(real, way, up, gravity)).error < best.error:
+                best, notes[UP] = other, in_words(up)
+    reference, truth, alignment, mat, _ = best
+    bad = swapped(reference.time, reference.quat, real, alignment, mat)
     if bad.any():
         at = alignment.moments(reference.time)
         notes[SWAPPED] = _left_out(at, bad, bad & reference.known)
@@ -384,6 +398,28 @@ def _placed_below(
     rate[np.linalg.norm(rate, axis=1) > BRISK * np.linalg.norm(real.gyro, axis=1).max()] = 0.0
     alignment = align(real.time, real.gyro, known, rate)
     return _Placed(reference, truth, alignment, *mounting(real, rough, alignment))
+
+
+def _up(real: Recording, placed: _Placed) -> FloatArray | None:
+    """Return what is up in the reference's world, if that can be told and is not z."""
+    at = placed.alignment.times(real.time)
+    inside = placed.truth.covers(at)
+    state = placed.truth.state(at[inside])
+    if not inside.any() or state.mat_ns is None:
+        return None
+    up = vertical(state.mat_ns, state.rate, real.gyro[inside], real.accel[inside])
+    return None if up is None or up[2] > np.cos(TIPPED) else up
+
+
+def _turned(real: Recording, placed: _Placed, up: FloatArray, gravity: float) -> _Placed:
+    """Return a reference of which the world is turned, so that `up` is z."""
+    seen, turn = placed.reference, turn_up(up)[None]
+    turned = replace(
+        seen,
+        quat=quat_multiply(turn, seen.quat),
+        position=None if seen.position is None else rotate(turn, seen.position),
+    )
+    return _placed(real, turned, gravity)
 
 
 def mounting(

@@ -11,10 +11,11 @@ from calib.errors import NoCommonMotionError
 from calib.mismatch import ReferenceMotion, diagnose_reference
 from calib.mismatch.reference.band import BEYOND, limited
 from calib.mismatch.reference.referencemode import compare_reference
+from calib.mismatch.reference.upright import turn_up
 from calib.mismatch.samples.samples import look_at_samples
 from calib.model import SensorModel, Triad
 from calib.recording import Recording
-from calib.rotation import mat_from_rotvec, quat_from_rotvec, quat_multiply
+from calib.rotation import mat_from_rotvec, quat_from_rotvec, quat_multiply, rotate
 from calib.simulate import Sampling, simulate
 from calib.simulation.bench import bench_protocol
 from calib.simulation.kinematics import Motion
@@ -105,6 +106,29 @@ def test_motion_capture_with_a_gap_gives_arm_and_delay(inverse):
     got = named(found)
     assert {"accel_lever_arm", "time_offset"} <= set(got)
     assert got["time_offset"]["delay"].value == pytest.approx(-0.02, abs=1e-3)
+    for name, value in ARM.items():
+        assert got["accel_lever_arm"][name].value == pytest.approx(value, abs=1e-3)
+
+
+@pytest.mark.parametrize("inverse", [False, True])
+@pytest.mark.parametrize("up", ["y", "-x", "0.60, 0.64, 0.48"])
+def test_another_axis_of_the_world_may_be_up(up, inverse):
+    """Some systems have y up: the same is found as beside one with z up."""
+    axes = {"y": [0.0, 1.0, 0.0], "-x": [-1.0, 0.0, 0.0]}
+    turn = turn_up(np.array(axes.get(up, [0.6, 0.64, 0.48])))[None] * [1.0, -1.0, -1.0, -1.0]
+    seen = captured(start=0.02)
+    assert seen.position is not None
+    seen = replace(seen, quat=quat_multiply(turn, seen.quat), position=rotate(turn, seen.position))
+    reference = seen.inverted() if inverse else seen
+    found = diagnose_reference(recorded(Term("accel_lever_arm", ARM)), reference, gravity=GRAVITY)
+    assert found.summary["up"] == up
+    got = named(found)
+    assert {"accel_lever_arm", "time_offset"} <= set(got)
+    assert set(got) <= {
+        "accel_lever_arm",
+        "time_offset",
+        *([] if up in axes else ["reference_tilt"]),
+    }
     for name, value in ARM.items():
         assert got["accel_lever_arm"][name].value == pytest.approx(value, abs=1e-3)
 
