@@ -126,7 +126,8 @@ def cut(
     if len(time) < FEWEST:
         raise NoCommonMotionError(TORN)
     span = time[-1] - time[0]
-    count = int(np.clip(span / SHORTEST, 1, SEGMENTS))
+    # Of slow samples windows are longer.
+    count = int(np.clip(min(span / SHORTEST, 0.8 * len(time) / FEWEST), 1, SEGMENTS))
     even = time[0] + span * np.arange(count + 1) / count
     half = 0.5 * even[1] - 0.5 * even[0]
     edges = np.searchsorted(time, even)

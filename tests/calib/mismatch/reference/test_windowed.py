@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from calib.effects.base import State
+from calib.errors import NoCommonMotionError
 from calib.mismatch.hypotheses.candidates import Candidate
 from calib.mismatch.noise.contrast import contrast_variance
 from calib.mismatch.reference import shapes
@@ -61,6 +62,17 @@ def rows_of(
         aligned=aligned,
         prior=np.array([[0.0, 2.0], [0.0, 0.1]]),
     )
+
+
+@pytest.mark.parametrize("rate", [5.0, 8.0, 10.0, 12.5, 100.0])
+def test_windows_of_slow_samples_are_longer(rate: float) -> None:
+    first, last = shapes.cut(np.arange(int(20.0 * rate)) / rate)
+    assert (last - first).min() >= shapes.FEWEST
+    assert first[0] == 0
+    assert last[-1] == int(20.0 * rate)
+    assert np.median(last - first) <= max(1.1 * rate, 1.5 * shapes.FEWEST)
+    with pytest.raises(NoCommonMotionError, match="torn by gaps"):
+        shapes.cut(np.arange(shapes.FEWEST - 1) / rate)
 
 
 def test_windows_end_in_rests_where_there_are_some():
