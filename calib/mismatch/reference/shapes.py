@@ -272,7 +272,10 @@ def _sizes(scatter: Scatter | None, blur: Blur) -> FloatArray:
             out.append(scatter.variance[blur.seen, c])
             continue
         square = blur.matrices[c // 3].power(2)
-        out.append(square @ scatter.variance[:, c] / np.asarray(square.sum(axis=1)).ravel())
+        total = np.asarray(square.sum(axis=1)).ravel()
+        heard = square @ scatter.variance[:, c]
+        # Of what is not judged nothing is seen.
+        out.append(np.divide(heard, total, out=np.ones_like(heard), where=total > 0))
     return np.asarray(np.sqrt(np.stack(out, axis=1)))
 
 

@@ -263,3 +263,14 @@ def test_rows_go_to_what_hardly_shows_and_not_to_what_is_plain_without_them(monk
     assert told > 0.25 * whole
     monkeypatch.setattr(shapes, "ENOUGH", 1e9)
     assert told > kept()
+
+
+def test_an_accelerometer_that_is_judged_in_parts_may_have_samples_that_say_nothing():
+    rng = np.random.default_rng(8)
+    time = 0.05 * np.arange(600)
+    left = rng.normal(size=(600, 6))
+    columns = [(c, np.sin(time + i)) for i, c in enumerate(CHANNELS)]
+    blur = gaussian(time, 0.0, 0.05).judging(time < 12.0)
+    found = find_shapes(time, left, columns, blur=blur, scatter=silenced(time < 2.0))
+    assert np.isfinite(found.noise).all()
+    assert all(np.isfinite(vector).all() for vector in found.vectors)
