@@ -192,8 +192,9 @@ def find_shapes(
         own = np.stack(mine if scatter is None else [values / size[:, c] for values in mine])
         seen = blur.see(left[:, c], c) / size[:, c]
         counts = blur.counts(c)
-        counts = counts[2:] & counts[:-2] if counts.any() else ~counts[2:]
-        rough = float(np.median(np.abs(np.diff(seen, n=2))[counts])) / 0.6745 / np.sqrt(6.0)
+        beside = counts[2:] & counts[:-2]
+        bend = np.abs(np.diff(seen, n=2))[beside if beside.any() else slice(None)]
+        rough = float(np.median(bend)) / 0.6745 / np.sqrt(6.0)
         rough = max(rough, 1e-9)
         if scatter is None:
             counted = _counted(own, size[:, c], first, last, rough)
