@@ -87,6 +87,12 @@ def mat_from_rotvec(rotvec: FloatArray) -> FloatArray:
     return mat_from_quat(quat_from_rotvec(rotvec))
 
 
+def nearest_rotation(mat: FloatArray) -> FloatArray:
+    """Return the rotation (3, 3) that is nearest to a matrix, in the sum of squares."""
+    u, _, vt = np.linalg.svd(mat)
+    return np.asarray(u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt)
+
+
 def rotvec_from_mat(mat: FloatArray) -> FloatArray:
     """Return the rotation vectors (..., 3), rad, of rotation matrices (..., 3, 3)."""
     from scipy.spatial.transform import Rotation  # a third of a second to import

@@ -122,8 +122,7 @@ def align(
 
 def _outside_gaps(known: FloatArray, time: FloatArray) -> BoolArray:
     """Return where times (n,) are in no gap of what is known, (n,) bool."""
-    beyond = (time < known[0]) | (time > known[-1]) if len(known) else np.ones(len(time), bool)
-    return np.asarray(near(known, time) | beyond)
+    return np.asarray(near(known, time) | (time < known[0]) | (time > known[-1]))
 
 
 def _aligned(

@@ -32,13 +32,13 @@ from calib.mismatch.reference.comparison import ComparisonProblem
 from calib.mismatch.reference.oriented import oriented_at_rests
 from calib.mismatch.reference.shaken import noise_beside
 from calib.mismatch.reference.swaps import swapped
-from calib.mismatch.reference.truths import DEGREE, RecordingTruth
+from calib.mismatch.reference.truths import DEGREE, RecordingTruth, near
 from calib.mismatch.reference.upright import TIPPED, in_words, turn_up, vertical
 from calib.mismatch.reference.witnessed import white_noise
 from calib.mismatch.samples.samples import Samples, look_at_samples, with_reading
 from calib.model import SensorModel
 from calib.recording import Recording
-from calib.rotation import mat_from_quat, quat_multiply, rotate
+from calib.rotation import mat_from_quat, nearest_rotation, quat_multiply, rotate
 from calib.statics import find_poses
 from calib.stillness import runs
 from calib.threads import one_thread
@@ -172,7 +172,7 @@ class ReferenceMotion:
             values = np.hstack((values, self.position[first : last + 1]))
         if not good.all():
             values[~good] = PchipInterpolator(time[good], values[good])(time[~good])
-            holes = ~good & short_holes(time, good)
+            holes = ~good & near(time[good], time, HOLE)
             values[holes] = make_interp_spline(time[good], values[good], k=DEGREE)(time[holes])
             good = good | holes
         if bandwidth is not None:
@@ -197,14 +197,6 @@ class ReferenceMotion:
     def inverted(self) -> ReferenceMotion:
         """Return the reference with the inverse orientations."""
         return replace(self, quat=self.quat * np.array([1.0, -1.0, -1.0, -1.0]))
-
-
-def short_holes(time: FloatArray, good: BoolArray) -> BoolArray:
-    """Return where what is good, (n,) bool with its first and last, is at most a `HOLE` apart."""
-    number = np.arange(len(time))
-    before = np.maximum.accumulate(np.where(good, number, 0))
-    after = np.minimum.accumulate(np.where(good, number, len(time) - 1)[::-1])[::-1]
-    return np.asarray(time[after] - time[before] <= HOLE)
 
 
 def _one_sign(quat: FloatArray, good: BoolArray) -> FloatArray:
@@ -446,8 +438,7 @@ def mounting(
     product += accel.T @ state.force / float(np.square(state.force).sum())
     # A turn that nothing tells of (heading, on a table) is none.
     product += UNTURNED * np.linalg.norm(product) * np.eye(3)
-    u, _, vt = np.linalg.svd(product)
-    mat = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
+    mat = nearest_rotation(product)
     left = [
         np.square(seen - true @ mat.T).sum() / max(float(np.square(seen).sum()), 1e-12)
         for seen, true in ((gyro, rate), (accel, state.force))

@@ -30,11 +30,15 @@ REACH = 2
 """Samples about a spoilt one at which an interpolating spline still feels it."""
 
 
-def near(known: FloatArray, time: FloatArray) -> BoolArray:
-    """Return where times lie between known ones that are no gap apart, (n,) bool."""
+def near(known: FloatArray, time: FloatArray, limit: float | None = None) -> BoolArray:
+    """Return where times lie between known ones that are no gap apart, (n,) bool.
+
+    A gap is longer than `limit`, s: of `GAP` intervals if that is not given.
+    """
     if len(known) < 2:
         return np.zeros(len(time), bool)
-    limit = GAP * float(np.median(np.diff(known)))
+    if limit is None:
+        limit = GAP * float(np.median(np.diff(known)))
     after = np.clip(np.searchsorted(known, time), 1, len(known) - 1)
     inside = (time >= known[0]) & (time <= known[-1])
     return np.asarray(inside & (known[after] - known[after - 1] <= limit))

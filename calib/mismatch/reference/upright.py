@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.rotation import quat_from_rotvec
+from calib.rotation import nearest_rotation, quat_from_rotvec
 from calib.types import FloatArray
 
 TIPPED = float(np.radians(20.0))
@@ -40,11 +40,11 @@ def vertical(
         By the sensor.
     """
     rate, gyro = (values - np.median(values, axis=0) for values in (rate, gyro))
-    u, power, vt = np.linalg.svd(gyro.T @ rate)
+    product = gyro.T @ rate
+    power = np.linalg.svd(product, compute_uv=False)
     if power[1] < PLAIN * power[0]:
         return None
-    mat_sb = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
-    felt = np.einsum("nij,nj->ni", mat_nb, accel @ mat_sb).mean(axis=0)
+    felt = np.einsum("nij,nj->ni", mat_nb, accel @ nearest_rotation(product)).mean(axis=0)
     size = float(np.linalg.norm(felt))
     if size < STEADY * float(np.linalg.norm(accel, axis=1).mean()):
         return None

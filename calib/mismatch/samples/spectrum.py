@@ -110,17 +110,23 @@ def look_at_spectrum(recording: Recording, poses: Poses) -> tuple[Unexplained, .
     return tuple(_merged(out))
 
 
-def _between_counts(recording: Recording, poses: Poses) -> FloatArray:
-    """Return the variance (6,) that noise has at most if it is less than half a count.
-
-    By where a signal is, it jumps between two counts all the time or stays on one: no louder noise.
-    """
+def coarse_at_rest(recording: Recording, poses: Poses) -> tuple[BoolArray, FloatArray]:
+    """Return on which channels noise at rest is less than half a count, and counts, (6,) each."""
     values = values_of(recording)
     moving = np.ones(len(recording), bool)
     for a, b in zip(poses.start, poses.stop, strict=True):
         moving[a:b] = False
     step = resolution(values)
-    return np.where(noise_in_counts(values, moving, step) < HIDDEN, np.square(step) / 4, 0.0)
+    return noise_in_counts(values, moving, step) < HIDDEN, step
+
+
+def _between_counts(recording: Recording, poses: Poses) -> FloatArray:
+    """Return the variance (6,) that noise has at most if it is less than half a count.
+
+    By where a signal is, it jumps between two counts all the time or stays on one: no louder noise.
+    """
+    coarse, step = coarse_at_rest(recording, poses)
+    return np.where(coarse, np.square(step) / 4, 0.0)
 
 
 def _merged(found: list[Unexplained]) -> list[Unexplained]:

@@ -18,12 +18,19 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import chdtri, fdtrc, logsumexp, softmax
 
-from calib.faults import noise_in_counts, resolution, values_of
 from calib.mismatch.findings.diagnosis import Interval, Unexplained
 from calib.mismatch.hypotheses.ends import expected_overlap
 from calib.mismatch.hypotheses.windows import windows
 from calib.mismatch.samples.knocks import knocked
-from calib.mismatch.samples.spectrum import CLAIM, HIDDEN, LENGTH, LINE, SHARE, SWING
+from calib.mismatch.samples.spectrum import (
+    CLAIM,
+    LENGTH,
+    LINE,
+    SHARE,
+    SWING,
+    coarse_at_rest,
+)
+from calib.mismatch.samples.within import MARGIN
 from calib.poses import Poses
 from calib.read_once import HELD
 from calib.recording import CHANNELS, TRIADS, Recording
@@ -43,9 +50,6 @@ FEWEST = 8
 
 SECTION = 1 << 15
 """Blocks of one spectrum, at most: of a longer recording it is the mean of several."""
-
-MARGIN = 0.25
-"""s at either end of a rest that may still belong to the turn."""
 
 WIDTHS = 4
 """Factor between widths in which power is summed: what swings at no steady pace is wider."""
@@ -130,11 +134,7 @@ def look_for_swings(
     if signal is None:
         return []
     spectrum = _Spectrum(signal, slow=signal.step > 1.5 * recording.interval)
-    values = values_of(recording)
-    moving = np.ones(len(recording), bool)
-    for a, b in zip(poses.start, poses.stop, strict=True):
-        moving[a:b] = False
-    coarse = noise_in_counts(values, moving, resolution(values)) < HIDDEN
+    coarse, _ = coarse_at_rest(recording, poses)
     gravity = float(np.linalg.norm(poses.accel, axis=1).mean())
     out = dict[float, Unexplained]()
     for c, channel in enumerate(CHANNELS):

@@ -31,9 +31,10 @@ noise had to be learnt from them. Of noise that is known it is less than half of
 (``evidence.py``). Markov's inequality has 1."""
 
 SHORT = 5.0
-"""Log evidence below that of a claim from which a group is not raised to it by levels of its own:
-of 1632 that were as far below, in clean recordings and beside faint effects, these raised 16 by 2,
-one by 4.9, and none to a claim."""
+"""Log evidence below that of a claim from which levels of its own do not raise a group to it."""
+
+ASIDE = 7.0
+"""The same for a step, by a moment between those that were tried."""
 
 PAIRS = 3
 """How many effects of one channel are tried as the first of a pair."""
@@ -199,7 +200,7 @@ def _at_moments(
     tried = [
         g
         for g, v in groups.items()
-        if g not in running and v > np.log(CLAIM) - SHORT and is_step(best[g])
+        if g not in running and v > np.log(CLAIM) - ASIDE and is_step(best[g])
     ]
     if not tried:
         return out
