@@ -19,6 +19,7 @@ from scipy.ndimage import uniform_filter1d
 from scipy.spatial.transform import Rotation, RotationSpline
 
 from calib.effects.base import State
+from calib.errors import InsufficientMotionError
 from calib.model import SensorModel
 from calib.poses import Poses
 from calib.recording import Recording
@@ -34,6 +35,8 @@ from calib.turns import turns_and_shaking
 from calib.types import FloatArray
 
 UP = np.array([0.0, 0.0, 1.0])
+FEWEST = 2
+"""Samples that a motion goes through."""
 
 
 def motion_of(
@@ -67,7 +70,17 @@ def motion_of(
     -------
     Motion
         Its time 0 is the recording's first sample.
+
+    Raises
+    ------
+    InsufficientMotionError
+        If there are fewer than two samples.
     """
+    if len(recording) < FEWEST:
+        raise InsufficientMotionError(
+            f"the recording has {len(recording)} sample{'s' * (len(recording) > 1)}: no motion can "
+            f"be taken from fewer than {FEWEST}"
+        )
     time = recording.time - recording.time[0]
     temperature = temperature_of(recording)
     measured = State(

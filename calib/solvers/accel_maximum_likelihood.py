@@ -209,7 +209,9 @@ def _faked(
     gradient[:, :3] = inverse.T
     gradient[:, 3:] = true[:, COLUMNS, None] * inverse.T[list(ROWS)]
     gradient[:, np.arange(3, 9), COLUMNS] += (true @ inverse)[:, ROWS]
-    root = np.linalg.cholesky(poses.accel_covariance[few] + LEAST * np.eye(3))
+    # A clipped channel that was corrected with the others leaves covariances of rank two.
+    power, axes = np.linalg.eigh(poses.accel_covariance[few])
+    root = axes * np.sqrt(np.maximum(power, 0.0))[:, None, :]
     noisy = gradient @ (inverse @ root) / gravity
     weight = 1.0 / np.maximum(variance[few], LEAST)
     share = float(keep.sum()) / max(len(few), 1)

@@ -116,6 +116,7 @@ def solve(
         )
     covariance = np.full((6, 6), np.nan)
     covariance[np.ix_(free, free)] = np.linalg.inv(information[np.ix_(free, free)])
+    covariance[:3, :3] += np.diag(rest.wander**2)
     covariance[~judged.known] = covariance[:, ~judged.known] = np.nan
     undetermined = tuple(n for n, k in zip(GYRO_NAMES[:6], judged.known, strict=True) if not k)
     interval = np.stack([recording.time[start], recording.time[stop - 1]], axis=1)

@@ -15,6 +15,10 @@ S of equations 13 and 14, and ``x2`` its ``S b``.
 
 An axis that was vertical while it turned moves nothing that gravity shows: such segments are not
 used, and the axis is named if no others are left. Turns about no single axis are not used either.
+A turn by hand is never about one axis alone, and the equation holds for that only. What the whole
+measured rotation would have turned gravity by, less its integral about the axis, is what the
+equation leaves out; its square counts as variance of that segment, and so does what the scale
+factors of the other axes may change about it.
 Where the segments about an axis are too few or too alike to give both unknowns, the bias at rest
 joins them as a segment without a rotation.
 The angle of gravity is known modulo one turn; the gyroscope's own integral chooses the turn.
@@ -28,10 +32,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-from calib.closure import TurnSteps
+from calib.closure import TurnSteps, propagate
 from calib.directions import Directions, pose_directions
 from calib.fit import Exclusion, Fit
 from calib.model import Triad
@@ -42,10 +47,12 @@ from calib.solvers._static_bias import noise_growth, static_bias
 from calib.solvers.base import GyroSolver
 from calib.solvers.outliers import between_variance, find_outliers
 from calib.turns import Turns
-from calib.types import BoolArray, FloatArray
+from calib.types import BoolArray, FloatArray, IntArray
 
 ALONE = np.cos(np.radians(20.0))
 """A segment is about one axis if that axis's share of the angle's length is at least this."""
+OTHERS = 0.03
+"""Scale factor error of the other axes, that nobody knows yet: what consumer parts promise."""
 LEVEL = 0.5
 """Gravity must lean at least this much (sine) away from the axis for its angle to be read."""
 
@@ -63,7 +70,7 @@ class Segments:
     alpha : (m,) array, rad
         The angle that the accelerometer saw about that axis, unwrapped.
     variance : (m,) array, rad²
-        Of ``alpha``.
+        Of ``alpha``, and of what a turn that is not about one axis alone adds to it.
     integral_variance : (m,) array, rad²
         Of the integral about that axis.
     integral : (m, 3) array, rad
@@ -71,7 +78,7 @@ class Segments:
     duration : (m,) array, s
     """
 
-    axis: FloatArray
+    axis: IntArray
     level: BoolArray
     alpha: FloatArray
     variance: FloatArray
@@ -90,7 +97,7 @@ def find_segments(
     steps, turns, directions
         Of the recording.
     bias : (3,) array, rad/s
-        At rest; only to tell the axis and to count revolutions.
+        At rest; only to tell the axis, to count revolutions, and for what other axes add.
     noise : (3,) array, rad²/s
         Growth of the variance of each integral.
     """
@@ -100,25 +107,20 @@ def find_segments(
     axis = np.argmax(size, axis=1)
     index = np.arange(len(axis))
     alone = size[index, axis] >= ALONE * np.linalg.norm(angle, axis=1)
-    # Components of gravity across the axis, in right-handed order.
-    j, k = (axis + 1) % 3, (axis + 2) % 3
-    azimuth, variance, lean = [], np.zeros(len(axis)), []
-    for pose in (turns.before, turns.after):
-        up, covariance = directions.up[pose], directions.covariance[pose]
-        side = np.stack([up[index, j], up[index, k]], axis=1)
-        length2 = (side**2).sum(axis=1)
-        azimuth.append(np.arctan2(side[:, 1], side[:, 0]))
-        lean.append(np.sqrt(length2))
-        # d(azimuth) = (u_j du_k - u_k du_j) / length²
-        gradient = np.zeros_like(up)
-        gradient[index, j], gradient[index, k] = -side[:, 1], side[:, 0]
-        gradient /= np.maximum(length2, 1e-12)[:, None]
-        variance = variance + np.einsum("mi,mij,mj->m", gradient, covariance, gradient)
+    before = _across(directions.up[turns.before], axis)
+    after = _across(directions.up[turns.after], axis)
+    variance = sum(
+        np.einsum("mi,mij,mj->m", seen.gradient, directions.covariance[pose], seen.gradient)
+        for seen, pose in ((before, turns.before), (after, turns.after))
+    )
     # u_before = R(axis, alpha) u_after, so the azimuth grows backwards in time.
-    alpha = azimuth[0] - azimuth[1]
     turned = angle[index, axis]
-    alpha += 2 * np.pi * np.round((turned - alpha) / (2 * np.pi))
-    level = np.minimum(*lean) >= LEVEL
+    alpha = _nearest(before.azimuth - after.azimuth, turned)
+    mat = propagate(steps, np.eye(3), np.broadcast_to(bias, (len(axis), 3))).mat
+    whole = _across(np.einsum("mij,mj->mi", mat, directions.up[turns.after]), axis)
+    added = _nearest(whole.azimuth - after.azimuth, turned) - turned
+    variance += added**2 + OTHERS**2 * np.maximum((angle**2).sum(axis=1) - turned**2, 0.0)
+    level = np.minimum(before.lean, after.lean) >= LEVEL
     return Segments(
         np.where(alone, axis, -1),
         level,
@@ -128,6 +130,35 @@ def find_segments(
         integral,
         duration,
     )
+
+
+class _Across(NamedTuple):
+    """A direction seen along the axis of each turn.
+
+    Azimuth (m,), rad, its derivative (m, 3) by the direction, and how far from the axis it leans
+    (m,), a sine.
+    """
+
+    azimuth: FloatArray
+    gradient: FloatArray
+    lean: FloatArray
+
+
+def _across(up: FloatArray, axis: IntArray) -> _Across:
+    # Components across the axis, in right-handed order.
+    index, j, k = np.arange(len(axis)), (axis + 1) % 3, (axis + 2) % 3
+    first, second = up[index, j], up[index, k]
+    length2 = first**2 + second**2
+    # d(azimuth) = (u_j du_k - u_k du_j) / length²
+    gradient = np.zeros_like(up)
+    gradient[index, j], gradient[index, k] = -second, first
+    gradient /= np.maximum(length2, 1e-12)[:, None]
+    return _Across(np.arctan2(second, first), gradient, np.sqrt(length2))
+
+
+def _nearest(angle: FloatArray, turned: FloatArray) -> FloatArray:
+    """Return an angle in the revolution in which it is nearest to another one."""
+    return np.asarray(angle + 2 * np.pi * np.round((turned - angle) / (2 * np.pi)))
 
 
 def solve(
@@ -176,7 +207,8 @@ def solve(
         rows = np.flatnonzero((segments.axis == i) & segments.level)
         design = np.stack([segments.integral[rows, i], -segments.duration[rows]], axis=1)
         alpha = segments.alpha[rows]
-        variance = np.stack([segments.variance[rows], segments.integral_variance[rows]])
+        wander = (rest.wander[i] * segments.duration[rows]) ** 2
+        variance = np.stack([segments.variance[rows], segments.integral_variance[rows] + wander])
         answer = _line(design, alpha, variance)
         mine = np.array([i, 3 + i])
         if answer is None or (answer.errors > TOLERANCE[mine]).any():
@@ -187,11 +219,13 @@ def solve(
                 np.append(variance, [[0.0], [rest.covariance[i, i]]], axis=1),
             )
         if answer is None or (answer.errors > TOLERANCE[mine]).any():
-            values[i], covariance[i, i] = rest.bias[i], rest.covariance[i, i]
+            values[i] = rest.bias[i]
+            covariance[i, i] = rest.covariance[i, i] + rest.wander[i] ** 2
             advice.append(_advice(axis, segments, i))
             continue
         values[mine] = answer.bias, answer.scale - 1
         covariance[np.ix_(mine, mine)] = answer.covariance
+        covariance[i, i] += rest.wander[i] ** 2
         kept = answer.kept[: len(rows)]
         residual[rows[kept]] = answer.residual[: kept.sum()]
         conditions.append(answer.condition_number)

@@ -59,11 +59,11 @@ def find_profile(text: str) -> Profile | None:
     if len(found) == 1:
         return found[0]
     lines = _rows(text)[:2]
-    if len(lines) < 2:
+    if not lines:
         return None
     delimiter = _guess_delimiter(lines[0])
-    names, first = (list(map(_unquoted, split_line(line, delimiter))) for line in lines)
-    return profile_of_header(names, first)
+    names, *first = (list(map(_unquoted, split_line(line, delimiter))) for line in lines)
+    return profile_of_header(names, *first)
 
 
 class TextLog:

@@ -62,7 +62,7 @@ _SIGNS = str.maketrans({"^": "", "*": "", "·": "", " ": "", "²": "2", "⁻": "
 _DATE = re.compile(r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d")
 
 
-def profile_of_header(names: Sequence[str], first: Sequence[str]) -> Profile | None:
+def profile_of_header(names: Sequence[str], first: Sequence[str] = ()) -> Profile | None:
     """Return the profile that the names of columns make; None where they say too little.
 
     Parameters
@@ -70,7 +70,8 @@ def profile_of_header(names: Sequence[str], first: Sequence[str]) -> Profile | N
     names : sequence of str
         As they stand in the header, without quotes.
     first : sequence of str
-        The first row of samples, likewise: a time without a unit may be a date there.
+        The first row of samples, likewise, if there is one: a time without a unit may be a date
+        there.
     """
     found: dict[tuple[str, str], tuple[str, str]] = {}
     for position, name in enumerate(names):

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from calib.effects.base import Term
+from calib.errors import InsufficientMotionError
 from calib.model import SensorModel, Triad
 from calib.poses import Poses, average_poses
 from calib.recording import Recording
@@ -34,6 +35,13 @@ def recorded(seed: int, poses: int = 10, rate: float = 100.0) -> tuple[Motion, R
 def tilt(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     """Angle between the directions of up of two orientations, rad."""
     return np.linalg.norm(first[:, 2] - second[:, 2], axis=1)
+
+
+def test_a_single_sample_is_no_motion() -> None:
+    _, recording, _ = recorded(1)
+    one = recording.slice(0, 1)
+    with pytest.raises(InsufficientMotionError, match="1 sample: no motion"):
+        motion_of(one, MODEL, find_poses(one), gravity=G)
 
 
 def test_orientation_and_force_are_found_again() -> None:

@@ -1,5 +1,7 @@
 """The default accelerometer method: noise, bumped poses, and what is not determined."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -69,6 +71,15 @@ def test_poses_of_unequal_noise_are_weighed() -> None:
         errors.append(normalised_error(result))
         assert result.standard_errors[0] < 1e-3  # as the thirty quiet ones alone would give
     assert 0.7 < np.mean(errors) < 1.35
+
+
+def test_a_clipped_axis_that_was_corrected_has_a_covariance_of_rank_two() -> None:
+    rng = np.random.default_rng(5)
+    poses = Poses.from_vectors(readings(rng.standard_normal((60, 3)), rng, 1e-3), sigma=1e-3)
+    skewed = np.array([[1.0, 0.0], [0.3, 1.0], [0.1, -0.7]])
+    flat = np.broadcast_to(1e-6 * skewed @ skewed.T, (60, 3, 3))
+    result = solve(replace(poses, accel_covariance=flat), gravity=GRAVITY)
+    assert_allclose(result.values, TRUTH, atol=0.01)
 
 
 @pytest.mark.parametrize("bumped", [[3], [3, 17], [3, 9, 17]])

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from calib import Recording
-from calib.errors import RecordingFormatError
+from calib.errors import EmptyRecordingError, RecordingFormatError
 from calib.gravity import STANDARD_GRAVITY as G
 from drivers.formats import open_batches, read_recording
 from drivers.formats.header import column_of
@@ -76,6 +76,13 @@ def test_order_delimiter_temperature_and_batches(tmp_path: Path, delimiter: str)
     np.testing.assert_allclose(recording.temperature, np.linspace(15.0, 25.0, 20))
     parts = list(open_batches(tmp_path / "a.csv", batch=6))
     np.testing.assert_array_equal(np.concatenate([p.gyro for p in parts]), recording.gyro)
+
+
+def test_a_header_alone_has_no_samples(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    path.write_text("t_us,ax_mg,ay_mg,az_mg,gx_dps,gy_dps,gz_dps\n", encoding="utf-8")
+    with pytest.raises(EmptyRecordingError, match="a header but no samples"):
+        read_recording(path)
 
 
 def test_dates_count_from_the_first(tmp_path: Path) -> None:
