@@ -26,7 +26,7 @@ from calib.calibration import Calibration
 from calib.closure import TurnSteps, closure_residual, horizontal_basis, propagate
 from calib.compare import SIGNIFICANCE, Comparison, compare, device_mismatch
 from calib.directions import pose_directions
-from calib.errors import InsufficientMotionError
+from calib.errors import InsufficientMotionError, NotConvergedError
 from calib.fit import Exclusion
 from calib.measured import measured
 from calib.model import SensorModel, Triad
@@ -155,10 +155,13 @@ def verify(
 
 
 def _fit_anew(calibration: Calibration, corrected: Recording, still: Poses) -> Calibration | None:
-    """Calibrate the corrected recording by itself; None if it is too little for that."""
+    """Calibrate the corrected recording by itself; None if it is too little, or too odd, for that.
+
+    The checks say what is odd.
+    """
     try:
         return calibrate(corrected, gravity=calibration.gravity, poses=still)
-    except InsufficientMotionError:
+    except (InsufficientMotionError, NotConvergedError):
         return None
 
 

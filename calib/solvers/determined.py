@@ -68,9 +68,11 @@ def split(
     enough : float
         Information that determines a direction, as a multiple of the spurious.
     rank : int, optional
-        How many directions are determined, where that was decided before.
+        How many directions are determined, where that was decided before. Of what holds no
+        information at all none is.
     """
     values, vectors = eigh(information, spurious)  # ascending
     lost = int((values < enough).sum()) if rank is None else len(values) - rank
+    lost = max(lost, int((values <= 0.0).sum()))
     null, _ = np.linalg.qr(vectors[:, :lost] / prior[:, None])
     return Determined(vectors[:, lost:] / np.sqrt(values[lost:]), null * prior[:, None], prior)

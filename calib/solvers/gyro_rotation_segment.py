@@ -53,6 +53,10 @@ ALONE = np.cos(np.radians(20.0))
 """A segment is about one axis if that axis's share of the angle's length is at least this."""
 OTHERS = 0.03
 """Scale factor error of the other axes, that nobody knows yet: what consumer parts promise."""
+SINGULAR = 1e7
+"""Condition number from which on a scale and a bias cannot be told apart."""
+LEAST = 1e-3
+"""Turn that gravity saw, as part of the gyroscope's own, below which it saw none: no factor."""
 LEVEL = 0.5
 """Gravity must lean at least this much (sine) away from the axis for its angle to be read."""
 
@@ -284,10 +288,11 @@ def _line(design: FloatArray, alpha: FloatArray, variance: FloatArray) -> _Line 
 
     `variance` (2, m) is that of alpha and that of the integral, which counts by ``x1²``.
     """
-    if len(alpha) < 2 or np.linalg.cond(design) > 1e8:
+    if len(alpha) < 2 or np.linalg.cond(design) > SINGULAR:
         return None
     ordinary, *_ = np.linalg.lstsq(design, alpha, rcond=None)
     total = variance[0] + ordinary[0] ** 2 * variance[1]
+    total = np.maximum(total, SINGULAR**-2 * total.max())
     kept = ~find_outliers(alpha - design @ ordinary, design, total)
     freedom = int(kept.sum()) - 2
     if freedom < 0:
@@ -297,12 +302,16 @@ def _line(design: FloatArray, alpha: FloatArray, variance: FloatArray) -> _Line 
     for _ in range(10):
         weight = 1 / (known + extra)
         information = a.T @ (weight[:, None] * a)
+        if not np.linalg.cond(information) < SINGULAR**2:
+            return None
         x1, x2 = np.linalg.solve(information, a.T @ (weight * y))
         residual = y - a @ [x1, x2]
         new = between_variance(residual, known, freedom)
         if abs(new - extra) <= 1e-3 * (known.mean() + extra):
             break
         extra = new
+    if abs(x1) < LEAST:
+        return None
     # s = 1 / x1, b = x2 / x1.
     jacobian = np.array([[-x2 / x1**2, 1 / x1], [-1 / x1**2, 0.0]])
     covariance = jacobian @ np.linalg.inv(information) @ jacobian.T

@@ -135,7 +135,8 @@ def _rejected(
     keep = ~out
     weight = _weights(residual[keep], jacobian[keep], variance[keep])
     q, r = np.linalg.qr(jacobian[keep] * weight[:, None])
-    if np.abs(np.diag(r)).min() < 1e-9 * np.abs(np.diag(r)).max():
+    size = np.abs(np.diag(r))
+    if size.min(initial=np.inf) < 1e-9 * size.max(initial=0.0):
         return np.zeros(int(out.sum()), bool)  # nothing could be said without them
     predict = np.linalg.solve(r.T, jacobian[out].T).T
     error = residual[out] - predict @ (q.T @ (residual[keep] * weight))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -94,7 +94,7 @@ def calibrate(
             output.warn(finding.message)
     if imu is not None:
         notes.setdefault("imu", str(imu))
-    with _bad_option("--table-rate"):
+    with _bad_option("--table-rate") if options else nullcontext():
         calibration = solve(
             recording,
             gravity=local_gravity,
@@ -200,11 +200,9 @@ def _align(calibration: Calibration, path: Path) -> Calibration:
 @contextmanager
 def _bad_option(hint: str) -> Iterator[None]:
     """Turn what the library says of a bad argument into wrong usage of the option it came from."""
-    from calib.errors import ImuError
-
     try:
         yield
-    except ImuError:
-        raise
     except ValueError as error:
+        if type(error) is not ValueError:
+            raise
         raise typer.BadParameter(str(error), param_hint=hint) from error

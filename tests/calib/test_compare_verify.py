@@ -149,6 +149,21 @@ def test_no_pose_no_answer(known: tuple[SensorModel, Calibration]) -> None:
         verify(known[1], moving)
 
 
+@pytest.mark.parametrize("factor", [np.array([1.0, 0.0, 1.0]), np.full(3, 0.5), -np.ones(3)])
+def test_what_cannot_be_calibrated_by_itself_is_still_judged(
+    known: tuple[SensorModel, Calibration], factor: np.ndarray
+) -> None:
+    # A dead axis, and five poses of which the first half is in another unit, or upside down.
+    model, calibration = known
+    recording = record(model, np.random.default_rng(18), 6)
+    odd = np.array(recording.accel)
+    part = slice(None) if not factor.all() else slice(0, len(odd) // 2)
+    odd[part] *= factor
+    answer = verify(calibration, replace(recording, accel=odd))
+    assert not answer.right
+    assert {check.name for check in answer.failed} >= {"turns"}
+
+
 def test_calibrations_of_one_device_agree_as_their_covariances_say() -> None:
     scores = []
     for seed in range(6):

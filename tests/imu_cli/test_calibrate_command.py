@@ -209,6 +209,19 @@ def test_wrong_usage_names_the_option(tmp_path: Path, options: list[str], messag
     assert list(tmp_path.iterdir()) == []
 
 
+def test_a_fault_of_its_own_is_not_blamed_on_an_option(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fails(*_: object, **__: object) -> None:
+        raise ValueError("a fault of its own")
+
+    monkeypatch.setattr("calib.calibrate.calibrate", fails)
+    result = CliRunner().invoke(
+        app, ["calibrate", str(BENCH), "-o", str(tmp_path / "a.json")], standalone_mode=False
+    )
+    assert type(result.exception) is ValueError
+
+
 def test_a_table_rate_may_stand_in_a_file(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     motion = turntable((1.5, -1.5), faces=("+x", "+y", "+z"), offset=(0.0, 0.0, 0.0))

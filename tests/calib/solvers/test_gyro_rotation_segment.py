@@ -1,5 +1,7 @@
 """The paper's own method: its convention, several revolutions, and what it cannot see."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from gyro_motion import GRAVITY, Motion, Truth, simulate
@@ -65,6 +67,20 @@ def test_turns_about_two_axes_are_not_read_as_one() -> None:
     fit, _ = run([[Q, Q, 0], [-Q, -Q, 0]] * 3)
     assert "gyro.scale_factor_error.x" in fit.undetermined
     assert "no turn was about axis x alone" in fit.advice[0]
+
+
+def test_an_accelerometer_that_sees_no_turn_gives_no_factor() -> None:
+    fit, truth = run([[Q, 0, 0], [-Q, 0, 0]] * 3)
+    still = replace(truth.poses, accel=np.tile(truth.poses.accel[:1], (len(truth.poses), 1)))
+    fit = gyro_solvers()["rotation_segment"].solve(
+        truth.recording,
+        still,
+        find_turns(truth.recording, still),
+        Triad(),
+        gravity=GRAVITY,
+        options={},
+    )
+    assert "gyro.scale_factor_error.x" in fit.undetermined
 
 
 @pytest.mark.parametrize("seed", range(6))
