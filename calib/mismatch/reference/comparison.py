@@ -274,6 +274,15 @@ class ComparisonProblem:
         self.moved += np.append([baseline[n] for n in self.names], nuisance)
         self.setup = self.setup.moved(baseline, nuisance, (*self.given, *terms), turned=self.turned)
 
+    def place(self) -> object:
+        """Return where model and alignment stand."""
+        return self.setup, self.moved.copy()
+
+    def go_back(self, place: object) -> None:
+        """Let model and alignment stand where they stood."""
+        assert isinstance(place, tuple)
+        self.setup, self.moved = place
+
     def rows(self) -> Rows:
         """Return recording minus model of the truth."""
         state = self.state()

@@ -16,7 +16,7 @@ from calib.mismatch.noise.noise import Whitener, range_basis
 from calib.mismatch.rows.rows import Rows
 from calib.mismatch.search.accepted import Accepted, accept, again
 from calib.mismatch.search.estimate import pseudo_inverse
-from calib.mismatch.search.ranking import CLAIM, Ranking, rank
+from calib.mismatch.search.ranking import CLAIM, PLAIN, Ranking, rank
 from calib.mismatch.search.witness import witnessed
 from calib.types import FloatArray
 
@@ -41,10 +41,13 @@ class Choice(NamedTuple):
     """The explanation that is taken, and the log e-value that anything is left.
 
     That counts only what may be the cause: what was passed over says nothing of how rare it is.
+    ``behind`` is physics that is plain, but has by ``lead`` less log evidence than the rivals.
     """
 
     candidate: Candidate
     worth: float
+    behind: Candidate | None = None
+    lead: float = 0.0
 
 
 def choose(rows: Rows, ranking: Ranking, accepted: list[Accepted]) -> Choice | None:
@@ -84,8 +87,15 @@ def choose(rows: Rows, ranking: Ranking, accepted: list[Accepted]) -> Choice | N
     chosen = _most_probable(rows, ranking, groups, accepted)
     if chosen is None:
         return None
-    alike = [v for g, v in groups.items() if set(best[g].channels) & set(chosen.channels)]
-    return Choice(chosen, ranking.total) if logsumexp(alike) >= np.log(CLAIM) else None
+    alike = {g: v for g, v in groups.items() if set(best[g].channels) & set(chosen.channels)}
+    if logsumexp(list(alike.values())) < np.log(CLAIM):
+        return None
+    plain = [g for g, v in alike.items() if best[g].physical and v > PLAIN]
+    if chosen.physical or not plain:
+        return Choice(chosen, ranking.total)
+    behind = max(plain, key=alike.__getitem__)
+    lead = logsumexp([v for g, v in groups.items() if not best[g].physical]) - groups[behind]
+    return Choice(chosen, ranking.total, best[behind], float(lead))
 
 
 def _left_of(

@@ -55,6 +55,14 @@ class Problem(Protocol):
         """Move the model: baseline and nuisances by steps, further terms to these."""
         ...
 
+    def place(self) -> object:
+        """Return where the model stands, for `go_back`."""
+        ...
+
+    def go_back(self, place: object) -> None:
+        """Let the model stand where it stood."""
+        ...
+
 
 class Refit(NamedTuple):
     """What a joint fit ends with.

@@ -13,14 +13,15 @@ from scipy.special import logsumexp
 
 from calib.mismatch.hypotheses.answers import evidence_near, grouped, leading, nearby
 from calib.mismatch.hypotheses.bound import factors_that_count
+from calib.mismatch.hypotheses.candidates import Candidate
 from calib.mismatch.hypotheses.score import Stack
 from calib.mismatch.noise.noise import Levels, estimate_levels, expected_levels, make_whitener
 from calib.mismatch.rows.rows import Rows
 from calib.mismatch.search.accepted import Accepted, accept, contrast_noise, fitted, joined, lasting
-from calib.mismatch.search.choice import LEAST, choose, is_part, possible
+from calib.mismatch.search.choice import LEAST, Choice, choose, is_part, possible
 from calib.mismatch.search.estimate import Estimate, estimate, settle
-from calib.mismatch.search.ranking import make_stack, rank
-from calib.mismatch.search.refit import Problem, put_back, refit, unmoved
+from calib.mismatch.search.ranking import Ranking, make_stack, rank
+from calib.mismatch.search.refit import Problem, Refit, put_back, refit, unmoved
 from calib.mismatch.search.resettled import resettled
 from calib.mismatch.search.twins import MIMICKED, twins
 from calib.mismatch.search.whole import whole_fit, whole_odds
@@ -42,6 +43,10 @@ SHOWN = 1e-3
 BETWEEN = 20.0
 """Log evidence that a place between two of the grid may add, or as much again as it has there: they
 are near enough for the larger part of an effect to show at one of them."""
+
+LED = 5.0
+"""Log evidence by which rivals lead before physics is tried as it is, and which it must mend: what
+levels that are found step by step leave uncertain is less."""
 
 ROUNDS = 8
 """At most so many findings are tried."""
@@ -88,12 +93,9 @@ def search(problem: Problem, *, skip: tuple[str, ...] = ()) -> Outcome:
         chosen = choose(rows, ranking, accepted)
         if chosen is None:
             break
-        new = accept(stack, chosen.candidate, float(np.exp(min(chosen.worth, 700))))
-        beside = ranking.levels_with(chosen.candidate)
-        fit = whole_fit(problem, rows, stack, accepted, new, beside)
+        fit = _bent(problem, rows, ranking, accepted, chosen, skip=skip)
         if fit is None:
-            accepted = joined(rows, accepted, new, reference=problem.reference)
-            fit = refit(problem, rows, accepted, beside)
+            fit = _fit_with(problem, rows, ranking, accepted, chosen.candidate, chosen.worth)
         rows, accepted, levels, straight = fit
         extra, base = _superfluous(rows, accepted, levels)
         gone = _parts_of_last(rows, accepted)
@@ -130,6 +132,51 @@ def search(problem: Problem, *, skip: tuple[str, ...] = ()) -> Outcome:
     rows, accepted = settle(rows, accepted, levels, contrast, reference=problem.reference)
     tried = frozenset(c.name for c in stack.physics.values())
     return Outcome(rows, tuple(accepted), levels, contrast, ranking.total, tried)
+
+
+def _fit_with(
+    problem: Problem,
+    rows: Rows,
+    ranking: Ranking,
+    accepted: list[Accepted],
+    chosen: Candidate,
+    worth: float,
+) -> Refit:
+    """Fit a candidate with all that was accepted, and move the model there."""
+    new = accept(ranking.stack, chosen, float(np.exp(min(worth, 700))))
+    levels = ranking.levels_with(chosen)
+    fit = whole_fit(problem, rows, ranking.stack, accepted, new, levels)
+    if fit is not None:
+        return fit
+    both = joined(rows, accepted, new, reference=problem.reference)
+    return refit(problem, rows, both, levels)
+
+
+def _bent(
+    problem: Problem,
+    rows: Rows,
+    ranking: Ranking,
+    accepted: list[Accepted],
+    chosen: Choice,
+    *,
+    skip: tuple[str, ...],
+) -> Refit | None:
+    """Return the fit of plain physics in the place of rivals, if it leaves less than their lead.
+
+    Where all is in proportion it leaves what they lead by at least. What moves the twin so far that
+    rows are bent is behind them for that alone: a bias that steps by a degree a second, in a turn,
+    leaves the square of it in all turns, of which a fluctuation takes up more than a step does.
+    """
+    if chosen.behind is None or chosen.lead <= LED:
+        return None
+    place = problem.place()
+    fit = _fit_with(problem, rows, ranking, accepted, chosen.behind, chosen.worth)
+    stack = make_stack(fit.rows, skip=skip, reference=problem.reference)
+    left = rank(fit.rows, stack, fit.accepted, fit.levels, every=ranking.every).total
+    if chosen.lead - max(left, 0.0) > LED:
+        return fit
+    problem.go_back(place)
+    return None
 
 
 def _parts_of_last(rows: Rows, accepted: list[Accepted]) -> list[Accepted]:

@@ -171,6 +171,15 @@ class SelfProblem:
         twin = self.twin.moved(baseline, nuisance[: 2 * self.grid.n_poses].reshape(-1, 2))
         self.twin = replace(twin, model=replace(twin.model, terms=(*self.given, *terms)))
 
+    def place(self) -> object:
+        """Return where the twin stands."""
+        return self.twin
+
+    def go_back(self, place: object) -> None:
+        """Let the twin stand where it stood."""
+        assert isinstance(place, Twin)
+        self.twin = place
+
 
 def _shape(term: Term) -> dict[str, float]:
     names = [item.name for item in get_effect(term.effect).shape]

@@ -8,12 +8,14 @@ import pytest
 from calib.effects.base import Term
 from calib.mismatch import diagnose_recording
 from calib.mismatch.hypotheses.rivals import FROM_START
-from calib.mismatch.noise.noise import (
-    expected_levels,
-)
+from calib.mismatch.noise.noise import expected_levels
+from calib.mismatch.rows.grid import make_grid
 from calib.mismatch.search.accepted import accept
-from calib.mismatch.search.ranking import make_stack
-from calib.mismatch.search.search import _posterior
+from calib.mismatch.search.choice import Choice
+from calib.mismatch.search.ranking import make_stack, rank
+from calib.mismatch.search.search import _bent, _posterior
+from calib.mismatch.twin.selfmode import SelfProblem
+from calib.statics import find_poses
 
 from ..bench import GRAVITY, problem, recording
 from .stacked import candidate
@@ -65,3 +67,37 @@ def test_what_would_be_of_an_impossible_size_is_no_rival(size, rival):
     found = accept(stack, earth, 100.0)
     odds = _posterior(rows, stack, [found], 0, expected_levels(rows), reference=True)
     assert (odds.get("reference_smoothing", 0.0) > 0.5) is rival
+
+
+@pytest.mark.long
+def test_a_step_that_bends_the_rows_has_its_name():
+    # 0.3 m/s² in a turn: what is in proportion to it leaves more than a fluctuation would.
+    rests = find_poses(recording(seed=4, poses=30)).interval
+    moment = 0.85 * rests[14, 1] + 0.15 * rests[15, 0]
+    real = recording(
+        Term("accel_bias_step", {"bx": 0.3, "by": -0.2, "moment": float(moment)}), seed=4, poses=30
+    )
+    found = diagnose_recording(real, gravity=GRAVITY)
+    assert [f.effect for f in found.findings] == ["accel_bias_step"]
+    assert not found.unexplained
+    about = found.findings[0].parameters
+    assert abs(about["moment"].value - moment) < 4 * about["moment"].sigma
+
+
+def test_a_model_goes_back_to_where_it_stood(monkeypatch):
+    real = recording(Term("gyro_g_sensitivity", {"gxx": 3e-3, "gyy": -2e-3}))
+    self_mode = SelfProblem(
+        make_grid(real, find_poses(real)), None, gravity=GRAVITY, full_gyro=False
+    )
+    rows = self_mode.rows()
+    ranking = rank(rows, make_stack(rows, skip=(), reference=False), [], expected_levels(rows))
+    own = ranking.best["gyro_g_sensitivity"]
+    monkeypatch.setattr("calib.mismatch.search.search.rank", lambda *_, **__: ranking)
+    led = Choice(own, 100.0, own, 10.0)
+    assert _bent(self_mode, rows, ranking, [], led._replace(lead=4.0), skip=()) is None
+    # Here as much is left as there was, and that is more than any lead.
+    assert _bent(self_mode, rows, ranking, [], led, skip=()) is None
+    np.testing.assert_array_equal(self_mode.rows().residual, rows.residual)
+    led = led._replace(lead=ranking.total + 10.0)
+    assert _bent(self_mode, rows, ranking, [], led, skip=()) is not None
+    assert np.abs(self_mode.rows().residual).sum() < np.abs(rows.residual).sum()
