@@ -163,7 +163,7 @@ def _bent(
 ) -> Refit | None:
     """Return the fit of plain physics in the place of rivals, if it leaves less than their lead.
 
-    Where all is in proportion it leaves what they lead by at least. What moves the twin so far that
+    Where rows go as columns promise it leaves what they lead by. What moves the twin so far that
     rows are bent is behind them for that alone: a bias that steps by a degree a second, in a turn,
     leaves the square of it in all turns, of which a fluctuation takes up more than a step does.
     """
@@ -171,10 +171,11 @@ def _bent(
         return None
     place = problem.place()
     fit = _fit_with(problem, rows, ranking, accepted, chosen.behind, chosen.worth)
-    stack = make_stack(fit.rows, skip=skip, reference=problem.reference)
-    left = rank(fit.rows, stack, fit.accepted, fit.levels, every=ranking.every).total
-    if chosen.lead - max(left, 0.0) > LED:
-        return fit
+    if not fit.straight:
+        stack = make_stack(fit.rows, skip=skip, reference=problem.reference)
+        left = rank(fit.rows, stack, fit.accepted, fit.levels, every=ranking.every).total
+        if chosen.lead - max(left, 0.0) > LED:
+            return fit
     problem.go_back(place)
     return None
 
