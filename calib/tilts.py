@@ -78,6 +78,9 @@ class Closure:
     before, after : (m, 3) arrays
         Direction of gravity at both ends of each turn.
     interval : (m, 2) array, s
+    lean : float, rad
+        By how far directions may be off at either end: where an accelerometer's bias makes ``|a|``
+        vary from rest to rest by a share, it leans by as much.
     """
 
     angle: FloatArray
@@ -85,6 +88,7 @@ class Closure:
     before: FloatArray
     after: FloatArray
     interval: FloatArray
+    lean: float = 0.0
 
     @classmethod
     def of(cls, recording: Recording, poses: Poses) -> Closure | None:
@@ -105,7 +109,8 @@ class Closure:
         which = np.sort(which[shortest])
         steps = TurnSteps.of(recording, turns.select(which))
         angle = steps.angle - np.median(poses.gyro, axis=0) * steps.step[:, None]
-        return cls(angle, steps.first, before[which], after[which], turns.interval[which])
+        lean = 0.5 * float(np.ptp(norm) / norm.mean())
+        return cls(angle, steps.first, before[which], after[which], turns.interval[which], lean)
 
     def __len__(self) -> int:
         return len(self.before)
@@ -190,12 +195,17 @@ class Closure:
         """Whether most turns agree with gravity, by some factor and axes at least."""
         factor, _, axes = self._explained
         known = factor != 1.0 or not np.array_equal(axes, np.eye(3))
-        return self.missed < AGREE or known or self._own
+        return self.missed < self._off or known or self._own
 
     @property
     def disagreeing(self) -> FloatArray:
         """The turns that miss gravity by more than a sensor's errors, (k, 2) s."""
-        return self.interval[self._errors(np.eye(3)) > AGREE]
+        return self.interval[self._errors(np.eye(3)) > self._off]
+
+    @property
+    def _off(self) -> float:
+        """By how much a sensor that nobody has calibrated may miss gravity, rad."""
+        return AGREE + 2.0 * self.lean
 
     @property
     def factor(self) -> float:

@@ -5,14 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calib.audit import audit
 from calib.gravity import STANDARD_GRAVITY
-from calib.model import SensorModel
+from calib.model import SensorModel, Triad
 from calib.recording import Recording
 from calib.simulate import simulate
 from calib.simulation.bench import bench_protocol
 from calib.simulation.noise import CONSUMER
 from calib.statics import find_poses
-from calib.tilts import DEGREE, Closure
+from calib.tilts import AGREE, DEGREE, Closure
 from calib.types import FloatArray
 from calib.units import unit_faults
 
@@ -90,3 +91,20 @@ def test_one_straight_turn_tells_of_a_unit(real: Recording) -> None:
             found = [f.factor for f in unit_faults(degrees, own, closure)]
             told += found == [pytest.approx(1 / DEGREE)]
     assert told > 5
+
+
+@pytest.mark.parametrize("seed", [5, 13, 21])
+def test_a_quarter_of_g_of_bias_is_no_disagreement(seed: int) -> None:
+    """An ADXL345 may have it: gravity leans by fifteen degrees at either end of a turn."""
+    rng = np.random.default_rng(seed)
+    sensor = SensorModel(accel=Triad(np.array([1.4, -1.4, 2.4])))
+    motion = bench_protocol(rng, poses=13, power_on=0.0)
+    own = simulate(motion, sensor, CONSUMER, rng=rng, rate=50.0)
+    closure = Closure.of(own, find_poses(own))
+    assert closure is not None
+    assert closure.missed > AGREE
+    assert closure.agrees
+    assert not [f for f in audit(own).findings if f.kind == "axes"]
+    wrong = Closure.of(replace(own, gyro=own.gyro[::-1]), find_poses(own))
+    assert wrong is not None
+    assert not wrong.agrees
