@@ -266,7 +266,7 @@ def _samples(recording: Recording, at_rest: BoolArray) -> list[Finding]:
 def _axes(closure: Closure | None) -> list[Finding]:
     if closure is None or len(closure) < 3 or closure.factor != 1.0:
         return []
-    if closure.missed < DISAGREE + 2.0 * closure.lean:
+    if closure.missed < DISAGREE + closure.lean:
         return []
     miss = f"gravity and the gyroscope disagree by {np.degrees(closure.missed):.0f}° over a turn"
     if np.array_equal(closure.axes, np.eye(3)):

@@ -79,8 +79,8 @@ class Closure:
         Direction of gravity at both ends of each turn.
     interval : (m, 2) array, s
     lean : float, rad
-        By how far directions may be off at either end: where an accelerometer's bias makes ``|a|``
-        vary from rest to rest by a share, it leans by as much.
+        By how far the directions at both ends may be off together: where an accelerometer's bias
+        makes ``|a|`` vary by a share either way from rest to rest, each leans by as much.
     """
 
     angle: FloatArray
@@ -109,7 +109,7 @@ class Closure:
         which = np.sort(which[shortest])
         steps = TurnSteps.of(recording, turns.select(which))
         angle = steps.angle - np.median(poses.gyro, axis=0) * steps.step[:, None]
-        lean = 0.5 * float(np.ptp(norm) / norm.mean())
+        lean = float(np.ptp(norm) / norm.mean())
         return cls(angle, steps.first, before[which], after[which], turns.interval[which], lean)
 
     def __len__(self) -> int:
@@ -205,7 +205,7 @@ class Closure:
     @property
     def _off(self) -> float:
         """By how much a sensor that nobody has calibrated may miss gravity, rad."""
-        return AGREE + 2.0 * self.lean
+        return AGREE + self.lean
 
     @property
     def factor(self) -> float:

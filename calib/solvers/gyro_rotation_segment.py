@@ -223,13 +223,11 @@ def solve(
                 np.append(variance, [[0.0], [rest.covariance[i, i]]], axis=1),
             )
         if answer is None or (answer.errors > TOLERANCE[mine]).any():
-            values[i] = rest.bias[i]
-            covariance[i, i] = rest.covariance[i, i] + rest.wander[i] ** 2
+            values[i], covariance[i, i] = rest.bias[i], rest.covariance[i, i]
             advice.append(_advice(axis, segments, i))
             continue
         values[mine] = answer.bias, answer.scale - 1
         covariance[np.ix_(mine, mine)] = answer.covariance
-        covariance[i, i] += rest.wander[i] ** 2
         kept = answer.kept[: len(rows)]
         residual[rows[kept]] = answer.residual[: kept.sum()]
         conditions.append(answer.condition_number)
@@ -242,6 +240,7 @@ def solve(
             )
             for k in rows[~kept]
         ]
+    covariance[:3, :3] += np.diag(rest.wander**2)
     undetermined = tuple(
         name for name, v in zip(GYRO_NAMES[:6], np.diag(covariance), strict=True) if np.isnan(v)
     )

@@ -224,25 +224,21 @@ def _stepped(
     puts out leads nowhere, and there is no going on from there.
     """
     steps, off = 0, np.inf
-    kept, ways = (rows, accepted), []
+    kept, place, beyond = (rows, accepted), problem.place(), 0
     while off >= BENT and steps < STEPS:
         variance = np.concatenate((rows.variance(levels), contrast))
         with np.errstate(over="ignore", invalid="ignore"):
             there = _step(problem, rows, accepted, levels, contrast)
             bent = there.rows.residual - (rows.residual - there.removed) - there.changed
             off = float((np.square(bent) / variance).sum())
-        ways.append(there.way)
         rows, accepted = there.rows, there.accepted
-        steps += 1
+        steps, beyond = steps + 1, beyond + 1
         if off < float((np.square(kept[0].residual) / variance).sum()):
-            kept, ways = (rows, accepted), []
-        elif len(ways) > 1 or not np.isfinite(off):
+            kept, place, beyond = (rows, accepted), problem.place(), 0
+        elif beyond > 1 or not np.isfinite(off):
             break
-    if ways:
-        terms = tuple(_term(a) for a in kept[1] if a.in_model)
-        for baseline, nuisance in reversed(ways):
-            problem.move({n: -v for n, v in baseline.items()}, -nuisance, terms)
-    return *kept, steps - len(ways), off
+    problem.go_back(place)
+    return *kept, steps - beyond, off
 
 
 def unmoved(seen: FloatArray, rows: Rows) -> bool:
@@ -257,7 +253,7 @@ def unmoved(seen: FloatArray, rows: Rows) -> bool:
 
 
 class _Stepped(NamedTuple):
-    """Where a step leads, what it should have taken from the rows, and how it moved the model.
+    """Where a step leads, and what it should have taken from the rows.
 
     ``changed`` is by how much what the model has not taken up became another there.
     """
@@ -266,7 +262,6 @@ class _Stepped(NamedTuple):
     accepted: list[Accepted]
     removed: FloatArray
     changed: FloatArray
-    way: tuple[dict[str, float], FloatArray]
 
 
 def _step(
@@ -300,7 +295,7 @@ def _step(
     changed = np.zeros(len(removed))
     for a, new, own in zip(moved, renewed, beside, strict=True):
         changed += (new.columns - a.columns) @ own
-    return _Stepped(rows, renewed, removed, changed, (baseline, nuisance))
+    return _Stepped(rows, renewed, removed, changed)
 
 
 def put_back(problem: Problem, rows: Rows, accepted: list[Accepted]) -> Rows:

@@ -70,7 +70,7 @@ def test_turns_about_two_axes_are_not_read_as_one() -> None:
 
 
 def test_an_accelerometer_that_sees_no_turn_gives_no_factor() -> None:
-    fit, truth = run([[Q, 0, 0], [-Q, 0, 0]] * 3)
+    _, truth = run([[Q, 0, 0], [-Q, 0, 0]] * 3)
     still = replace(truth.poses, accel=np.tile(truth.poses.accel[:1], (len(truth.poses), 1)))
     fit = gyro_solvers()["rotation_segment"].solve(
         truth.recording,

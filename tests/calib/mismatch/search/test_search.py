@@ -84,14 +84,20 @@ def test_a_step_that_bends_the_rows_has_its_name():
     assert abs(about["moment"].value - moment) < 4 * about["moment"].sigma
 
 
-def test_a_model_goes_back_to_where_it_stood(monkeypatch):
-    real = recording(Term("gyro_g_sensitivity", {"gxx": 3e-3, "gyy": -2e-3}))
+def g_sensitive(size):
+    """Return a recording's twin, its rows, their ranking, and the effect in it."""
+    real = recording(Term("gyro_g_sensitivity", {"gxx": size, "gyy": -size}))
     self_mode = SelfProblem(
         make_grid(real, find_poses(real)), None, gravity=GRAVITY, full_gyro=False
     )
     rows = self_mode.rows()
     ranking = rank(rows, make_stack(rows, skip=(), reference=False), [], expected_levels(rows))
     own = ranking.best["gyro_g_sensitivity"]
+    return self_mode, rows, ranking, own
+
+
+def test_a_model_goes_back_to_where_it_stood(monkeypatch):
+    self_mode, rows, ranking, own = g_sensitive(3e-3)
     monkeypatch.setattr("calib.mismatch.search.search.rank", lambda *_, **__: ranking)
     led = Choice(own, 100.0, own, 10.0)
     assert _bent(self_mode, rows, ranking, [], led._replace(lead=4.0), skip=()) is None
@@ -101,3 +107,10 @@ def test_a_model_goes_back_to_where_it_stood(monkeypatch):
     led = led._replace(lead=ranking.total + 10.0)
     assert _bent(self_mode, rows, ranking, [], led, skip=()) is not None
     assert np.abs(self_mode.rows().residual).sum() < np.abs(rows.residual).sum()
+
+
+def test_where_rows_are_straight_a_rival_that_leads_is_the_answer():
+    self_mode, rows, ranking, own = g_sensitive(1e-4)
+    led = Choice(own, 100.0, own, ranking.total + 100.0)
+    assert _bent(self_mode, rows, ranking, [], led, skip=()) is None
+    np.testing.assert_array_equal(self_mode.rows().residual, rows.residual)
