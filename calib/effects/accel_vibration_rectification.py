@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 from calib.effects.base import Column, Effect, G, State, axis_columns, per_axis, seconds_of_samples
 from calib.effects.observed import TURN_REACH
-from calib.effects.vibration import VIBRATION_REACH
+from calib.effects.vibration import UNLIMITED, VIBRATION_REACH
 
 
 class AccelVibrationRectification(Effect):
@@ -19,7 +19,7 @@ class AccelVibrationRectification(Effect):
         "IEEE Std 1293-2018 (vibration rectification error); 10 mg at 1 g rms is an estimate "
         "for consumer parts: 1 mg where nothing clips, 60 mg where the range is nearly reached"
     )
-    parameters = per_axis("accel", "k", "(m/s²)/(m/s²)²", 1e-2 / G)
+    parameters = per_axis("accel", "k", "(m/s²)/(m/s²)²", 1e-2 / G, most=UNLIMITED)
     follows = "variance of specific force within a second"
     needs = "the same pose with and without vibration"
     sentence = "The mean of the accelerometer shifts while the sensor is shaken."

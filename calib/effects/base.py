@@ -15,7 +15,7 @@ A `Column` is sparse: it names only the channels that the parameter touches, eac
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Literal, NamedTuple
@@ -45,6 +45,10 @@ PRESENCE = "presence"
 parameters (a cut-off, a full scale); its column is the whole change made with that shape."""
 
 
+WORST = 50.0
+"""Times its typical size that a term of a sensor may have. What would have to be larger is no term
+of it, whatever it explains: the gyroscopes of a worn-out part may feel 5 dps/g, and none 25."""
+
 SPLINE_REACH = 32
 """Samples after which a cubic spline has forgotten its neighbours: it does by 0.27 a sample, and
 the fixed point of `SensorModel.correct` repeats it."""
@@ -71,7 +75,7 @@ class Parameter:
     ``reference_only`` marks a parameter that a recording shows only against a reference (motion
     capture, a commanded profile, a second sensor), never by itself. ``refining`` marks a higher
     order that no sensor has without the others. Nothing that is physical is smaller than ``least``
-    or larger than ``most``.
+    or larger than ``most``; where these are None, `Effect.limits` says how large it may be.
     """
 
     name: str
@@ -80,8 +84,8 @@ class Parameter:
     channels: tuple[str, ...]
     reference_only: bool = False
     refining: bool = False
-    least: float = -np.inf
-    most: float = np.inf
+    least: float | None = None
+    most: float | None = None
 
 
 @dataclass(frozen=True)
@@ -323,6 +327,21 @@ class Effect(ABC):
         """
         return None
 
+    def limits(self, names: Sequence[str]) -> tuple[FloatArray, FloatArray]:
+        """Return the least and the most that some of its parameters can physically be, (p,) each.
+
+        Of a term of the sensor that is `WORST` times what is typical, either way, where nothing
+        else is said; an event or a setup may be of any size.
+        """
+        about = {p.name: p for p in self.parameters}
+        far = WORST if self.kind == "sensor" else np.inf
+        least, most = np.empty((2, len(names)))
+        for k, p in enumerate(about[name] for name in names):
+            own = np.inf if p.unit == PRESENCE else far * p.typical
+            least[k] = -own if p.least is None else p.least
+            most[k] = own if p.most is None else p.most
+        return least, most
+
     def in_words(self, shape: Mapping[str, float]) -> str:
         """Return the sentence that states its form (the values of its integers); empty for none."""
         return ""
@@ -460,15 +479,16 @@ def per_axis(
     *,
     reference_only: bool = False,
     refining: bool = False,
-    most: float = np.inf,
+    most: float | None = None,
 ) -> tuple[Parameter, ...]:
     """Return one parameter for each axis of a triad: ``kx``, ``ky``, ``kz`` for prefix ``k``.
 
     None is larger than ``most``, either way.
     """
+    least = None if most is None else -most
     return tuple(
         Parameter(
-            f"{prefix}{a}", unit, typical, (f"{triad}.{a}",), reference_only, refining, -most, most
+            f"{prefix}{a}", unit, typical, (f"{triad}.{a}",), reference_only, refining, least, most
         )
         for a in AXES
     )

@@ -8,7 +8,7 @@ import numpy as np
 
 from calib.effects.base import Column, Effect, G, State, axis_columns, per_axis, seconds_of_samples
 from calib.effects.observed import TURN_REACH
-from calib.effects.vibration import VIBRATION_REACH
+from calib.effects.vibration import UNLIMITED, VIBRATION_REACH
 
 
 class GyroVibrationRectification(Effect):
@@ -21,7 +21,7 @@ class GyroVibrationRectification(Effect):
         "IEEE Std 528-2019 (vibration rectification error); 0.02 dps at 1 g rms is an "
         "estimate for consumer parts"
     )
-    parameters = per_axis("gyro", "k", "(rad/s)/(m/s²)²", np.radians(0.02) / G**2)
+    parameters = per_axis("gyro", "k", "(rad/s)/(m/s²)²", np.radians(0.02) / G**2, most=UNLIMITED)
     follows = "variance of specific force within a second"
     needs = "the same pose with and without vibration"
     sentence = "The mean of the gyro shifts while the sensor is shaken."

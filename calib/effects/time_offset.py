@@ -17,6 +17,10 @@ from calib.effects.resampling import resample, triad_column
 from calib.recording import CHANNELS
 from calib.types import FloatArray
 
+MOST = 0.2
+"""s that a gyroscope may be late or early by: a low-pass of 5 Hz delays by 19 ms (MPU-6050 register
+map rev. 4.2, DLPF_CFG 6), a host that polls two chips by a few of its rounds."""
+
 
 class TimeOffset(TransformEffect):
     """``f_m(t) = f(t - delay)``, ``w_m(t) = w(t - delay - gyro_delay)``."""
@@ -29,7 +33,7 @@ class TimeOffset(TransformEffect):
         "difference of neighbouring filter settings (MPU-6050 register map rev. 4.2, DLPF_CFG)"
     )
     parameters = (
-        Parameter("gyro_delay", "s", 2e-3, ("gyro.x", "gyro.y", "gyro.z")),
+        Parameter("gyro_delay", "s", 2e-3, CHANNELS[3:], least=-MOST, most=MOST),
         Parameter("delay", "s", 1e-2, CHANNELS, reference_only=True),
     )
     follows = "derivative of the signal"

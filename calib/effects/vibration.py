@@ -27,6 +27,9 @@ SHAKEN = 1.5
 QUIETEST = 0.3
 """Share of the rests that is taken to be free of vibration."""
 
+UNLIMITED = np.inf
+"""Of what is rectified per square of what samples show: a low-pass may hide most of what shakes."""
+
 VIBRATION_REACH = 1.5 * SLOW + 0.5 * WINDOW + BESIDE
 """s on either side of a moment that decide its variance, but for when turns are."""
 

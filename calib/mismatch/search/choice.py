@@ -216,16 +216,14 @@ def possible(stack: Stack, candidate: Candidate, whitener: Whitener, y: FloatArr
     """
     if not candidate.physical:
         return 0.0
-    about = {p.name: p for p in get_effect(candidate.name).parameters}
-    least, most = (
-        np.array([getattr(about[n], bound) for n in candidate.parameters])
-        for bound in ("least", "most")
-    )
+    effect = get_effect(candidate.name)
+    least, most = effect.limits(candidate.parameters)
     if not np.isfinite([least, most]).any():
         return 0.0
     columns = whitener.project(stack.of(candidate))
     inverse = pseudo_inverse(columns)
-    typical = np.array([about[n].typical for n in candidate.parameters])
+    about = {p.name: p.typical for p in effect.parameters}
+    typical = np.array([about[n] for n in candidate.parameters])
     value = typical * (inverse @ y)
     sigma = typical * np.linalg.norm(inverse, axis=1)
     beyond = np.maximum(np.maximum(value - most, least - value), 0.0)

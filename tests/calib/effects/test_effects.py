@@ -224,6 +224,20 @@ def test_terms_are_checked(slug: str) -> None:
             SensorModel(terms=(Term(slug, {}),))
 
 
+@pytest.mark.parametrize("slug", sorted(effects()))
+def test_no_term_of_a_sensor_is_of_any_size(slug: str) -> None:
+    effect = get_effect(slug)
+    names = [p.name for p in effect.parameters]
+    least, most = effect.limits(names)
+    typical = np.array([p.typical for p in effect.parameters])
+    assert (least < most).all()
+    assert (most > 1.4 * typical).all()
+    physical = np.array([p.unit != PRESENCE for p in effect.parameters])
+    if effect.kind == "sensor" and "vibration" not in effect.reads:
+        assert np.isfinite([least[physical], most[physical]]).all()
+    np.testing.assert_array_equal(effect.limits(names[::-1])[1], most[::-1])
+
+
 def test_size_effect_is_the_difference_of_two_lever_arms(state: State) -> None:
     arm = {f"r{a}": v for a, v in zip(AXES, (0.004, -0.002, 0.003), strict=True)}
     whole = get_effect("accel_lever_arm").contribution(state, arm)
