@@ -130,7 +130,7 @@ def _diagnose(thinned: Thinned, *, gravity: float, model: SensorModel | None) ->
             need = NEEDED.get(seen.unexplained[-1].follows, "channels that move: one is stuck")
         return _unfit(thinned, missing, f"{need}: mend that and diagnose again", "explained")
     noisy = look_at_rests(recording, poses)
-    poses = _whole(connected(untouched(recording, steady(poses))), seen.spoilt)
+    poses = _whole(connected(untouched(recording, steady(recording, poses))), seen.spoilt)
     if not len(poses):
         return _unfit(thinned, missing, RESTLESS, "undetermined")
     poses = poses.select(

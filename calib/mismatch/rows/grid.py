@@ -40,6 +40,13 @@ TOUCH = 2.0
 FEW = 0.15
 """Share of louder poses up to which they are left out; where more are, that is how it was."""
 
+BRIEF = 3.0
+"""s of a rest that may be a moment of a turn. In so short a time no bias warms up."""
+
+REDDER = 3.0
+"""Variance of means over an eighth of a rest, times that of white noise, from which it sways: by
+chance 0.4 % are beyond."""
+
 CELLS = 150
 """At most so many cells (parts of a rest, each with a mean and two contrasts)."""
 
@@ -234,11 +241,12 @@ def untouched(recording: Recording, poses: Poses) -> Poses:
     return average_poses(recording, start, stop)
 
 
-def steady(poses: Poses) -> Poses:
+def steady(recording: Recording, poses: Poses) -> Poses:
     """Return the poses without those in which the sensor was not at rest.
 
     A pose that was held by hand turns on average: its mean rate stands out. One that is several
-    times noisier than most, where few are, was touched or knocked.
+    times noisier than most, where few are, was touched or knocked. Where all were held, one whose
+    mean rate stands out by no more than it sways by was a moment of a turn.
     """
     length = poses.stop - poses.start
 
@@ -248,9 +256,27 @@ def steady(poses: Poses) -> Poses:
 
     gyro = louder(poses.gyro_covariance)
     off = np.linalg.norm(poses.gyro - np.median(poses.gyro, axis=0), axis=1)
-    held = gyro & (off > 6 * np.median(off))
+    out = off > 6 * np.median(off)
+    held = gyro & out
+    for k in np.flatnonzero(out & ~held).tolist():
+        if np.ptp(poses.interval[k]) < BRIEF:
+            held[k] = off[k] < 3.0 * _sway(recording.gyro[poses.start[k] : poses.stop[k]])
     loud = gyro | louder(poses.accel_covariance)
-    return poses.select(~(loud if loud.mean() <= FEW else held))
+    return poses.select(~(held | loud if loud.mean() <= FEW else held))
+
+
+def _sway(rate: FloatArray) -> float:
+    """Return by how much (n, 3) samples of a rate change more slowly than from one to the next.
+
+    In means of an eighth of them; 0 for noise, for what a machine shakes, and for one axis alone.
+    """
+    width = len(rate) // 8
+    if width < 2:
+        return 0.0
+    slow = rate[: 8 * width].reshape(8, width, 3).mean(axis=1).var(axis=0, ddof=1)
+    fast = rate.var(axis=0, ddof=1) / width
+    moves = slow > REDDER * fast
+    return float(np.sqrt((slow - fast)[moves].sum())) if moves.sum() > 1 else 0.0
 
 
 def one_rest(poses: Poses) -> Poses:

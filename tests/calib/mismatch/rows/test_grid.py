@@ -9,8 +9,9 @@ from calib.apply import correct_recording
 from calib.calibration import Calibration, Gravity
 from calib.effects.base import Term
 from calib.mismatch import diagnose_recording
-from calib.mismatch.rows.grid import make_grid, untouched
+from calib.mismatch.rows.grid import make_grid, steady, untouched
 from calib.model import SensorModel
+from calib.poses import average_poses
 from calib.recording import Recording
 from calib.simulate import simulate
 from calib.simulation.bench import bench_protocol
@@ -106,6 +107,27 @@ def test_a_hand_at_the_end_of_a_rest_is_no_rest():
     # What one axis alone has is no rotation by hand.
     assert untouched(touched((1,)), poses) is poses
     assert untouched(plain(), poses) is poses
+
+
+@pytest.mark.parametrize(
+    ("seconds", "axes", "kept"),
+    [(1.5, (0, 2), False), (1.5, (0,), True), (8.0, (0, 2), True)],
+    ids=["held", "one axis alone", "a long rest"],
+)
+def test_a_moment_of_a_turn_is_no_rest(seconds: float, axes: tuple[int, ...], kept: bool):
+    """It turns by no more than it sways by, and several axes do."""
+    rate, rng = 100.0, np.random.default_rng(5)
+    start = 1000 * np.arange(6)
+    stop = start + round(rate * seconds)
+    gyro = 0.03 * rng.standard_normal((6000, 3))
+    own = slice(start[3], stop[3])
+    sway = 0.05 + 0.05 * np.sin(2 * np.pi * np.arange(stop[3] - start[3]) / rate / seconds)
+    gyro[own, axes] += sway[:, None]
+    accel = np.array([0.0, 0.0, GRAVITY]) + 0.01 * rng.standard_normal((6000, 3))
+    recording = Recording(np.arange(6000) / rate, accel, gyro, clock="device")
+    poses = average_poses(recording, start, stop)
+    left = steady(recording, poses)
+    assert left.start.tolist() == [s for s in start.tolist() if kept or s != start[3]]
 
 
 @pytest.mark.parametrize("seed", [3, 8])
