@@ -300,7 +300,7 @@ def follows_noise(real: Recording, truth: RecordingTruth, alignment: Alignment) 
     at = alignment.times(real.time)
     state = truth.state(at)
     noise = np.abs(np.diff(real.accel - state.force, n=2, axis=0))
-    turning = np.linalg.norm(state.rate - np.median(state.rate, axis=0), axis=1)[1:-1]
+    turning = np.linalg.norm(state.rate - _at_rest(state.rate, real.interval), axis=1)[1:-1]
     known = truth.covers(at)[1:-1]
     moving, still = noise[known & (turning > MOVES)], noise[known & (turning < STILL)]
     if min(len(moving), len(still)) < ENOUGH:
@@ -311,6 +311,13 @@ def follows_noise(real: Recording, truth: RecordingTruth, alignment: Alignment) 
         return False  # there is none to follow
     ratio = np.median(moving, axis=0) / np.maximum(quiet, 1e-12)
     return bool(np.mean(ratio) < LESS)
+
+
+def _at_rest(rate: FloatArray, interval: float) -> FloatArray:
+    """Return the (n, 3) rates' median where they change least, (3,): a motion's own is none."""
+    parts = np.array_split(rate, max(1, int(len(rate) * interval / PART)))
+    steadiest = np.argsort([part.std(axis=0).sum() for part in parts])[: -(-len(parts) // 20)]
+    return np.asarray(np.median(np.concatenate([parts[k] for k in steadiest]), axis=0))
 
 
 def too_few(real: Recording, other: Recording) -> bool:
