@@ -107,6 +107,11 @@ def notes(document: Mapping[str, Any]) -> list[str]:
             f"{recording['corners']} samples were left out: those of the simulation are too few to "
             "follow the corners of its motion there."
         )
+    if "own_axes" in recording:
+        out.append(
+            "The accelerometer is turned against the frame of the simulation, and the gyroscope is "
+            "not by as much: its axes were fitted as they are."
+        )
     if "silent" in recording:
         out.append(
             f"Without noise: {recording['silent']}; they count as noisy as the quietest sensor is."

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -22,6 +23,7 @@ from calib.mismatch.hypotheses.places import gathered, joined
 from calib.mismatch.noise.hush import audible
 from calib.mismatch.reference.alignment import LEAST_OVERLAP, Alignment, align
 from calib.mismatch.reference.alike import check_apart
+from calib.mismatch.reference.axes import has_own_axes
 from calib.mismatch.reference.band import STILL, follows_noise, matched, too_few
 from calib.mismatch.reference.carried import OF_GYRO
 from calib.mismatch.reference.comparison import ComparisonProblem
@@ -53,6 +55,9 @@ NOWHERE = "positions in the reference"
 UNPLACED = ("accel_lever_arm", "accel_size_effect", "time_offset")
 """What shows only where it is known what an accelerometer feels while it moves: its place, that of
 its axes, and its delay against the gyroscope."""
+
+OWN_AXES = "own_axes"
+"""Whether the accelerometer is turned against the frame of the simulation, and it alone."""
 
 CORNERS = "corners"
 """How many samples are about corners that those of a simulation are too few to follow: they are
@@ -127,6 +132,8 @@ def diagnose_against(
         )
     elif problem.unknown is not None:
         summary[CORNERS] = int(problem.unknown.sum())
+    if problem.own_axes:
+        summary[OWN_AXES] = True
     return conclude(
         problem,
         seen,
@@ -153,7 +160,8 @@ def compare_simulation(
         alignment = align(real.time, real.gyro, simulated.time, simulated.gyro)
     truth = RecordingTruth(simulated, gravity)
     common = matched(real, truth, alignment, np.eye(3), spoilt=seen.spoilt)
-    problem = ComparisonProblem(
+    compare = partial(
+        ComparisonProblem,
         common.real,
         common.truth if common.limited else oriented(common.truth),
         alignment,
@@ -167,6 +175,9 @@ def compare_simulation(
         folded=common.folded,
         unknown=common.unknown,
     )
+    problem = compare()
+    if has_own_axes(problem.rows()):
+        problem = compare(own_axes=True)
     noisy = common.limited and not common.exact
     return problem, ((*_SELDOM_ALONE, "bandwidth") if noisy else _SELDOM_ALONE)
 
@@ -209,7 +220,8 @@ def conclude(
     """
     if problem.judged is not None:
         skip += UNPLACED
-    skip += ("clock_scale", *(("reference_misalignment",) if problem.turned else ()))
+    turned = problem.turned or problem.own_axes
+    skip += ("clock_scale", *(("reference_misalignment",) if turned else ()))
     skip += ("gyro_misalignment",) if problem.full_gyro else ()
     outcome = search(problem, skip=skip)
     outcome, model = _in_samples(outcome, problem.setup.model, problem.thin)

@@ -44,7 +44,7 @@ from calib.mismatch.reference.colour import (
 from calib.mismatch.reference.floor import with_rounding
 from calib.mismatch.reference.lateness import LATE, delaying, liveliest, rough_delay
 from calib.mismatch.reference.scatter import scatter, silenced
-from calib.mismatch.reference.setup import BASELINE, GYRO_ANGLES, LOOSE, Setup
+from calib.mismatch.reference.setup import ACCEL_ANGLES, BASELINE, GYRO_ANGLES, LOOSE, Setup
 from calib.mismatch.reference.shapes import Shapes, find_shapes
 from calib.mismatch.reference.steadied import steadied
 from calib.mismatch.reference.step import robust_step
@@ -109,6 +109,9 @@ class ComparisonProblem:
         Of another IMU as the truth: its errors, and how far they may be off (`known_errors`).
     white : (2, 2) array, optional
         Densities of the noise of both (`white_noise`).
+    own_axes : bool
+        Whether the accelerometer may be turned against the frame of the truth, all nine numbers of
+        its matrix being fitted.
     notes : mapping, optional
         What was done to the truth before, for the summary.
     """
@@ -136,6 +139,7 @@ class ComparisonProblem:
         unknown: BoolArray | None = None,
         other: tuple[FloatArray, FloatArray] | None = None,
         white: FloatArray | None = None,
+        own_axes: bool = False,
         notes: Mapping[str, object] | None = None,
     ) -> None:
         self.notes = notes or {}
@@ -207,7 +211,12 @@ class ComparisonProblem:
         errors, own = (np.zeros(len(NAMES)), np.zeros(0)) if other is None else other
         self.setup = Setup(start, alignment, mat, errors)
         self.full_gyro = bool(start.gyro.misalignment.any())
-        self.names = (*BASELINE, *GYRO_ANGLES) if self.full_gyro else BASELINE
+        self.own_axes = own_axes
+        self.names = (
+            *BASELINE,
+            *(ACCEL_ANGLES if own_axes else ()),
+            *(GYRO_ANGLES if self.full_gyro else ()),
+        )
         kinds = [n.split(".")[1] for n in (*self.names, *self.alignments)]
         self.loose = np.append([LOOSE[k] for k in kinds], own)
         self.moved = np.zeros(len(self.loose))

@@ -23,6 +23,9 @@ BASELINE = (
     *(f"gyro.bias.{a}" for a in AXES),
     *(f"gyro.scale_factor_error.{a}" for a in AXES),
 )
+ACCEL_ANGLES = tuple(f"accel.misalignment.{p[::-1]}" for p in ACCEL_MISALIGNMENT)
+"""What turns an accelerometer against the frame of the truth."""
+
 GYRO_ANGLES = tuple(f"gyro.misalignment.{p}" for p in GYRO_MISALIGNMENT)
 
 LOOSE = {

@@ -21,6 +21,7 @@ from calib.mismatch.search.accepted import fitted
 from calib.mismatch.search.refit import unmoved
 from calib.model import SensorModel, Triad
 from calib.recording import Recording
+from calib.rotation import mat_from_rotvec
 from calib.simulate import IDEAL, Sampling, digital_twin, simulate
 from calib.simulation.bench import bench_protocol
 from calib.simulation.kinematics import Motion
@@ -358,6 +359,61 @@ def test_a_twin_of_the_recording_itself_is_no_truth(noise):
         for other in (truth, simulation()):
             alignment = align(log.time, log.gyro, other.time, other.gyro)
             assert not follows_noise(log, RecordingTruth(other, GRAVITY), alignment)
+
+
+def test_a_motion_that_turns_one_way_on_average_is_at_rest_where_it_rests():
+    """What is as slow as its median is loud there: a sensor's low-pass, or a tremor, say."""
+    rng = np.random.default_rng(8)
+    time = np.arange(8000) / 100.0
+    moves = (time > 4.0) & (time < 76.0)
+    rate = np.zeros((8000, 3))
+    rate[moves, 0] = -0.2 + 2.0 * np.sin(0.7 * time[moves]) ** 3
+    slow = moves & (np.abs(rate[:, 0] + 0.2) < 0.1)
+    sigma = np.where(slow, 0.03, np.where(moves, 0.012, 0.01))
+    force = np.tile([0.0, 0.0, GRAVITY], (8000, 1))
+    truth = Recording(time, force, rate, clock="device")
+    noise = sigma[:, None] * rng.standard_normal((8000, 3))
+    real = replace(truth, accel=force + noise, gyro=rate + 1e-3 * rng.standard_normal((8000, 3)))
+    assert not follows_noise(real, RecordingTruth(truth, GRAVITY), Alignment(0.0, 0.0, 0.0))
+
+
+def turned(accel: bool, gyro: bool) -> tuple[Recording, Recording]:
+    """Return a recording of a sensor whose triads are turned by half a degree, and a simulation."""
+    rng = np.random.default_rng(4)
+    mat = mat_from_rotvec(np.radians([0.3, -0.4, 0.2]))
+    still = np.eye(3)
+    model = SensorModel(
+        Triad.from_matrix(mat if accel else still, np.array([0.1, -0.05, 0.02])),
+        Triad.from_matrix(mat if gyro else still, np.array([0.01, 0.0, -0.01])),
+    )
+    return simulate(motion(), model, CONSUMER, rng=rng, rate=50.0), simulation()
+
+
+def test_an_accelerometer_with_axes_of_its_own_is_no_effect():
+    """Of its angles another convention, or the simulation's own, has the upper triangle."""
+    real, simulated = turned(accel=True, gyro=False)
+    found = diagnose_against(real, simulated, gravity=GRAVITY)
+    assert found.verdict == "consistent"
+    assert found.summary["own_axes"]
+    values = found.model.accel.parameters("accel")
+    sigma = dict(zip(found.names, np.sqrt(np.diag(found.covariance)), strict=True))
+    true = Triad.from_matrix(mat_from_rotvec(np.radians([0.3, -0.4, 0.2])), np.zeros(3))
+    for name, value in true.parameters("accel").items():
+        if ".misalignment." in name:
+            assert abs(values[name] - value) < 4 * sigma[name] < 1e-3
+
+
+def test_a_sensor_that_is_mounted_at_an_angle_is_found():
+    found = diagnose_against(*turned(accel=True, gyro=True), gravity=GRAVITY)
+    assert [f.effect for f in found.findings] == ["reference_misalignment"]
+    assert "own_axes" not in found.summary
+
+
+@pytest.mark.long
+def test_a_gyroscope_with_axes_of_its_own_is_found():
+    found = diagnose_against(*turned(accel=False, gyro=True), gravity=GRAVITY)
+    assert [f.effect for f in found.findings] == ["gyro_misalignment"]
+    assert "own_axes" not in found.summary
 
 
 @pytest.mark.long
