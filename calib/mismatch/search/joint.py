@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from calib.effects import get_effect
 from calib.mismatch.hypotheses.factors import LARGE, SCALES
 from calib.mismatch.noise.noise import make_whitener
 from calib.mismatch.rows.rows import Rows
@@ -39,12 +40,14 @@ def prior_rows(
 ) -> tuple[FloatArray, FloatArray]:
     """Return rows (k, p) of the priors, and their values (k,).
 
-    Beside a reference baseline and alignment have theirs from the rows, and no finding is beyond
-    the largest size that has evidence: what the motion leaves open (the height of a sensor over a
-    table that turns about the vertical) stays there. A smooth function can take the place of the
-    baseline. At rest the two are exactly alike, but in motion, or beside a truth with noise, only
-    nearly so; what keeps them apart is the size that the evidence gave the rival, at most `LARGE`.
-    With ``whole`` what is there or not is there: how strong it is is in its shape alone.
+    No effect is larger than it physically can be: a g-sensitivity that all axes have alike is the
+    vertical part of the Earth's rotation, but for the size of that. Beside a reference baseline and
+    alignment have theirs from the rows, and no finding is beyond the largest size that has
+    evidence: what the motion leaves open (the height of a sensor over a table that turns about the
+    vertical) stays there. A smooth function can take the place of the baseline. At rest the two are
+    exactly alike, but in motion, or beside a truth with noise, only nearly so; what keeps them
+    apart is the size that the evidence gave the rival, at most `LARGE`. With ``whole`` what is
+    there or not is there: how strong it is is in its shape alone.
     """
     start = rows.baseline.shape[1] + rows.nuisance.shape[1]
     width = start + sum(a.columns.shape[1] for a in accepted)
@@ -57,8 +60,10 @@ def prior_rows(
         own = slice(at, at + a.columns.shape[1])
         if not a.candidate.physical:
             spread[own] = LARGE
-        elif rows.aligned:
-            spread[own] = SCALES[-1]
+        else:
+            least, most = get_effect(a.candidate.name).limits(a.candidate.parameters)
+            far = np.maximum(-least, most) / a.typical
+            spread[own] = np.minimum(far, SCALES[-1]) if rows.aligned else far
         if whole and a.candidate.present:
             spread[own], value[own] = THERE, 1.0
         if a.in_model:

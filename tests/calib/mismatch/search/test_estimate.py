@@ -263,3 +263,21 @@ def test_what_is_put_aside_is_no_noise_of_segments(apart):
     _, alone = module._fit(real, (found,), *noise)
     assert covariance[start, start] > 100.0 * alone[start, start]
     assert module._together(real, (found, smooth), *noise).wider[start] < 1.5
+
+
+def test_a_g_sensitivity_is_told_from_the_vertical_part_of_the_earth_rate():
+    """They are the same but for their size, and the Earth turns at 7.3e-5 rad/s, whatever is up."""
+    _, self_mode = problem()
+    rows = self_mode.rows()
+    axes = ("x", "y", "z")
+    felt = named(rows, "gyro_g_sensitivity", tuple(f"g{a}{b}" for a in axes for b in axes))
+    earth = named(rows, "earth_rate", ("east", "north", "up"))
+    found = estimate(
+        rows, (felt, earth), expected_levels(rows), rows.white_diagonal, reference=False
+    )
+    own = slice(found.at[1], found.at[2])
+    sigma = np.sqrt(np.diag(found.covariance)[own]) * earth.typical
+    assert (sigma < 1.3 * get_effect("earth_rate").parameters[0].most).all()
+    own = slice(found.at[0], found.at[1])
+    sigma = np.sqrt(np.diag(found.covariance)[own]) * felt.typical
+    assert (sigma < 3e-5).all()
