@@ -6,6 +6,7 @@ from itertools import product
 
 import numpy as np
 
+from calib.mismatch.noise.coupling import lean_in_contrasts
 from calib.mismatch.rows.rows import Rows
 from calib.types import BoolArray, FloatArray, IntArray
 
@@ -14,6 +15,18 @@ FEW = 5
 
 STRAY = 3.0
 """Standard deviations beyond which a contrast is that of something else."""
+
+SEEN = 30
+"""Contrasts of an accelerometer from which on a lean is told from them."""
+
+CUT = 9.0
+"""Squares of normal errors that count in full."""
+
+USUAL = 0.995
+"""Mean square of normal errors, cut there."""
+
+HALVINGS = 60
+"""Of the span in which a level lies, until it is known to the last digits."""
 
 MOSTLY_WHITE = 2.0
 """Variance, relative to white noise, up to which that is most of it."""
@@ -28,29 +41,16 @@ def contrast_variance(rows: Rows, *, apart: BoolArray | None = None) -> FloatArr
     Drift within a rest and correlated noise lift it above white noise. What repeats in every rest
     or goes with time (an effect) is taken out first.
     """
-    variance = rows.white_diagonal.copy()
     start = rows.n_dense
     y, channel = rows.residual[start:], rows.channel[start:]
-    time = rows.interval[rows.segment[start:]].mean(axis=1)
-    order = (
-        np.tile(np.repeat([0, 1], 6), len(y) // 12) if len(y) % 12 == 0 else np.zeros(len(y), int)
-    )
     restless = rows.restless[start:] if rows.restless.size else np.zeros(len(y), bool)
+    taken = np.ones(len(y), bool) if apart is None else ~apart
+    variance = rows.white_diagonal + _swaying(rows, taken & ~restless)
     for c, moved in product(range(6), (False, True)):
         mine = (channel == c) & (restless == moved)
-        squares = []
-        for k in (0, 1):
-            own = np.flatnonzero(mine & (order == k))
-            if apart is not None and (~apart[own]).sum() >= FEW:
-                own = own[~apart[own]]
-            if len(own) < FEW:
-                continue
-            scaled = y[own] / np.sqrt(variance[own])
-            design = np.stack((np.ones(len(own)), (time[own] - time[own].mean())), axis=1)
-            left = scaled - design @ np.linalg.lstsq(design, scaled, rcond=None)[0]
-            squares.append(np.square(left) * len(own) / (len(own) - 2))
+        squares = _squares(rows, variance, mine, taken)
         if squares:
-            values = np.concatenate(squares)
+            values = np.concatenate([found for _, found in squares])
             level = typical(values)
             level = max(level, float(np.minimum(values, 9.0 * max(level, 1e-12)).mean()))
         elif mine.any() and not moved:
@@ -68,6 +68,64 @@ def contrast_variance(rows: Rows, *, apart: BoolArray | None = None) -> FloatArr
             own = mine & (rows.segment[start:] == s)
             variance[own] *= _inflation(float(np.square(y[own]) @ (1 / variance[own])), own.sum())
     return variance
+
+
+def _squares(
+    rows: Rows, variance: FloatArray, which: BoolArray, taken: BoolArray
+) -> list[tuple[IntArray, FloatArray]]:
+    """Return some contrasts of one channel, and their squares in units of a variance, by orders.
+
+    Without what repeats in them or goes with time. Those ``taken`` are all, unless they are few.
+    """
+    y = rows.residual[rows.n_dense :]
+    time = rows.interval[rows.segment[rows.n_dense :]].mean(axis=1)
+    order = (
+        np.tile(np.repeat([0, 1], 6), len(y) // 12) if len(y) % 12 == 0 else np.zeros(len(y), int)
+    )
+    out = []
+    for k in (0, 1):
+        own = np.flatnonzero(which & (order == k))
+        if taken[own].sum() >= FEW:
+            own = own[taken[own]]
+        if len(own) < FEW:
+            continue
+        scaled = y[own] / np.sqrt(variance[own])
+        design = np.stack((np.ones(len(own)), (time[own] - time[own].mean())), axis=1)
+        left = scaled - design @ np.linalg.lstsq(design, scaled, rcond=None)[0]
+        out.append((own, np.square(left) * len(own) / (len(own) - 2)))
+    return out
+
+
+def _swaying(rows: Rows, taken: BoolArray) -> FloatArray:
+    """Return the variance (n,) that contrasts of the accelerometer have as the sensor leans.
+
+    A rest that lasts twice as long leans by more, and axes along gravity see nothing of it: no
+    factor on white noise says that. Zero unless what those that are ``taken`` hold beyond noise is
+    clearly seen, and for rows that nothing leans in.
+    """
+    if rows.lean is None:
+        return np.zeros(len(taken))
+    shape = lean_in_contrasts(rows)
+    channel, white = rows.channel[rows.n_dense :], rows.white_diagonal
+    which = taken & (shape > 0)
+    found = [
+        pair for c in range(3) for pair in _squares(rows, white, which & (channel == c), which)
+    ]
+    if sum(len(own) for own, _ in found) < SEEN:
+        return np.zeros(len(shape))
+    at, square = (np.concatenate(parts) for parts in zip(*found, strict=True))
+    ratio = shape[at] / white[at]
+
+    def excess(level: float) -> float:
+        return float(np.minimum(square / (1.0 + level * ratio), CUT).mean()) - USUAL
+
+    if excess(0.0) <= 3.0 * np.sqrt(2.0 / len(at)):
+        return np.zeros(len(shape))
+    low, high = 0.0, float(np.max(square / ratio))
+    for _ in range(HALVINGS):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if excess(middle) > 0 else (low, middle)
+    return high * shape
 
 
 def telling(rows: Rows) -> IntArray:

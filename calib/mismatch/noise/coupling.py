@@ -107,6 +107,15 @@ def drift_in_contrasts(rows: Rows) -> FloatArray:
     return out
 
 
+def lean_in_contrasts(rows: Rows) -> FloatArray:
+    """Return the variance that a lean of one gives the contrasts of the accelerometer, (n,)."""
+    out = np.zeros(len(rows.residual) - rows.n_dense)
+    for name, drift in _all_drifts(rows).items():
+        if drift is not None and name.startswith("accel"):
+            out[drift.contrast] = np.diag(drift.own[2])
+    return out
+
+
 def _kinds(channel: str) -> tuple[str, str, str]:
     """Return the components that change a channel within a rest, as `_Drifts` has them."""
     leaning = channel if channel.startswith("gyro") else "accel"

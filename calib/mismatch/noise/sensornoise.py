@@ -282,9 +282,7 @@ def lean_components(
         Response to a constant on each channel in each segment.
     """
     n = len(rows)
-    kernel = np.zeros((3, n, 3, n))
-    for c in range(3):
-        kernel[c, :, c] = lean.covariance(c)
+    kernel = lean.of_force()
     each = sparse.identity(3 * n, format="csr")
     prior = LEANING, LEAN_SPREAD, LEAN
     out = [

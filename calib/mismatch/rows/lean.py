@@ -7,7 +7,8 @@ as a random walk upon a steady turn, both of which begin anew with the pose::
 
     Var angle(t) = q (t + t² / STEADY),  Cov of rates = q (delta + 1 / STEADY)
 
-with q in rad²/s, one for the recording.
+with q in rad²/s, one for the recording. The attitude of a pose is that of its mean, which takes up
+what the angle is on average; what is left is how its parts differ.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.types import FloatArray, IntArray
+from calib.types import BoolArray, FloatArray, IntArray
 
 STEADY = 10.0
 """s after which the steady turn is as large as the walk: people sway in seconds, and shift their
@@ -64,22 +65,38 @@ class Lean:
             pose=np.repeat(self.pose, n),
         )
 
-    def covariance(self, channel: int) -> FloatArray:
-        """Return the covariance of the means of a channel for q of one, (n, n).
+    def of_angle(self) -> FloatArray:
+        """Return the covariance of the angle's means about that of their pose for q of one, (n, n).
 
-        As if what it does to one axis told nothing of the others.
+        In rad².
         """
+        middle = self.begin + 0.5 * self.length
+        walk = np.minimum.outer(middle, middle)
+        # Of a walk from zero, the mean over a part.
+        np.fill_diagonal(walk, self.begin + self.length / 3.0)
+        alike = self._alike()
+        share = alike * self.length
+        about = np.eye(len(middle)) - share / share.sum(axis=1, keepdims=True)
+        angle = (walk + np.outer(middle, middle) / STEADY) * alike
+        return np.asarray(about @ angle @ about.T)
+
+    def of_force(self) -> FloatArray:
+        """Return the covariance of the accelerometer's means for q of one, (3, n, 3, n).
+
+        Gravity moves across itself, and keeps its length.
+        """
+        across = np.eye(3) - self.up[:, :, None] * self.up[:, None, :]
+        return np.asarray(self.gravity**2 * np.einsum("nm,ncd->cndm", self.of_angle(), across))
+
+    def covariance(self, channel: int) -> FloatArray:
+        """Return the covariance of the means of one channel for q of one, (n, n)."""
         if channel < 3:
-            middle = self.begin + 0.5 * self.length
-            walk = np.minimum.outer(middle, middle)
-            # Of a walk from zero, the mean over a part.
-            np.fill_diagonal(walk, self.begin + self.length / 3.0)
-            angle = walk + np.outer(middle, middle) / STEADY
             across = self.gravity * np.sqrt(np.maximum(1.0 - np.square(self.up[:, channel]), 0.0))
-        else:
-            angle, across = np.diag(1.0 / self.length) + 1.0 / STEADY, np.ones(len(self.pose))
-        alike = self.pose[:, None] == self.pose
-        return np.asarray(angle * alike * np.outer(across, across))
+            return np.asarray(self.of_angle() * np.outer(across, across))
+        return np.asarray((np.diag(1.0 / self.length) + 1.0 / STEADY) * self._alike())
+
+    def _alike(self) -> BoolArray:
+        return np.asarray(self.pose[:, None] == self.pose)
 
     def at_ends(self) -> FloatArray:
         """Return the variance of the angle at either end of each pose about its mean, (poses,).

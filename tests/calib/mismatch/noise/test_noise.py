@@ -10,7 +10,7 @@ from calib.mismatch.hypotheses.candidates import Candidate
 from calib.mismatch.hypotheses.factors import SCALES, SHARES, log_shares
 from calib.mismatch.hypotheses.score import Stack
 from calib.mismatch.noise.contrast import contrast_likelihood, contrast_variance
-from calib.mismatch.noise.coupling import drift_in_contrasts
+from calib.mismatch.noise.coupling import drift_in_contrasts, lean_in_contrasts
 from calib.mismatch.noise.noise import (
     NEAR,
     PACKAGE,
@@ -193,6 +193,26 @@ def test_few_contrasts_are_judged_by_all_of_their_triad():
     assert np.all(variance[at < 3] == 1.0)
     # A third of them, 64 each, and six that are as expected.
     assert np.allclose(variance[at >= 3], (4 * 64 + 6) / (12 + 6))
+
+
+@pytest.mark.parametrize("level", [0.0, 2e-7])
+def test_axes_along_gravity_and_short_rests_see_less_of_a_lean(level):
+    """A hand sways: what it does to an axis goes with the axis, and with how long the rest is."""
+    _, self_mode = problem()
+    rows = self_mode.rows()
+    start = rows.n_dense
+    lean = level * lean_in_contrasts(rows)
+    true = rows.white_diagonal + lean
+    rng = np.random.default_rng(12)
+    ratios = []
+    for _ in range(20):
+        noise = np.sqrt(true) * rng.standard_normal(len(true))
+        seen = rows.with_residual(np.append(rows.residual[:start], noise))
+        ratios.append(contrast_variance(seen) / true)
+    accel = rows.channel[start:] < 3
+    for some in (accel & (lean <= np.median(lean[accel])), accel & (lean > np.median(lean[accel]))):
+        if some.any():
+            assert 0.9 < np.median(np.array(ratios)[:, some]) < 1.25
 
 
 def test_levels_of_a_sensor_that_leans_are_found():
