@@ -53,6 +53,9 @@ STALL = 0.5
 PAUSE = 1.0
 """A hole this long (s) parts a recording: the clock is followed on each side by itself."""
 
+SHIFTED, STAYS = 0.1, 6.0
+"""Part of an interval, and median steps of what stamps are late by, from which they stay late."""
+
 HELD_UP = 6.0
 """Median deviations beyond which a stamp was held up."""
 
@@ -107,12 +110,14 @@ def even_times(
     if len(time) < FEWEST:
         return None
     step = np.diff(time) / np.median(np.diff(time))
+    hole = step > 1.5
     # Stamps of bursts that are counted on have whole steps, too, and many long ones.
-    if np.abs(step - np.rint(step)).max() < EVEN and np.mean(step > 1.5) < HOLES:
+    if np.abs(step - np.rint(step))[~hole].max() < EVEN and hole.mean() < HOLES:
         return None
     number = sample_numbers(time, lost)
     even = np.empty_like(time)
-    edges = [0, *(np.flatnonzero(np.diff(time) > PAUSE) + 1).tolist(), len(time)]
+    parted = (np.diff(time) > PAUSE) | _out_of_step(time, number, hole)
+    edges = [0, *(np.flatnonzero(parted) + 1).tolist(), len(time)]
     for a, b in pairwise(edges):
         even[a:b] = _followed(time[a:b], number[a:b])
     good: BoolArray = np.asarray(np.isfinite(values).all(axis=1))
@@ -123,6 +128,28 @@ def even_times(
         return None
     rough = [float(roughness(at, values)[usual].mean()) for at in (even, time)]
     return even if rough[0] < rough[1] else None
+
+
+def _out_of_step(time: FloatArray, number: IntArray, hole: BoolArray) -> BoolArray:
+    """Return the holes, (n - 1,) bool, after which samples are not taken when they would have been.
+
+    What tracks a body anew begins when it finds it. Stamps on either side then stay late, or early,
+    by part of an interval, and scatter by less.
+    """
+    out = np.zeros(len(hole), bool)
+    at = np.flatnonzero(hole) + 1
+    at = at[(at >= BESIDE) & (at <= len(time) - BESIDE)]
+    if not len(at):
+        return out
+    interval = _period(time, number)
+    late = time - interval * number
+    around = np.arange(BESIDE)
+    before, after = late[at[:, None] - 1 - around], late[at[:, None] + around]
+    moved = np.median(after, axis=1) - np.median(before, axis=1)
+    scatter = np.maximum(*(np.median(np.abs(np.diff(x, axis=1)), axis=1) for x in (before, after)))
+    shifted = np.abs(moved - interval * np.rint(moved / interval))
+    out[at[shifted > np.maximum(SHIFTED * interval, STAYS * scatter)] - 1] = True
+    return out
 
 
 def clock_errors(stamps: FloatArray, time: FloatArray) -> FloatArray:

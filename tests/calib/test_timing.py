@@ -51,6 +51,20 @@ def stamps(kind: str, time: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     return time * (1 + 3e-5) + 2e-3 * np.sin(time / 30) + rng.normal(0, 3e-4, n)
 
 
+@pytest.mark.parametrize("scatter", [0.0, 1e-3])
+@pytest.mark.parametrize("rate", [10.0, 30.0])
+def test_what_is_taken_up_anew_after_a_gap_is_not_moved_onto_the_old_grid(
+    rate: float, scatter: float
+) -> None:
+    """What tracks a body begins when it sees it again, and not when the next sample was due."""
+    rng = np.random.default_rng(6)
+    parts = (np.arange(0.0, 60.0, 1 / rate), np.arange(60.453, 120.0, 1 / rate))
+    true = np.concatenate(parts)
+    values = np.stack([np.sin(0.9 * true), np.cos(1.3 * true)], axis=1)
+    found = even_times(true + np.clip(rng.normal(0.0, scatter, len(true)), -0.01, 0.01), values)
+    assert found is None or np.abs(found - true).max() < 1e-3
+
+
 @pytest.mark.parametrize("kind", ["jitter", "rounded", "held up", *BURSTS, "drifting"])
 @pytest.mark.parametrize("rate", [64.0, 104.0, 416.0])
 def test_even_times_come_back(kind: str, rate: float) -> None:
