@@ -75,3 +75,21 @@ def test_nothing_is_swapped_in_what_is_merely_noisy():
 def test_swapped_markers_are_nothing_that_a_sensor_does():
     found = diagnose_reference(recorded(), captured(swaps=True), gravity=GRAVITY)
     assert found.verdict == "consistent"
+
+
+def test_a_gap_in_which_the_body_turns_on_is_no_swap():
+    """What it turns by there is no vector: about other axes in between, it does not add up."""
+    rng = np.random.default_rng(5)
+    time = np.arange(0.0, 60.0, 1.0 / RATE)
+    rate = np.stack(
+        [2.5 * np.sin(1.7 * time), 2.0 * np.sin(2.3 * time + 1.0), np.cos(time)], axis=1
+    )
+    quat = np.zeros((len(time), 4))
+    quat[0] = 1.0, 0.0, 0.0, 0.0
+    for k, step in enumerate(quat_from_rotvec(rate[:-1] / RATE)):
+        quat[k + 1] = quat_multiply(quat[k], step)
+    force = np.tile([0.0, 0.0, GRAVITY], (len(time), 1))
+    real = Recording(time, force, rate + rng.normal(0.0, 1e-3, rate.shape), "device")
+    for first in (2000, 4500):
+        quat[first : first + 70] = np.nan
+    assert not swapped(time, quat, real, Alignment(0.0, 0.0, 0.0), np.eye(3)).any()
