@@ -27,7 +27,7 @@ class ReferenceMisalignment(Effect):
     )
     follows = "both signals, about one axis"
     needs = "a reference's own orientation or rate"
-    sentence = "Sensor and reference are mounted at a small angle to each other."
+    sentence = "Sensor and reference are mounted at an angle to each other."
     absorbed_by = ("accel.misalignment", "gyro.misalignment")
     rivals = ("gyro_misalignment", "reference_tilt", "axis_error")
 

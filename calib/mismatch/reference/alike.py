@@ -7,6 +7,7 @@ import numpy as np
 from calib import faults
 from calib.effects.base import State
 from calib.errors import NoCommonMotionError
+from calib.gravity import STANDARD_GRAVITY
 from calib.mismatch.noise.hush import count_of, least_noise
 from calib.recording import CHANNELS, Recording
 from calib.types import FloatArray
@@ -19,6 +20,19 @@ UNIT = 10.0
 """Factor beyond which rates or forces are of other units, not of another scale. What a sensor feels
 far from the axis of a fast table, and the reference does not, may be more: the square of it."""
 
+LIGHT = 4.0
+"""How many times less than gravity nothing weighs most of the time."""
+
+COMPARED = 20_000
+"""Samples that tell whether positions and accelerometer agree, at most."""
+
+LITTLE = 0.5
+"""Share that positions leave of what a fixed point leaves, from which they explain little: right
+ones leave a hundredth, or a tenth where a soft mount gives way."""
+
+AMISS = 0.1
+"""m/s² that an accelerometer feels beyond what turns about a fixed point make it feel, from which
+positions can be told from none."""
 
 LOOKED = 200
 """Samples in motion that tell whether two recordings are one."""
@@ -93,6 +107,13 @@ def check_units(state: State, measured: FloatArray) -> None:
             f"the reference turns {turns:.3g} times as fast as the recording: check its unit "
             "(degrees or radians; 1 rad is 57.3 degrees)"
         )
+    usual = float(np.median(np.linalg.norm(state.force, axis=1)))
+    if usual < STANDARD_GRAVITY / LIGHT:
+        raise NoCommonMotionError(
+            f"the reference's accelerometer reads {usual:.3g} m/s² most of the time, where gravity "
+            f"is {STANDARD_GRAVITY:.3g}: check its unit (expected m/s²; 1 g is "
+            f"{STANDARD_GRAVITY:.3g} m/s²)"
+        )
     if not felt / UNIT**2 < pulls < felt * UNIT:
         raise NoCommonMotionError(
             f"the reference accelerates {pulls / felt:.3g} times as much as the recording "
@@ -110,3 +131,29 @@ def check_units(state: State, measured: FloatArray) -> None:
 
 def _spread(values: FloatArray) -> float:
     return float(np.linalg.norm(values - np.median(values, axis=0)))
+
+
+def misleads(state: State, measured: FloatArray) -> bool:
+    """Whether the positions of a truth explain little of what a fixed point does not explain.
+
+    Either has an arm, a bias and any matrix that fits (n, 3) `measured` best. What moves about a
+    fixed point is explained by both. Positions in other axes, or at other moments, add a motion
+    that is not there.
+    """
+    some = np.linspace(0, len(measured) - 1, min(len(measured), COMPARED)).astype(np.int64)
+    placed, seen = state.force[some], measured[some]
+    fixed = state.gravity * state.gravity_direction[some]
+    left = [_left_beside(force, state.gradient[some], seen) for force in (placed, fixed)]
+    return left[0] > LITTLE * left[1] > LITTLE * AMISS**2
+
+
+def _left_beside(force: FloatArray, gradient: FloatArray, measured: FloatArray) -> float:
+    """Return the mean square of what (n, 3) forces, and an arm, leave of those measured."""
+    n = len(force)
+    design = np.zeros((n, 3, 15))
+    for i in range(3):
+        design[:, i, 4 * i : 4 * i + 3] = force
+        design[:, i, 4 * i + 3] = 1.0
+    design[:, :, 12:] = gradient
+    flat, y = design.reshape(3 * n, 15), measured.reshape(3 * n)
+    return float(np.mean(np.square(y - flat @ np.linalg.lstsq(flat, y, rcond=1e-9)[0])))

@@ -25,7 +25,7 @@ from calib.mismatch.reference.against import (
     unfit,
 )
 from calib.mismatch.reference.alignment import Alignment, align
-from calib.mismatch.reference.alike import check_apart
+from calib.mismatch.reference.alike import check_apart, misleads
 from calib.mismatch.reference.band import BEYOND, Matched, limited, low_passed, matched, smoothed
 from calib.mismatch.reference.carried import known_errors, settled
 from calib.mismatch.reference.comparison import ComparisonProblem
@@ -83,6 +83,12 @@ JUMPS = "jumps"
 NOT_OF_IMUS = ("earth_rate", "reference_tilt", "reference_smoothing")
 """What is not asked of two IMUs: on one body they turn with the Earth alike, know up from nothing
 but each other, and neither was captured."""
+
+MISPLACED = (
+    "positions that are those of the sensor: these explain little of what its accelerometer felt, "
+    "so they were left out; check their axes, their unit, and the order of the quaternion's columns"
+)
+"""What a reference lacks of which the positions mislead."""
 
 SETUPS = ("time_offset", "clock_scale", "reference_misalignment")
 
@@ -251,10 +257,24 @@ def diagnose_reference(
             else "not known: the accelerometer is judged only at rest"
         )
     problem, skip = compare_reference(real, reference, seen, gravity=gravity, model=model)
+    missing: tuple[str, ...] = ()
+    captured = isinstance(reference, ReferenceMotion) and reference.position is not None
+    if captured and misleads(problem.state(), problem.measured[:, :3]):
+        reference, missing = replace(reference, position=None), (MISPLACED,)
+        problem, skip = compare_reference(real, reference, seen, gravity=gravity, model=model)
     summary |= problem.notes
     other = reference if isinstance(reference, Recording) else None
     noisy = noise_beside(heard, poses, other, problem.setup.alignment)
-    return conclude(problem, seen, summary, setups=SETUPS, clocks=clocks, noisy=noisy, skip=skip)
+    return conclude(
+        problem,
+        seen,
+        summary,
+        setups=SETUPS,
+        clocks=clocks,
+        noisy=noisy,
+        skip=skip,
+        missing=missing,
+    )
 
 
 def compare_reference(

@@ -328,6 +328,13 @@ def test_another_motion_is_an_error_that_says_so():
         diagnose_against(recorded(), other, gravity=GRAVITY)
 
 
+def test_a_simulation_in_g_is_an_error_that_says_so():
+    """Its factor is nearly ten, which a scale factor would take up."""
+    other = replace(simulation(), accel=simulation().accel / GRAVITY)
+    with pytest.raises(NoCommonMotionError, match="unit"):
+        diagnose_against(recorded(), other, gravity=GRAVITY)
+
+
 def test_a_simulation_at_rest_leaves_it_undetermined():
     sim = simulation()
     still = replace(sim, accel=np.tile([0.0, 0.0, GRAVITY], (len(sim), 1)), gyro=0 * sim.gyro)

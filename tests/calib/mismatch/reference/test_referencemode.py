@@ -374,6 +374,19 @@ def test_a_reference_in_other_units_says_which():
         diagnose_reference(real, in_g, gravity=GRAVITY)
 
 
+def test_positions_in_other_axes_are_left_out_and_it_is_said():
+    right = captured(start=0.02)
+    wrong = replace(right, position=right.position[:, [1, 0, 2]])
+    real = recorded(Term("accel_lever_arm", ARM))
+    found = diagnose_reference(real, wrong, gravity=GRAVITY)
+    assert "axes" in found.missing[0]
+    assert "accel_lever_arm" not in named(found)
+    assert not found.unexplained
+    assert not any(
+        "axes" in text for text in diagnose_reference(real, right, gravity=GRAVITY).missing
+    )
+
+
 def test_a_reference_of_another_time_says_that_nothing_is_common():
     real = recorded(seed=2)
     late = captured(start=0.0)
