@@ -258,8 +258,11 @@ def diagnose_reference(
         )
     problem, skip = compare_reference(real, reference, seen, gravity=gravity, model=model)
     missing: tuple[str, ...] = ()
-    captured = isinstance(reference, ReferenceMotion) and reference.position is not None
-    if captured and misleads(problem.state(), problem.measured[:, :3]):
+    if (
+        isinstance(reference, ReferenceMotion)
+        and reference.position is not None
+        and misleads(problem.state(), problem.measured[:, :3])
+    ):
         reference, missing = replace(reference, position=None), (MISPLACED,)
         problem, skip = compare_reference(real, reference, seen, gravity=gravity, model=model)
     summary |= problem.notes

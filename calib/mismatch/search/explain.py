@@ -35,6 +35,7 @@ from calib.mismatch.search.put_down import WORDS, put_down
 from calib.mismatch.search.ranking import chance
 from calib.mismatch.search.returned import THERE, returned
 from calib.mismatch.search.search import SHOWN, TIE, TWIN, Outcome
+from calib.mismatch.search.twins import HEADING
 from calib.recording import CHANNELS, TRIADS
 from calib.types import BoolArray, FloatArray
 
@@ -405,6 +406,7 @@ _OF_MOTION = {
     "the pose before": "the same poses in another order",
     "the turn before": "the same poses, reached by other turns",
     "temperature": "the same poses at other temperatures",
+    HEADING: "the same beside a reference that keeps its heading, as markers do",
 }
 """What tells a function of the motion from physics; of time, a repetition does."""
 
@@ -424,7 +426,7 @@ def to_separate(effect: Effect, rivals: tuple[Rival, ...]) -> str:
     known = effects()
     parts = [f"{known[s].title}: {known[s].needs}" for s in slugs if s in known]
     for s in (s for s in slugs if s not in known):
-        parts.append(f"{s}: {_OF_MOTION.get(s.rpartition(' ')[0], _AGAIN)}")
+        parts.append(f"{s}: {_OF_MOTION.get(s, _OF_MOTION.get(s.rpartition(' ')[0], _AGAIN))}")
     return "To tell them apart, record what each needs. " + "; ".join(parts) + "."
 
 

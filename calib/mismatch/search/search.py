@@ -23,7 +23,7 @@ from calib.mismatch.search.estimate import Estimate, estimate, settle
 from calib.mismatch.search.ranking import Ranking, make_stack, rank
 from calib.mismatch.search.refit import Problem, Refit, put_back, refit, unmoved
 from calib.mismatch.search.resettled import resettled
-from calib.mismatch.search.twins import MIMICKED, twins
+from calib.mismatch.search.twins import MIMICKED, turns_about_up, twins
 from calib.mismatch.search.whole import whole_fit, whole_odds
 from calib.types import FloatArray
 
@@ -271,4 +271,9 @@ def _posterior(
         for g in twins(rows, stack, own, evidence, whitener, y, reference=reference):
             if g in groups:
                 out[g] = max(out.get(g, 0.0), 2 * TWIN)
+        gravity = rows.state.gravity
+        other = turns_about_up(own, whitener, y, gravity=gravity, reference=reference)
+        if other is not None:
+            # The Earth turns everywhere but at its equator.
+            out[other] = max(out.get(other, 0.0), out.get(own.candidate.group, 0.0))
     return out

@@ -38,6 +38,15 @@ NEARLY = 4.0
 ALLOWED = 4.0
 """Power by which a shape may explain less than the best: two standard errors."""
 
+ALIKE_AXES = ("gxx", "gyy", "gzz")
+"""A g-sensitivity along the axis itself."""
+
+HEADING = "heading of the reference"
+"""What else may turn about the vertical."""
+
+FAST = 1.5
+"""Times the Earth's rate that what is taken for it may be, as it is measured."""
+
 ALIKE, SHARE = 1.0, 1e-3
 """Power of a finding, and as a share of it, that one of its known rivals with more parameters must
 leave at most: more parameters mimic more, but what they mimic wholly no recording like this one can
@@ -96,6 +105,31 @@ def twins(
         ):
             out.append(candidate.group)
     return out
+
+
+def turns_about_up(
+    own: Accepted, whitener: Whitener, y: FloatArray, *, gravity: float, reference: bool
+) -> str | None:
+    """Return what else turns about the vertical as slowly as a finding, or None if it does not.
+
+    A g-sensitivity that all axes have alike is such a turn: that of the Earth, unless headings are
+    known and tell its horizontal part; and of a `reference` that drifts in heading, at any pace.
+    """
+    names = own.candidate.parameters
+    if own.candidate.name != "gyro_g_sensitivity" or not set(ALIKE_AXES) <= set(names):
+        return None
+    columns = whitener.project(own.columns)
+    coefficients = np.linalg.lstsq(columns, y, rcond=1e-9)[0]
+    explained = columns @ coefficients
+    which = [names.index(name) for name in ALIKE_AXES]
+    alike = own.columns[:, which].sum(axis=1, keepdims=True)
+    if _left(whitener.project(alike), explained) >= MIMICKED:
+        return None
+    size = float((coefficients[which] * own.typical[which]).mean()) * gravity
+    least, most = get_effect("earth_rate").limits(("up",))
+    if least[0] <= size / FAST <= most[0]:
+        return "earth_rate"
+    return HEADING if reference else None
 
 
 def _wider(stack: Stack, own: Accepted) -> list[Candidate]:

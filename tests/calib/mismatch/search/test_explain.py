@@ -21,6 +21,7 @@ from calib.mismatch.search.explain import (
 )
 from calib.mismatch.search.ranking import make_stack
 from calib.mismatch.search.search import SHOWN
+from calib.mismatch.search.twins import HEADING
 
 from ..bench import problem
 from .stacked import candidate
@@ -77,7 +78,8 @@ def test_every_rival_comes_with_what_to_record():
         assert f"{group}: " in said
     # Those that follow the motion have words of their own, and no words are left over.
     followed = {g.rpartition(" ")[0] for g in groups}
-    assert set(_OF_MOTION) <= followed
+    assert set(_OF_MOTION) <= {HEADING, *followed}
+    assert "markers" in to_separate(own, (Rival(HEADING, 1.0),))
     assert "turns at several rates" in to_separate(own, (Rival("its own rate gyro.z", 0.2),))
     assert "happened once" in to_separate(own, (Rival("bias in a window gyro.z", 0.2),))
 

@@ -10,7 +10,7 @@ from calib.mismatch.hypotheses.families import effect_columns
 from calib.mismatch.noise.noise import expected_levels, make_whitener
 from calib.mismatch.search.accepted import Accepted, fitted
 from calib.mismatch.search.ranking import make_stack
-from calib.mismatch.search.twins import MIMICKED, twins
+from calib.mismatch.search.twins import HEADING, MIMICKED, turns_about_up, twins
 
 from ..bench import problem
 
@@ -97,3 +97,32 @@ def test_what_hardly_shows_has_no_twins():
     names = twins(rows, stack, found, evidence, whitener, y, reference=False)
     assert len(names) < 6
     assert "accel_warm_up" not in names
+
+
+@pytest.mark.parametrize(
+    ("sizes", "reference", "other"),
+    [
+        ((6e-6, 6e-6, 6e-6), False, "earth_rate"),
+        ((6e-6, 6e-6, 6e-6), True, "earth_rate"),
+        ((2e-5, 2e-5, 2e-5), False, None),
+        ((2e-5, 2e-5, 2e-5), True, HEADING),
+        ((6e-6, -6e-6, 6e-6), False, None),
+    ],
+)
+def test_a_g_sensitivity_of_all_axes_alike_turns_about_the_vertical(sizes, reference, other):
+    """As the Earth does at its rate, and a reference that drifts in heading at any."""
+    _, made = problem()
+    rows = made.rows()
+    names = ("gxx", "gyy", "gzz")
+    found = effect_columns(get_effect("gyro_g_sensitivity"), rows, {}, reference=False)
+    columns = np.stack([found[n] for n in names], axis=1)
+    stack = make_stack(rows, skip=(), reference=False)
+    candidate = next(c for c in stack if c.name == "gyro_g_sensitivity")
+    candidate = replace(candidate, parameters=names)
+    typical = np.full(3, get_effect("gyro_g_sensitivity").parameters[0].typical)
+    own = Accepted(candidate, columns, typical, np.zeros(3), False, 100.0)
+    quiet = 1e-3 * np.sqrt(rows.white_diagonal), 1e-3 * expected_levels(rows)
+    whitener = make_whitener(rows, quiet[1], np.square(quiet[0]), fitted(rows, []))
+    y = whitener.project(columns @ (np.array(sizes) / typical))
+    said = turns_about_up(own, whitener, y, gravity=rows.state.gravity, reference=reference)
+    assert said == other
