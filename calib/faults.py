@@ -269,6 +269,7 @@ def find_stuck(
     step, noise = resolution(values), noise_at_rest(values)
     turns = _turning(values, np.stack(runs(moving), axis=1), 2 * step + MOVED * noise)
     counts = noise_in_counts(values, moving, step)
+    rests = block_sums(moving[1:, None])[:, 0] == 0
     for c in range(values.shape[1]):
         equal = values[1:, c] == values[:-1, c]
         share = _equal_share(values[:, c])
@@ -277,7 +278,11 @@ def find_stuck(
             if n >= BLOCK:
                 out.append((c, 0, n))
             continue
-        longest = max(_longest(share[~constant], n), 8)
+        # Of a log that moves nearly throughout, rests have the longest runs.
+        longest = max(
+            _longest(share[own], n) for own in (~constant, ~constant & rests) if own.any()
+        )
+        longest = max(longest, 8)
         if BETWEEN <= counts[c] < 1.0:
             # In the middle of a count neighbours are equal unless either reaches another one. The
             # noise may be less by a third: at the edge of a count it seems that much larger.

@@ -122,6 +122,16 @@ def test_counts_of_any_noise_are_not_stuck_where_one_channel_turns(sigma: float)
     assert not find_stuck(np.round(values), moving, interval=0.01, clipped=none)
 
 
+def test_a_log_that_moves_nearly_throughout_is_not_stuck_in_its_few_rests() -> None:
+    """Neighbours are equal in one of four there, and hardly ever while it moves."""
+    none = np.zeros((18_000, 6), bool)
+    for seed in range(20):
+        values = 1.58 * RNG(seed).normal(0, 1, (18_000, 6))
+        moving = (np.arange(18_000) > 600) & (np.arange(18_000) < 17_400)
+        values += np.where(moving, 900 * np.sin(np.arange(18_000) / 20), 0.0)[:, None]
+        assert not find_stuck(np.round(values), moving, interval=0.01, clipped=none)
+
+
 @pytest.mark.parametrize("length", [640, 641, 642, 700])
 def test_a_channel_that_is_stuck_to_the_end_is_found(length: int) -> None:
     values = RNG(1).normal(0, 1, (length, 6))
