@@ -49,8 +49,11 @@ _STEADY = 2.0
 """Noise power whose trend over the recording stays below this factor counts as steady."""
 
 SHARE = 0.25
-"""A line, a burst, or spikes anywhere, are reported if they hold this share of the channel's usual
-noise power: sensors and benches have many small ones, which matter to nobody."""
+"""A burst, or spikes anywhere, are reported if they hold this share of the channel's usual noise
+power: sensors and benches have many small ones, which matter to nobody."""
+
+FAINTEST = 0.03
+"""The same of a line in all rests: an amplitude of a quarter of a sample's noise."""
 
 
 HAND = (3.0, 14.0)
@@ -178,16 +181,21 @@ def _trembling(power: FloatArray, interval: float, gravity: float) -> BoolArray:
     faster = frequency > HAND[1]
     excess, seen = np.zeros((bins, 2)), np.zeros((bins, 2), bool)
     sways, sway = np.zeros(bins, bool), np.zeros(bins)
+    axes = np.zeros(len(CHANNELS), bool)
     for c in range(len(CHANNELS)):
         own = power[:, power[:, :, c].all(axis=0), c]
         if own.shape[1] > power.shape[1] / 2:
             mean, floor, p = _above(own)
             excess[:, c // 3] += np.maximum(mean - floor, 0.0)
             seen[:, c // 3] |= p < CLAIM
+            axes[c] = (p[hand] < CLAIM).any()
             if c >= 3 and faster.any():
                 level = float(np.median(mean[faster]))
                 sways |= mean > _LOUDER * level
                 sway += np.maximum(mean - level, 0.0)
+    if min(axes[:3].sum(), axes[3:].sum()) > 1:
+        # Several axes of both: the arm swings at one frequency, and the wrist at another.
+        return hand
     heavy = SWING * np.square(gravity / (2 * np.pi * frequency))
     moves = hand & seen.all(axis=1) & (excess[:, 0] > heavy * excess[:, 1])
     at = np.flatnonzero(moves)
@@ -231,7 +239,7 @@ def _lines(
     k = int(np.argmax(np.where(held, 0.0, mean / floor)))
     # A Hann window spreads a line over three frequencies.
     near = slice(max(k - 1, 0), k + 2)
-    if held[k] or p[k] >= CLAIM or (mean - floor)[near].sum() < SHARE * floor.sum():
+    if held[k] or p[k] >= CLAIM or (mean - floor)[near].sum() < FAINTEST * floor.sum():
         return []
     frequency = (_peak(np.maximum(mean - floor, 0.0), k) + 2) / (LENGTH * recording.interval)
     found, of = np.unique(pose, return_inverse=True)

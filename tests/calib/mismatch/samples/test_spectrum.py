@@ -106,6 +106,31 @@ def test_a_line_far_above_the_noise_is_at_its_frequency(frequency: float) -> Non
     assert float(line.follows.split()[3]) == pytest.approx(frequency, abs=0.15)
 
 
+@pytest.mark.parametrize(("share", "seen"), [(0.35, True), (0.15, False)])
+def test_a_line_of_a_third_of_the_noise_is_seen_and_one_that_matters_to_nobody_is_not(
+    share: float, seen: bool
+) -> None:
+    recording, poses = rests(7, np.ones(POSES))
+    accel = np.array(recording.accel)
+    accel[:, 1] += share * 0.015 * np.sin(2 * np.pi * 34.2 * recording.time)
+    found = look_at_spectrum(replace(recording, accel=accel), poses)
+    assert [item.channels for item in found] == [("accel.y",)] * seen
+
+
+def test_an_arm_that_swings_and_a_wrist_that_trembles_are_motion() -> None:
+    """Each triad shows another, on several axes: there is no frequency that both have."""
+    recording, poses = rests(7, np.ones(POSES))
+    accel, gyro = np.array(recording.accel), np.array(recording.gyro)
+    for c, phase in ((0, 0.0), (1, 1.0)):
+        accel[:, c] += 0.015 * np.sin(2 * np.pi * 5.5 * recording.time + phase)
+        gyro[:, c] += 1e-3 * np.sin(2 * np.pi * 9.5 * recording.time + phase)
+    held = replace(recording, accel=accel, gyro=gyro)
+    assert not any("line" in item.follows for item in look_at_spectrum(held, poses))
+    # What one axis has alone is none.
+    alone = replace(recording, accel=np.column_stack((accel[:, 0], recording.accel[:, 1:])))
+    assert [item.channels for item in look_at_spectrum(alone, poses)] == [("accel.x",)]
+
+
 def test_a_hand_that_trembles_less_the_faster_is_no_line() -> None:
     recording, poses = rests(3, np.ones(POSES))
     rng = np.random.default_rng(4)
