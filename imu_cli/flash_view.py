@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,8 +17,10 @@ if TYPE_CHECKING:
 
 
 def report(text: str) -> None:
-    """Say what is being done, on standard error."""
-    output.messages().print(text, markup=False, soft_wrap=True)
+    """Say what is being done, on standard error, if anyone is still there."""
+    # A terminal that was closed must not keep the old values from being put back. Rich exits.
+    with suppress(OSError, SystemExit):
+        output.messages().print(text, markup=False, soft_wrap=True)
 
 
 def show_plan(plan: Plan, target: Target, calibration: Calibration, *, as_json: bool) -> None:

@@ -45,12 +45,14 @@ def flash(
 ) -> None:
     """Write a calibration into a device, with backup, read-back, a measurement and roll-back.
 
-    A dry run unless --yes is given. The device must lie still. On any failure the old values are
-    written back (exit 8); if that fails too, the message says what the device holds (exit 9).
+    A dry run unless --yes is given. The device must lie still. On any failure, or interrupted by
+    Ctrl-C or SIGTERM, the old values are written back (exit 8); if that fails too, the message says
+    what the device holds (exit 9).
     """
     from drivers.flash import make_target
     from drivers.flash.procedure import make_plan, restore_backup
     from imu_cli import flash_view as view
+    from imu_cli.recording_view import interrupt_on_signals
 
     if len(arguments) != (1 if restore else 2):
         usage = "--restore BACKUP URL" if restore else "CAL.json URL"
@@ -59,7 +61,7 @@ def flash(
     if persist and not target.can_persist:
         raise typer.BadParameter(f"--persist: the {target.name} of this device are not stored")
     if restore is not None:
-        with target:
+        with interrupt_on_signals(), target:
             values = restore_backup(target, restore, persist=persist, report=view.report)
             view.show_restored(values, target, as_json=json)
         return
@@ -67,7 +69,7 @@ def flash(
 
     path = Path(arguments[0])
     calibration = load_calibration(path)
-    with target:
+    with interrupt_on_signals(), target:
         if not yes:
             _, plan = make_plan(target, calibration)
             view.show_plan(plan, target, calibration, as_json=json)
