@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import os
 import signal
 from collections.abc import Iterator
 from pathlib import Path
@@ -137,6 +139,75 @@ def test_what_ends_a_process_puts_everything_back(
     assert "interrupted. The old values are back" in text
     with still:
         assert still.read() == old
+
+
+@pytest.mark.parametrize(
+    ("left", "words", "message"),
+    [
+        ("unit.cal.json", [], "would be written over"),
+        ("link.json", [], "would be written over"),
+        ("backup.json", ["--backup", "backup.json"], "would be written over"),
+        (".", [], "is a folder"),
+        ("no/left.json", [], "is no folder that can be written to"),
+    ],
+)
+def test_a_left_file_that_cannot_be_is_refused(
+    left: str,
+    words: list[str],
+    message: str,
+    still: I2CTarget,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("link.json").symlink_to("unit.cal.json")
+    with still:
+        old = still.read()
+    code, text = run("flash", "unit.cal.json", STILL, "--yes", "--left", left, *words)
+    assert code == 2, text
+    assert message in " ".join(text.replace("│", " ").split())
+    load_calibration("unit.cal.json")
+    with still:
+        assert still.read() == old
+
+
+def test_a_full_disk_is_found_before_the_device_is_touched(
+    still: I2CTarget, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with still:
+        old = still.read()
+
+    def full(handle: int) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    code, text = run("flash", str(tmp_path / "unit.cal.json"), STILL, "--yes")
+    assert code == 10, text
+    assert "No space left" in text
+    assert [path.name for path in tmp_path.iterdir()] == ["unit.cal.json"]
+    with still:
+        assert still.read() == old
+
+
+def test_a_left_file_that_fails_in_the_end_hides_no_flash(
+    still: I2CTarget, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with still:
+        old = still.read()
+    replace = os.replace
+
+    def refuse(source: str, target: Path) -> None:
+        if Path(target) == tmp_path / "unit.left.json":
+            raise OSError(errno.ENOSPC, "No space left on device")
+        replace(source, target)
+
+    monkeypatch.setattr(os, "replace", refuse)
+    code, text = run("flash", str(tmp_path / "unit.cal.json"), STILL, "--yes")
+    assert code == 9, text
+    for part in ("the device is flashed", "No space left", "--restore", "import smbus2"):
+        assert part in text
+    with still:
+        assert still.read() != old
 
 
 @pytest.mark.parametrize(
