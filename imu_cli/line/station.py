@@ -98,6 +98,9 @@ def _station(tables: Mapping[str, Any], folder: Path) -> Station:
     if unknown:
         known = ", ".join([*_KEYS, "limits", "findings"])
         raise ValueError(f"unknown table [{sorted(unknown)[0]}]; known: {known}")
+    for table, value in tables.items():
+        if not isinstance(value, Mapping):
+            raise ValueError(f"{table} must be a table, [{table}], got {value!r}")
     for table, keys in _KEYS.items():
         strange = set(tables.get(table, {})) - keys
         if strange:
@@ -119,7 +122,7 @@ def _station(tables: Mapping[str, Any], folder: Path) -> Station:
         accel_method=calibrate.get("accel_method"),
         gyro_method=calibrate.get("gyro_method"),
         flash=flash is not None,
-        persist=bool((flash or {}).get("persist", False)),
+        persist=_flag(flash or {}, "flash", "persist"),
         verify_duration=_verify_duration(tables.get("verify")),
         limits=Limits.from_tables(tables.get("limits", {}), tables.get("findings", {})),
     )
@@ -134,6 +137,13 @@ def _text(table: Mapping[str, Any], name: str, key: str, default: str | None = N
     return value
 
 
+def _flag(table: Mapping[str, Any], name: str, key: str) -> bool:
+    value = table.get(key, False)
+    if not isinstance(value, bool):
+        raise ValueError(f"[{name}] {key} must be true or false, without quotes, got {value!r}")
+    return value
+
+
 def _gravity(table: Mapping[str, Any]) -> float:
     if "gravity" in table:
         if "latitude" in table or "height" in table:
@@ -141,7 +151,10 @@ def _gravity(table: Mapping[str, Any]) -> float:
         return parse_quantity(_text(table, "calibrate", "gravity"), unit="m/s²")
     if "latitude" in table:
         latitude = parse_quantity(_text(table, "calibrate", "latitude"), unit="rad")
-        return normal_gravity(latitude, height=float(table.get("height", 0.0)))
+        height = table.get("height", 0.0)
+        if isinstance(height, bool) or not isinstance(height, (int, float)):
+            raise ValueError(f"[calibrate] height must be a number of metres, got {height!r}")
+        return normal_gravity(latitude, height=height)
     if "height" in table:
         raise ValueError("[calibrate] height needs latitude beside it")
     return STANDARD_GRAVITY

@@ -58,6 +58,11 @@ def test_a_station_file_is_read_in_si(tmp_path: Path) -> None:
         ("1.5 min", "1.5 g", "units of s"),
         ("80 mg", "eighty", "is no quantity"),
         ("[device]", "[device", "no TOML"),
+        ("[limits]", '[flash]\npersist = "no"\n[limits]', "true or false, without quotes"),
+        ("[limits]", "[flash]\npersist = 0\n[limits]", "true or false"),
+        ("[station]", "flash = false\n[station]", r"flash must be a table, \[flash\], got False"),
+        ("height = 30", "height = true", "number of metres"),
+        ("height = 30", 'height = "30 m"', "number of metres"),
     ],
 )
 def test_what_is_wrong_in_a_station_file_is_named(
