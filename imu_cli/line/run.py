@@ -19,7 +19,7 @@ from typing import Any
 from calib.audit import audit
 from calib.calibrate import ACCEL_METHOD, GYRO_METHOD, calibrate
 from calib.calibration import Calibration, Gravity, Provenance
-from calib.errors import ImuError
+from calib.errors import EmptyRecordingError, ImuError
 from calib.mismatch import diagnose_recording
 from calib.recording import Recording
 from calib.units import check_units
@@ -218,6 +218,8 @@ def _acquire(
     )
     if stop.is_set():
         raise AbortedError
+    if not state.samples:
+        raise EmptyRecordingError(f"no sample came from {station.address}; nothing was recorded")
     return state
 
 

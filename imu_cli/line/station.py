@@ -32,6 +32,7 @@
 
 from __future__ import annotations
 
+import math
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -117,7 +118,7 @@ def _station(tables: Mapping[str, Any], folder: Path) -> Station:
         history=_history(_text(station, "station", "history", "sqlite:///history.db"), folder),
         artefacts=folder / _text(station, "station", "artefacts", "runs"),
         address=_text(tables.get("device", {}), "device", "address"),
-        duration=parse_quantity(_text(tables.get("record", {}), "record", "duration"), unit="s"),
+        duration=_duration(tables.get("record", {}), "record"),
         gravity=_gravity(calibrate),
         accel_method=calibrate.get("accel_method"),
         gyro_method=calibrate.get("gyro_method"),
@@ -160,10 +161,18 @@ def _gravity(table: Mapping[str, Any]) -> float:
     return STANDARD_GRAVITY
 
 
+def _duration(table: Mapping[str, Any], name: str, default: str | None = None) -> float:
+    text = _text(table, name, "duration", default)
+    value = parse_quantity(text, unit="s")
+    if not 0 < value < math.inf:
+        raise ValueError(f"[{name}] duration must be more than 0 s, and finite, got {text!r}")
+    return value
+
+
 def _verify_duration(table: Mapping[str, Any] | None) -> float | None:
     if table is None:
         return None
-    return parse_quantity(_text(table, "verify", "duration", "5 s"), unit="s")
+    return _duration(table, "verify", "5 s")
 
 
 def _history(url: str, folder: Path) -> str:

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner, Result
 
+from drivers.record import RecordState
 from imu_cli.app import app
 from imu_cli.line.station import load_station
 from imu_cli.line.store import History
@@ -84,6 +85,19 @@ def test_a_device_that_is_not_there_is_an_error(tmp_path: Path) -> None:
     record = json.loads(done.stdout)
     assert record["outcome"] == "ERROR"
     assert record["reason"].startswith("record: ")
+    assert outcomes(tmp_path) == ["ERROR"]
+
+
+def test_a_device_that_sends_nothing_is_an_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    state = RecordState(ended_by="end of the source")
+    monkeypatch.setattr("imu_cli.line.run.record", lambda *arguments, **options: state)
+    done = run(tmp_path)
+    assert done.exit_code == 11, done.stderr
+    record = json.loads(done.stdout)
+    assert record["reason"].startswith("record: no sample came from emulator://witmotion")
+    assert not record["artefacts"]
     assert outcomes(tmp_path) == ["ERROR"]
 
 
