@@ -20,6 +20,7 @@ from drivers.emulators.i2c_bus import Message
 from drivers.flash.i2c import I2CTarget
 from drivers.formats import read_recording
 from drivers.transports import make_driver
+from imu_cli import output
 from imu_cli.app import app
 
 RUN = CliRunner()
@@ -137,6 +138,22 @@ def test_what_ends_a_process_puts_everything_back(
     code, text = run("flash", str(tmp_path / "unit.cal.json"), STILL, "--yes")
     assert code == 8, text
     assert "interrupted. The old values are back" in text
+    with still:
+        assert still.read() == old
+
+
+@pytest.mark.usefixtures("deaf")
+def test_a_closed_terminal_keeps_nothing_from_being_put_back(
+    still: I2CTarget, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def gone(*words: object, **options: object) -> None:
+        raise OSError(errno.EIO, "Input/output error")
+
+    with still:
+        old = still.read()
+    monkeypatch.setattr(output.messages(), "print", gone)
+    signal_at_writes(still, signal.SIGHUP, 1)
+    assert run("flash", str(tmp_path / "unit.cal.json"), STILL, "--yes")[0] == 8
     with still:
         assert still.read() == old
 

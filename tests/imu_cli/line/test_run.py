@@ -1,5 +1,6 @@
 """A unit through the station: four outcomes, one record, nothing else on standard output."""
 
+import errno
 import json
 import os
 import signal
@@ -17,6 +18,7 @@ from calib.errors import FlashError
 from drivers.flash.procedure import Result as Flashed
 from drivers.flash.target import Action, Plan
 from drivers.record import RecordState
+from imu_cli import output
 from imu_cli.app import app
 from imu_cli.line.station import load_station
 from imu_cli.line.store import History
@@ -91,6 +93,16 @@ def test_a_device_that_is_not_there_is_an_error(tmp_path: Path) -> None:
     assert record["outcome"] == "ERROR"
     assert record["reason"].startswith("record: ")
     assert outcomes(tmp_path) == ["ERROR"]
+
+
+def test_a_closed_terminal_stops_no_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def gone(*words: object, **options: object) -> None:
+        raise OSError(errno.EIO, "Input/output error")
+
+    monkeypatch.setattr(output.messages(), "print", gone)
+    done = run(tmp_path, more=("--address", "serial:///dev/no-such-port"))
+    assert done.exit_code == 11, done.stderr
+    assert "no-such-port" in json.loads(done.stdout)["reason"]
 
 
 def test_a_device_that_sends_nothing_is_an_error(
