@@ -63,6 +63,21 @@ def save_calibration(calibration: Calibration, path: str | Path) -> None:
     write_atomic(Path(path), _compact_rows(text) + "\n")
 
 
+def check_can_save(calibration: Calibration, path: Path) -> None:
+    """Raise what saving it there would raise, as far as a trial beside it can tell.
+
+    Raises
+    ------
+    CalibrationFileError
+        If it could not be written; nothing is left behind.
+    """
+    try:
+        with tempfile.TemporaryDirectory(dir=path.resolve().parent) as folder:
+            save_calibration(calibration, Path(folder) / path.name)
+    except (CalibrationFileError, OSError) as error:
+        raise CalibrationFileError(f"{path}: a trial to write beside it failed: {error}") from error
+
+
 def write_atomic(path: Path, text: str) -> None:
     """Write a text file: beside it under another name, synced to disk, then renamed over it.
 

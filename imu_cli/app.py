@@ -6,6 +6,7 @@ import ast
 import gc
 import os
 import sys
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -57,7 +58,8 @@ class LazyGroup(TyperGroup):
         try:
             return super().invoke(ctx)
         except ImuError as error:
-            typer.echo(f"imu-cal: {error}", err=True)
+            with suppress(OSError):  # if nobody reads it, the exit code still says it
+                typer.echo(f"imu-cal: {error}", err=True)
             ctx.exit(error.exit_code)
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,8 +17,10 @@ if TYPE_CHECKING:
 
 
 def report(text: str) -> None:
-    """Say what is being done, on standard error."""
-    output.messages().print(text, markup=False, soft_wrap=True)
+    """Say what is being done, on standard error, if anyone is still there."""
+    # A terminal that was closed must not keep the old values from being put back. Rich exits.
+    with suppress(OSError, SystemExit):
+        output.messages().print(text, markup=False, soft_wrap=True)
 
 
 def show_plan(plan: Plan, target: Target, calibration: Calibration, *, as_json: bool) -> None:
@@ -37,15 +40,18 @@ def show_plan(plan: Plan, target: Target, calibration: Calibration, *, as_json: 
     output.print_lines("dry run: nothing was written; add --yes to write")
 
 
-def show_result(result: Result, target: Target, left: Path, *, as_json: bool) -> None:
-    """Print what was written, what the still device showed, and what an application must do."""
+def show_result(result: Result, target: Target, left: Path | None, *, as_json: bool) -> None:
+    """Print what was written, what the still device showed, and what an application must do.
+
+    `left` is None if what is left could not be saved.
+    """
     if as_json:
         document: dict[str, Any] = {"format": "imu-cal/flash", "version": 1, "written": True}
         document |= _device(target) | _plan(result.plan)
         document |= {
             "persisted": result.persisted,
             "backup": str(result.backup),
-            "left": str(left),
+            "left": None if left is None else str(left),
             "checks": [_check(check) for check in result.checks],
             "start_up": result.snippet,
         }
@@ -57,7 +63,9 @@ def show_result(result: Result, target: Target, left: Path, *, as_json: bool) ->
         _checks(result.checks),
     )
     _say_rest(result.plan)
-    output.print_lines(f"old values: {result.backup}", f"what is left for `imu-cal apply`: {left}")
+    output.print_lines(f"old values: {result.backup}")
+    if left is not None:
+        output.print_lines(f"what is left for `imu-cal apply`: {left}")
     if result.persisted:
         output.print_lines("stored in non-volatile memory, and read back after a restart")
     elif target.volatile:

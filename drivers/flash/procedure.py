@@ -1,8 +1,8 @@
 """How a device is flashed: prepare, back up, write, read back, measure, or put everything back.
 
 Nothing is written before the backup is on disk. Whatever goes wrong after that, the old values are
-written back and read back; only if that fails too is the device left as it is, and then the error
-says what it holds.
+written back and read back, which nothing interrupts; only if that fails too is the device left as
+it is, and then the error says what it holds.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from calib.recording import DeviceInfo, Recording
 from calib.types import FloatArray
 from drivers.chips import normal_name
 from drivers.flash.backup import Backup, load_backup, save_backup
+from drivers.flash.interrupts import Interrupts
 from drivers.flash.target import Action, Native, Plan, Target
 
 BLOCKS = 10
@@ -124,7 +125,7 @@ def flash_device(
     WrongDeviceError
         If it is another device; nothing was written.
     FlashError
-        If anything failed; the old values are back.
+        If anything failed, or was interrupted; the old values are back.
     FlashStateError
         If the old values could not be put back; the message says what is where.
     """
@@ -143,22 +144,26 @@ def flash_device(
     save_backup(_backup(target, old), backup)
     report(f"the old values are saved in {backup}")
     stored = target.always_stored
-    try:
-        _write(target, plan.new, report)
-        report("measuring the still device again")
-        after = target.measure(duration)
-        _check_still(after, then="Lay it down, and flash again")
-        checks = _compare(before, after, plan)
-        _judge(checks)
-        if persist:
-            report(f"storing in non-volatile memory and restarting{target.persist_note}")
-            stored = True
-            _persist(target, plan.new)
-    except DriverError as error:
-        _put_back(target, old, backup, error, persist=stored, report=report)
-    except KeyboardInterrupt as interrupt:
-        stop = FlashError("interrupted")
-        _put_back(target, old, backup, stop, persist=stored, report=report, cause=interrupt)
+    with Interrupts() as interrupts:
+        try:
+            try:
+                _write(target, plan.new, report)
+                report("measuring the still device again")
+                after = target.measure(duration)
+                _check_still(after, then="Lay it down, and flash again")
+                checks = _compare(before, after, plan)
+                _judge(checks)
+                if persist:
+                    report(f"storing in non-volatile memory and restarting{target.persist_note}")
+                    stored = True
+                    _persist(target, plan.new)
+            finally:
+                interrupts.hold()  # within the outer `try`: one that comes now is still seen there
+        except DriverError as error:
+            _put_back(target, old, backup, error, persist=stored, report=report)
+        except KeyboardInterrupt as interrupt:
+            stop = FlashError("interrupted")
+            _put_back(target, old, backup, stop, persist=stored, report=report, cause=interrupt)
     left = left_for_apply(calibration, plan, persisted=persist or not target.volatile)
     snippet = "" if persist else target.snippet(plan.new)
     return Result(plan, backup, checks, left, persist, snippet)
@@ -186,9 +191,10 @@ def restore_backup(target: Target, path: Path, *, persist: bool, report: Report)
     if backup.target != target.name:
         raise WrongDeviceError(f"{path} holds {backup.target}, this device has {target.name}")
     try:
-        _write(target, backup.values, report)
-        if persist:
-            _persist(target, backup.values)
+        with Interrupts(held=True):
+            _write(target, backup.values, report)
+            if persist:
+                _persist(target, backup.values)
     except DriverError as error:
         raise FlashStateError(
             f"the backup could not be restored: {error}. {_state(target, backup.values)}"
@@ -289,7 +295,7 @@ def _put_back(
     cause: BaseException | None = None,
 ) -> None:
     """Restore the old values and raise what went wrong."""
-    report(f"failed: {error}; putting the old values back")
+    report(f"failed: {error}; putting the old values back, without interruption")
     retry = f"`imu-cal flash --restore {backup} '{target.address}'`"
     try:
         try:

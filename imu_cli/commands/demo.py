@@ -26,9 +26,11 @@ def demo(
             "the demo needs a pty, which Windows has not: try `imu-cal bench` on "
             "emulator://vectornav?motion=bench&speed=0 --auto"
         )
+    from imu_cli.recording_view import interrupt_on_signals
     from imu_cli.story import tell
 
-    story = tell(out, lambda text: output.print_lines(text))
+    with interrupt_on_signals():  # an end of the demo must be one of its emulator too
+        story = tell(out, lambda text: output.print_lines(text))
     output.print_lines("", parameter_table(story.calibration), "")
     output.print_lines(
         *(

@@ -45,12 +45,14 @@ def flash(
 ) -> None:
     """Write a calibration into a device, with backup, read-back, a measurement and roll-back.
 
-    A dry run unless --yes is given. The device must lie still. On any failure the old values are
-    written back (exit 8); if that fails too, the message says what the device holds (exit 9).
+    A dry run unless --yes is given. The device must lie still. On any failure, or interrupted by
+    Ctrl-C or SIGTERM, the old values are written back (exit 8); if that fails too, the message says
+    what the device holds (exit 9).
     """
     from drivers.flash import make_target
     from drivers.flash.procedure import make_plan, restore_backup
     from imu_cli import flash_view as view
+    from imu_cli.recording_view import interrupt_on_signals
 
     if len(arguments) != (1 if restore else 2):
         usage = "--restore BACKUP URL" if restore else "CAL.json URL"
@@ -59,27 +61,27 @@ def flash(
     if persist and not target.can_persist:
         raise typer.BadParameter(f"--persist: the {target.name} of this device are not stored")
     if restore is not None:
-        with target:
+        with interrupt_on_signals(), target:
             values = restore_backup(target, restore, persist=persist, report=view.report)
             view.show_restored(values, target, as_json=json)
         return
-    from drivers.calibration_file import load_calibration, save_calibration
+    from calib.errors import CalibrationFileError, FlashStateError
+    from drivers.calibration_file import check_can_save, load_calibration, save_calibration
 
     path = Path(arguments[0])
     calibration = load_calibration(path)
-    with target:
+    with interrupt_on_signals(), target:
         if not yes:
             _, plan = make_plan(target, calibration)
             view.show_plan(plan, target, calibration, as_json=json)
             return
-        import os
         from datetime import UTC, datetime
 
         rest = left or path.with_name(
             path.name.removesuffix(".json").removesuffix(".cal") + ".left.json"
         )
-        if not os.access(rest.parent, os.W_OK):
-            raise typer.BadParameter(f"--left: {rest.parent} is no folder that can be written to")
+        _check_left(rest, path, backup)
+        check_can_save(calibration, rest)
         from drivers.flash.backup import backup_path
         from drivers.flash.procedure import flash_device
 
@@ -91,5 +93,27 @@ def flash(
             duration=measure,
             report=view.report,
         )
-        save_calibration(result.left, rest)
+        try:
+            save_calibration(result.left, rest)
+        except (CalibrationFileError, OSError) as error:
+            view.show_result(result, target, None, as_json=json)
+            stored = " --persist" if persist else ""
+            undo = f"imu-cal flash --restore {result.backup}{stored} '{target.address}'"
+            raise FlashStateError(
+                "the device is flashed, but what is left for `imu-cal apply` is not saved: "
+                f"{error}. To have it, run `{undo}`, and flash again with another --left"
+            ) from error
         view.show_result(result, target, rest, as_json=json)
+
+
+def _check_left(left: Path, calibration: Path, backup: Path | None) -> None:
+    """Refuse a --left that is no file in a folder, or is another file of this flash."""
+    import os
+
+    for other in filter(None, (calibration, backup)):
+        if left.resolve() == other.resolve():
+            raise typer.BadParameter(f"--left: {left} is {other}, which would be written over")
+    if left.is_dir():
+        raise typer.BadParameter(f"--left: {left} is a folder")
+    if not os.access(left.parent, os.W_OK):
+        raise typer.BadParameter(f"--left: {left.parent} is no folder that can be written to")

@@ -28,6 +28,7 @@ def run(
     from dataclasses import replace
 
     from imu_cli import output
+    from imu_cli.flash_view import report
     from imu_cli.line.run import run_unit
     from imu_cli.line.station import load_station
     from imu_cli.line.store import History
@@ -50,7 +51,7 @@ def run(
                 serial_number=serial,
                 operator=operator,
                 stop=stop,
-                report=lambda text: output.messages().print(f"{serial}: {text}", soft_wrap=True),
+                report=lambda text: report(f"{serial}: {text}"),
             )
     finally:
         history.close()

@@ -16,10 +16,12 @@ A station file names them by parameter, by group, by residual or by finding::
 
 from __future__ import annotations
 
+import difflib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
+from calib.effects import effects
 from imu_cli.line.quantity import parse_quantity, split_quantity
 
 Action = Literal["fail", "warn", "allow"]
@@ -114,6 +116,8 @@ class Limits:
             parsed.append(
                 Limit(name, entry.get("min"), entry.get("max"), entry.get("max_abs"), action)
             )
+        for name in findings:
+            _check_finding(name)
         actions = {name: _action(value, name) for name, value in findings.items()}
         default = actions.pop("default", "warn")
         return cls(tuple(parsed), actions, default)
@@ -138,6 +142,15 @@ class Limits:
             action = self.findings.get(name, self.default_finding)
             checks.append(Check(f"finding.{name}", None, "", None, None, action == "allow", action))
         return checks
+
+
+def _check_finding(name: str) -> None:
+    """Refuse what no diagnosis finds: a typing error must not pass every unit."""
+    known = [*effects(), "unexplained", "default"]
+    if name not in known:
+        near = difflib.get_close_matches(name, known, n=1)
+        hint = f": did you mean {near[0]}?" if near else f"; known: {', '.join(known)}"
+        raise ValueError(f"[findings] {name!r} is no effect{hint}")
 
 
 def _action(value: Any, name: str) -> Action:

@@ -19,7 +19,7 @@ from typing import Any
 from calib.audit import audit
 from calib.calibrate import ACCEL_METHOD, GYRO_METHOD, calibrate
 from calib.calibration import Calibration, Gravity, Provenance
-from calib.errors import ImuError
+from calib.errors import EmptyRecordingError, FlashError, FlashStateError, ImuError
 from calib.mismatch import diagnose_recording
 from calib.recording import Recording
 from calib.units import check_units
@@ -60,6 +60,12 @@ class _Work:
     findings: list[tuple[str, float | None, str]] = field(default_factory=list)
     artefacts: dict[str, Path] = field(default_factory=dict)
     steps: list[dict[str, Any]] = field(default_factory=list)
+    unverified: bool = False
+    """Whether the device holds new values that were not verified yet."""
+
+    def reason(self, why: str) -> str:
+        """Return why the run ended early, and what that leaves in the device."""
+        return f"{why}; the unit is flashed, and was not verified" if self.unverified else why
 
 
 def run_unit(
@@ -137,11 +143,14 @@ def _attempt(
     try:
         return _steps(station, run, work, stop=stop, report=report)
     except AbortedError:
-        return "ABORTED", "stopped by the operator"
+        return "ABORTED", work.reason("stopped by the operator")
     except KeyboardInterrupt:
-        return "ABORTED", "interrupted by the operator"
+        return "ABORTED", work.reason("interrupted by the operator")
     except (ImuError, ValueError, OSError) as error:
-        return "ERROR", f"{work.steps[-1]['name'] if work.steps else 'start'}: {error}"
+        put_back = isinstance(error, FlashError) and not isinstance(error, FlashStateError)
+        stopped = put_back and isinstance(error.__cause__, KeyboardInterrupt)
+        where = work.steps[-1]["name"] if work.steps else "start"
+        return "ABORTED" if stopped else "ERROR", work.reason(f"{where}: {error}")
 
 
 def _steps(
@@ -218,6 +227,8 @@ def _acquire(
     )
     if stop.is_set():
         raise AbortedError
+    if not state.samples:
+        raise EmptyRecordingError(f"no sample came from {station.address}; nothing was recorded")
     return state
 
 
@@ -290,6 +301,7 @@ def _flash(
             duration=3.0,
             report=report,
         )
+        work.unverified = True
     work.artefacts["backup"] = result.backup
     path = work.folder / "left.cal.json"
     save_calibration(result.left, path)
@@ -311,6 +323,7 @@ def _verify(
     _acquire(station, path, station.verify_duration, stop=stop)
     work.artefacts["verify"] = path
     result = verify(left, read_recording(path))
+    work.unverified = False
     entry["right"] = result.right
     for item in result.checks:
         work.checks.append(

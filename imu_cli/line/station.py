@@ -32,6 +32,7 @@
 
 from __future__ import annotations
 
+import math
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -98,6 +99,9 @@ def _station(tables: Mapping[str, Any], folder: Path) -> Station:
     if unknown:
         known = ", ".join([*_KEYS, "limits", "findings"])
         raise ValueError(f"unknown table [{sorted(unknown)[0]}]; known: {known}")
+    for table, value in tables.items():
+        if not isinstance(value, Mapping):
+            raise ValueError(f"{table} must be a table, [{table}], got {value!r}")
     for table, keys in _KEYS.items():
         strange = set(tables.get(table, {})) - keys
         if strange:
@@ -114,12 +118,12 @@ def _station(tables: Mapping[str, Any], folder: Path) -> Station:
         history=_history(_text(station, "station", "history", "sqlite:///history.db"), folder),
         artefacts=folder / _text(station, "station", "artefacts", "runs"),
         address=_text(tables.get("device", {}), "device", "address"),
-        duration=parse_quantity(_text(tables.get("record", {}), "record", "duration"), unit="s"),
+        duration=_duration(tables.get("record", {}), "record"),
         gravity=_gravity(calibrate),
         accel_method=calibrate.get("accel_method"),
         gyro_method=calibrate.get("gyro_method"),
         flash=flash is not None,
-        persist=bool((flash or {}).get("persist", False)),
+        persist=_flag(flash or {}, "flash", "persist"),
         verify_duration=_verify_duration(tables.get("verify")),
         limits=Limits.from_tables(tables.get("limits", {}), tables.get("findings", {})),
     )
@@ -134,6 +138,13 @@ def _text(table: Mapping[str, Any], name: str, key: str, default: str | None = N
     return value
 
 
+def _flag(table: Mapping[str, Any], name: str, key: str) -> bool:
+    value = table.get(key, False)
+    if not isinstance(value, bool):
+        raise ValueError(f"[{name}] {key} must be true or false, without quotes, got {value!r}")
+    return value
+
+
 def _gravity(table: Mapping[str, Any]) -> float:
     if "gravity" in table:
         if "latitude" in table or "height" in table:
@@ -141,16 +152,27 @@ def _gravity(table: Mapping[str, Any]) -> float:
         return parse_quantity(_text(table, "calibrate", "gravity"), unit="m/s²")
     if "latitude" in table:
         latitude = parse_quantity(_text(table, "calibrate", "latitude"), unit="rad")
-        return normal_gravity(latitude, height=float(table.get("height", 0.0)))
+        height = table.get("height", 0.0)
+        if isinstance(height, bool) or not isinstance(height, (int, float)):
+            raise ValueError(f"[calibrate] height must be a number of metres, got {height!r}")
+        return normal_gravity(latitude, height=height)
     if "height" in table:
         raise ValueError("[calibrate] height needs latitude beside it")
     return STANDARD_GRAVITY
 
 
+def _duration(table: Mapping[str, Any], name: str, default: str | None = None) -> float:
+    text = _text(table, name, "duration", default)
+    value = parse_quantity(text, unit="s")
+    if not 0 < value < math.inf:
+        raise ValueError(f"[{name}] duration must be more than 0 s, and finite, got {text!r}")
+    return value
+
+
 def _verify_duration(table: Mapping[str, Any] | None) -> float | None:
     if table is None:
         return None
-    return parse_quantity(_text(table, "verify", "duration", "5 s"), unit="s")
+    return _duration(table, "verify", "5 s")
 
 
 def _history(url: str, folder: Path) -> str:

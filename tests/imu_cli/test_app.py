@@ -15,3 +15,11 @@ def test_a_reader_that_goes_away_is_no_bug(arguments: list[str]) -> None:
         process.stdout.close()
         said = process.stderr.read()
     assert (process.returncode, said) == (0, b"")
+
+
+def test_an_error_that_nobody_reads_keeps_its_exit_code() -> None:
+    command = [sys.executable, "-m", "imu_cli", "info", "missing.arrow"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        assert process.stderr is not None
+        process.stderr.close()
+    assert process.returncode == 3

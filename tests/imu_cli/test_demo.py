@@ -2,6 +2,10 @@
 
 import json
 import os
+import signal
+import subprocess
+import sys
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -30,3 +34,24 @@ def test_the_demo_names_what_was_concealed_and_leaves_its_files(tmp_path: Path) 
     assert read_recording(tmp_path / "demo.arrow").complete
     assert "right within its standard errors" in done.stdout
     assert (tmp_path / "demo.html").stat().st_size > 100_000
+
+
+@pytest.mark.skipif(os.name == "nt", reason="needs a pty, which Windows has not")
+def test_a_demo_that_is_ended_ends_its_emulator(tmp_path: Path) -> None:
+    with subprocess.Popen(
+        [sys.executable, "-u", "-m", "imu_cli", "demo", "--out", str(tmp_path)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    ) as demo:
+        try:
+            assert demo.stdout is not None
+            while "It is on a pty" not in demo.stdout.readline():
+                assert demo.poll() is None
+            demo.terminate()
+            demo.communicate(timeout=10)  # both have standard error, so it waits for both
+            assert demo.returncode == 130
+        finally:
+            with suppress(ProcessLookupError):
+                os.killpg(demo.pid, signal.SIGKILL)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import errno
 import json
+import signal
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -84,6 +86,16 @@ def flash(target: I2CTarget, calibration: Calibration, folder: Path):  # type: i
         duration=3.0,
         report=lambda text: None,
     )
+
+
+@pytest.fixture
+def python_handlers() -> Iterator[None]:
+    """What a process starts with, whatever the runner of the tests has set."""
+    handlers = {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: signal.SIG_DFL}
+    before = {number: signal.signal(number, handler) for number, handler in handlers.items()}
+    yield
+    for number, old in before.items():
+        signal.signal(number, old)
 
 
 @pytest.mark.parametrize("part", PARTS)
@@ -417,6 +429,48 @@ def test_ctrl_c_puts_everything_back(tmp_path: Path) -> None:
         target._driver._connect().fault = fault  # type: ignore[attr-defined]
         with pytest.raises(FlashError, match=r"interrupted.*old values are back"):
             flash(target, truth(target), tmp_path)
+        assert target.read() == old
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("failed", [True, False], ids=["failed", "interrupted"])
+@pytest.mark.usefixtures("python_handlers")
+def test_no_signal_interrupts_putting_back(number: int, failed: bool, tmp_path: Path) -> None:
+    """Neither a second Ctrl-C, nor a first one after another failure."""
+    with target_for("mpu6050") as target:
+        old = target.read()
+        begun = False
+
+        def fault(n: int, messages: tuple[Message, ...]) -> int | None:
+            nonlocal begun
+            if not (begun or writes(messages, 0x14, 0x14)):
+                return None
+            first, begun = not begun, True
+            if first and failed:
+                return errno.EIO
+            signal.raise_signal(number)
+            return None
+
+        target._driver._connect().fault = fault  # type: ignore[attr-defined]
+        with pytest.raises(FlashError, match="old values are back"):
+            flash(target, truth(target), tmp_path)
+        target._driver._connect().fault = None  # type: ignore[attr-defined]
+        assert target.read() == old
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+@pytest.mark.usefixtures("python_handlers")
+def test_no_signal_interrupts_a_restore(tmp_path: Path) -> None:
+    with target_for("mpu6050") as target:
+        old = target.read()
+        flash(target, truth(target), tmp_path)
+
+        def fault(n: int, messages: tuple[Message, ...]) -> None:
+            signal.raise_signal(signal.SIGINT)
+
+        target._driver._connect().fault = fault  # type: ignore[attr-defined]
+        restore_backup(target, tmp_path / "backup.json", persist=False, report=lambda t: None)
+        target._driver._connect().fault = None  # type: ignore[attr-defined]
         assert target.read() == old
 
 

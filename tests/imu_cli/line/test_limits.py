@@ -66,6 +66,20 @@ def test_findings_follow_their_action_or_the_default() -> None:
 
 
 @pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        ("unexplaned", "did you mean unexplained"),
+        ("defualt", "did you mean default"),
+        ("gyro_misalignments", "did you mean gyro_misalignment"),
+        ("magic", "known: accel_bias_step, .*, default"),
+    ],
+)
+def test_a_finding_that_there_is_not_is_refused(name: str, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        Limits.from_tables({}, {name: "fail"})
+
+
+@pytest.mark.parametrize(
     ("entry", "message"),
     [
         ({"maximum": "1 g"}, "unknown key"),

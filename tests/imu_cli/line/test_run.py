@@ -1,16 +1,24 @@
 """A unit through the station: four outcomes, one record, nothing else on standard output."""
 
+import errno
 import json
 import os
 import signal
 import subprocess
 import sys
 import time
+from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
 from typer.testing import CliRunner, Result
 
+from calib.calibration import Calibration
+from calib.errors import FlashError
+from drivers.flash.procedure import Result as Flashed
+from drivers.flash.target import Action, Plan
+from drivers.record import RecordState
+from imu_cli import output
 from imu_cli.app import app
 from imu_cli.line.station import load_station
 from imu_cli.line.store import History
@@ -87,6 +95,29 @@ def test_a_device_that_is_not_there_is_an_error(tmp_path: Path) -> None:
     assert outcomes(tmp_path) == ["ERROR"]
 
 
+def test_a_closed_terminal_stops_no_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def gone(*words: object, **options: object) -> None:
+        raise OSError(errno.EIO, "Input/output error")
+
+    monkeypatch.setattr(output.messages(), "print", gone)
+    done = run(tmp_path, more=("--address", "serial:///dev/no-such-port"))
+    assert done.exit_code == 11, done.stderr
+    assert "no-such-port" in json.loads(done.stdout)["reason"]
+
+
+def test_a_device_that_sends_nothing_is_an_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    state = RecordState(ended_by="end of the source")
+    monkeypatch.setattr("imu_cli.line.run.record", lambda *arguments, **options: state)
+    done = run(tmp_path)
+    assert done.exit_code == 11, done.stderr
+    record = json.loads(done.stdout)
+    assert record["reason"].startswith("record: no sample came from emulator://witmotion")
+    assert not record["artefacts"]
+    assert outcomes(tmp_path) == ["ERROR"]
+
+
 @pytest.mark.parametrize(
     ("number", "code", "printed"), [(signal.SIGINT, 130, True), (signal.SIGKILL, -9, False)]
 )
@@ -117,6 +148,41 @@ def test_a_run_that_is_stopped_is_marked_aborted(
     # The next attempt at the unit starts clean, and says so in the history.
     run(tmp_path, more=("--address", "serial:///dev/no-such-port"))
     assert outcomes(tmp_path) == ["ABORTED", "ERROR"]
+
+
+@pytest.mark.parametrize(
+    ("count", "reason"),
+    [
+        (1, "stopped by the operator; the unit is flashed, and was not verified"),
+        (2, "flash: interrupted. The old values are back, and were read back"),
+    ],
+)
+def test_a_run_that_is_stopped_while_it_flashes_says_what_the_unit_holds(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, count: int, reason: str
+) -> None:
+    def flash(
+        target: None, calibration: Calibration, *, backup: Path, **options: object
+    ) -> Flashed:
+        backup.write_text("{}", encoding="utf-8")
+        try:
+            for _ in range(count):
+                signal.raise_signal(signal.SIGTERM)
+        except KeyboardInterrupt as interrupt:
+            text = "interrupted. The old values are back, and were read back"
+            raise FlashError(text) from interrupt
+        return Flashed(Plan((), {}, Action(), Action()), backup, (), calibration, False, "")
+
+    monkeypatch.setattr("drivers.flash.make_target", lambda address: nullcontext())
+    monkeypatch.setattr("drivers.flash.procedure.flash_device", flash)
+    words = command(tmp_path)
+    with (tmp_path / "station.toml").open("a", encoding="utf-8") as file:
+        file.write("[flash]\n")
+    done = CliRunner().invoke(app, words, catch_exceptions=False)
+    assert done.exit_code == 130, done.stderr
+    record = json.loads(done.stdout)
+    assert record["outcome"] == "ABORTED"
+    assert record["reason"] == reason
+    assert outcomes(tmp_path) == ["ABORTED"]
 
 
 @pytest.mark.parametrize("serial", ["", "../A1", "a b"])

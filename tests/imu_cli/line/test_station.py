@@ -56,8 +56,17 @@ def test_a_station_file_is_read_in_si(tmp_path: Path) -> None:
         ("latitude", "lattitude", "unknown key"),
         ("height = 30", 'gravity = "9.8 m/s²"', "not both"),
         ("1.5 min", "1.5 g", "units of s"),
+        ("1.5 min", "-5 s", r"\[record\] duration must be more than 0 s.*'-5 s'"),
+        ("1.5 min", "0 s", "more than 0 s"),
+        ("1.5 min", "1e999 s", "finite"),
+        ("[limits]", '[verify]\nduration = "-5 s"\n[limits]', r"\[verify\] duration must be"),
         ("80 mg", "eighty", "is no quantity"),
         ("[device]", "[device", "no TOML"),
+        ("[limits]", '[flash]\npersist = "no"\n[limits]', "true or false, without quotes"),
+        ("[limits]", "[flash]\npersist = 0\n[limits]", "true or false"),
+        ("[station]", "flash = false\n[station]", r"flash must be a table, \[flash\], got False"),
+        ("height = 30", "height = true", "number of metres"),
+        ("height = 30", 'height = "30 m"', "number of metres"),
     ],
 )
 def test_what_is_wrong_in_a_station_file_is_named(
