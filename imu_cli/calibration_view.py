@@ -9,6 +9,7 @@ import numpy as np
 from calib.calibration import Calibration, TriadSummary, parameter_unit
 from calib.effects.base import PRESENCE
 from calib.gravity import STANDARD_GRAVITY
+from imu_cli.output import styled
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -64,7 +65,7 @@ def parameter_table(calibration: Calibration) -> Table:
             continue
         unit = "" if unit == "1" else unit
         if status == "undetermined":
-            table.add_row(name, "[yellow]undetermined[/]", unit)
+            table.add_row(name, styled(("undetermined", "yellow")), unit)
             continue
         sigma = sigmas.get(name)
         cells = [name, plus_minus(value, sigma), "", unit, ""]
