@@ -38,9 +38,16 @@ def styled(*parts: str | tuple[str, str]) -> Text:
 
 
 def print_json(document: Any) -> None:
-    """Write one JSON document to standard output, and nothing else there."""
-    json.dump(document, sys.stdout, indent=2, ensure_ascii=False, allow_nan=False)
-    sys.stdout.write("\n")
+    """Write one JSON document to standard output, and nothing else there.
+
+    Letters that the output's encoding does not have are escaped.
+    """
+    text = json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False)
+    try:
+        text.encode(sys.stdout.encoding)
+    except UnicodeEncodeError:
+        text = json.dumps(document, indent=2, allow_nan=False)
+    sys.stdout.write(f"{text}\n")
 
 
 def print_lines(*items: Any) -> None:

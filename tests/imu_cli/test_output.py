@@ -1,6 +1,11 @@
 """What is printed, whatever the data holds and wherever it goes."""
 
+import json
+import os
+import subprocess
+import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 from typer.testing import CliRunner
@@ -35,3 +40,48 @@ def test_brackets_in_data_are_no_markup(tmp_path: Path, monkeypatch: pytest.Monk
     assert code == 0
     assert "[/x]MPU[bold]" in warned
     assert f"wrote {log}.html" in run("report", log, "-o", f"{log}.html")[2]
+
+
+def process(
+    *args: object, stdout: Any = subprocess.PIPE, **env: str
+) -> subprocess.CompletedProcess[bytes]:
+    return subprocess.run(
+        [sys.executable, "-m", "imu_cli", *map(str, args)],
+        stdout=stdout,
+        stderr=subprocess.PIPE,
+        env={**os.environ, **env},
+        check=False,
+    )
+
+
+@pytest.fixture(scope="module")
+def cal(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("output") / "a.cal.json"
+    assert run("calibrate", BENCH, "-o", path, "--note", "by=Å")[0] == 0
+    return path
+
+
+def test_letters_that_the_terminal_lacks_are_replaced(cal: Path) -> None:
+    done = process("show", cal, PYTHONIOENCODING="ascii")
+    assert (done.returncode, done.stderr) == (0, b"")
+    assert b"35.630 ? 0.073 mg" in done.stdout
+    done = process("show", cal, "--json", PYTHONIOENCODING="ascii")
+    assert done.returncode == 0
+    assert json.loads(done.stdout) == json.loads(cal.read_text(encoding="utf-8"))
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="Linux has it")
+@pytest.mark.parametrize(
+    "words", [("show", "{cal}"), ("info", BENCH, "--json"), ("apply", "{cal}", "-"), ("--help",)]
+)
+def test_a_full_standard_output_is_said(cal: Path, words: tuple[object, ...]) -> None:
+    with open("/dev/full", "wb") as full, BENCH.open("rb") as log:
+        done = subprocess.run(
+            [sys.executable, "-m", "imu_cli", *(str(word).format(cal=cal) for word in words)],
+            stdin=log,
+            stdout=full,
+            stderr=subprocess.PIPE,
+            check=False,
+        )
+    assert done.returncode == 3
+    assert done.stderr == b"imu-cal: standard output cannot be written: No space left on device\n"
