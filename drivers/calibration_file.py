@@ -43,6 +43,8 @@ def load_calibration(path: str | Path) -> Calibration:
             f"{path}: {what} at line {error.lineno}, column {error.colno} ({error.msg}); "
             "restore it from a copy, or calibrate again"
         ) from error
+    except RecursionError as error:
+        raise CalibrationFileError(f"{path}: not a calibration: lists within lists") from error
     except CalibrationFileError as error:
         raise CalibrationFileError(f"{path}: {error}") from error
     try:

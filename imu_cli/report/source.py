@@ -42,7 +42,7 @@ def load_report(path: Path, *, profile: str | None = None, imu: int | None = Non
 def _kind(path: Path) -> tuple[str, Any]:
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError):
+    except (OSError, UnicodeDecodeError, json.JSONDecodeError, RecursionError):
         return CALIBRATION, None  # whose reader says exactly what is wrong
     kind = document.get("format") if isinstance(document, dict) else None
     if kind not in (CALIBRATION, DIAGNOSIS):
