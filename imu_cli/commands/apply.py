@@ -58,12 +58,13 @@ def apply(
     refuse_source(out, log)
     refuse_source(out, [calibration], what="calibration")
     from drivers.apply_file import apply_file
+    from drivers.calibration_file import name_of
 
     coverage = apply_file(
         known,
         list(log),
         out,
-        name=calibration.name,
+        name=name_of(calibration),
         profile=profile,
         imu=imu,
         drop_invalid=drop_invalid,

@@ -24,10 +24,13 @@ def load_report(path: Path, *, profile: str | None = None, imu: int | None = Non
         If it is no recording either.
     """
     if path.suffix.lower() != ".json" or not path.is_file():
+        from drivers.calibration_file import name_of
         from drivers.formats import read_recording
         from imu_cli.report.recording import recording_report
 
-        return recording_report(read_recording([path], profile=profile, imu=imu), name=path.name)
+        return recording_report(
+            read_recording([path], profile=profile, imu=imu), name=name_of(path)
+        )
     kind, document = _kind(path)
     if kind == DIAGNOSIS:
         from imu_cli.report.diagnosis import diagnosis_report

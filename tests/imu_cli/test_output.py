@@ -42,6 +42,28 @@ def test_brackets_in_data_are_no_markup(tmp_path: Path, monkeypatch: pytest.Monk
     assert f"wrote {log}.html" in run("report", log, "-o", f"{log}.html")[2]
 
 
+@pytest.mark.skipif(sys.platform != "linux", reason="names are bytes on Linux")
+def test_names_that_are_no_utf_8(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    log, cal = os.fsdecode(b"na\xefve.csv"), os.fsdecode(b"\xe9.json")
+    Path(log).write_bytes(BENCH.read_bytes())
+    made = [os.fsdecode(b"\xf1" + suffix) for suffix in (b".arrow", b".feather", b".parquet")]
+    commands = [
+        ("info", log),
+        ("calibrate", log, "-o", cal),
+        ("calibrate", log, "--json"),
+        ("show", cal),
+        ("report", log),
+        ("report", cal),
+        *(("convert", log, "-o", name) for name in made),
+        *(("apply", cal, log, "-o", name) for name in made),
+        ("info", "--json", *made[:1]),
+    ]
+    for words in commands:
+        done = process(*words)
+        assert (done.returncode, b"Traceback" in done.stderr) == (0, False), (words, done.stderr)
+
+
 def process(
     *args: object, stdout: Any = subprocess.PIPE, **env: str
 ) -> subprocess.CompletedProcess[bytes]:
