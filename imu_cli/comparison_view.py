@@ -8,7 +8,7 @@ import numpy as np
 
 from calib.compare import Comparison, Difference
 from calib.verify import Check, Verification
-from imu_cli.calibration_view import EVERYDAY, plus_minus, residual_text
+from imu_cli.calibration_view import EVERYDAY, NUMBER, plus_minus, residual_text
 from imu_cli.output import styled
 
 if TYPE_CHECKING:
@@ -16,16 +16,20 @@ if TYPE_CHECKING:
     from rich.text import Text
 
 
+SCORE = 7
+"""Characters of a score: a narrow window takes none of them away."""
+
+
 def difference_table(differences: tuple[Difference, ...], changed: tuple[Difference, ...]) -> Table:
     """Return a table of differences: second less first, with the score in standard errors."""
     from rich.table import Table
 
     table = Table(box=None, pad_edge=False, collapse_padding=True, header_style="bold")
-    table.add_column("parameter", no_wrap=True)
-    table.add_column("difference ± std error", justify="right", no_wrap=True)
-    table.add_column("", no_wrap=True)
-    table.add_column("std errors", justify="right", no_wrap=True)
-    table.add_column("", no_wrap=True)
+    table.add_column("parameter", overflow="fold")
+    table.add_column("difference ± std error", justify="right", min_width=NUMBER)
+    table.add_column("", overflow="fold")
+    table.add_column("std errors", justify="right", min_width=SCORE)
+    table.add_column("", overflow="fold")
     for item in differences:
         group = item.name.rpartition(".")[0]
         factor, unit = EVERYDAY.get(group, (1.0, item.unit))

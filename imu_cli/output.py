@@ -55,7 +55,7 @@ def print_lines(*items: Any) -> None:
     from rich.text import Text
 
     for item in items:
-        console().print(item, soft_wrap=isinstance(item, (str, Text)))
+        console().print(item, soft_wrap=isinstance(item, (str, Text)), crop=False)
 
 
 def print_now(line: str) -> None:

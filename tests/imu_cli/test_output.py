@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -107,3 +108,24 @@ def test_a_full_standard_output_is_said(cal: Path, words: tuple[object, ...]) ->
         )
     assert done.returncode == 3
     assert done.stderr == b"imu-cal: standard output cannot be written: No space left on device\n"
+
+
+@pytest.mark.parametrize("width", [30, 40, 60, 72, 79])
+def test_a_narrow_window_cuts_no_number(cal: Path, tmp_path: Path, width: int) -> None:
+    def numbers(columns: int, *words: object) -> list[str]:
+        done = process(*words, COLUMNS=str(columns), PYTHONIOENCODING="utf-8")
+        text = done.stdout.decode("utf-8")
+        assert "\u2026" not in text.partition("parameter")[2]
+        return re.findall(r"[-+]?\d+\.\d+(?:e[-+]\d+)?", text)
+
+    other = tmp_path / "b.cal.json"
+    document = json.loads(cal.read_text(encoding="utf-8"))
+    other.write_text(json.dumps(document), encoding="utf-8")
+    wide = numbers(100, "show", cal)
+    narrow = numbers(width, "show", cal)
+    assert set(narrow) <= set(wide)
+    assert {"0.34941", "0.012034", "0.000094"} <= set(narrow)
+    assert {"-22.470", "1.2034"} <= set(narrow) or width < 72
+    assert sorted(numbers(width, "compare", cal, other)) == sorted(
+        numbers(100, "compare", cal, other)
+    )
