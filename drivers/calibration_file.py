@@ -43,6 +43,8 @@ def load_calibration(path: str | Path) -> Calibration:
             f"{path}: {what} at line {error.lineno}, column {error.colno} ({error.msg}); "
             "restore it from a copy, or calibrate again"
         ) from error
+    except RecursionError as error:
+        raise CalibrationFileError(f"{path}: not a calibration: lists within lists") from error
     except CalibrationFileError as error:
         raise CalibrationFileError(f"{path}: {error}") from error
     try:
@@ -136,4 +138,9 @@ def describe_input(path: str | Path) -> InputFile:
     path = Path(path)
     with path.open("rb") as file:
         digest = hashlib.file_digest(file, "sha256")
-    return InputFile(path.name, digest.hexdigest())
+    return InputFile(name_of(path), digest.hexdigest())
+
+
+def name_of(path: Path) -> str:
+    """Return a file's name as text that can be written: what is no UTF-8 in it is replaced."""
+    return path.name.encode("utf-8", "replace").decode("utf-8")

@@ -100,7 +100,7 @@ def record(
         If `raw` is asked of a driver that has no bytes.
     """
     if raw is not None and not isinstance(driver, StreamDriver):
-        raise ValueError(f"`raw` needs a stream of bytes; {driver.address} has registers")
+        raise ValueError(f"`raw` needs a stream of bytes; {driver.address} has none")
     state = RecordState()
     with ExitStack() as stack:
         capture = None
@@ -298,7 +298,7 @@ class _Sink:
             self._writer.flush()
         except OSError as error:
             self._broken = True
-            raise self._failure(error) from error
+            raise write_failure(self.path, error) from error
         self._statics.update(samples)
         self.moving = not self._statics.resting
 
@@ -317,13 +317,15 @@ class _Sink:
             self._writer.__exit__(kind, error, trace)
         except OSError as problem:
             if not isinstance(error, OSError):
-                raise self._failure(problem) from problem
+                raise write_failure(self.path, problem) from problem
 
-    def _failure(self, error: OSError) -> RecordingWriteError:
-        return RecordingWriteError(
-            f"{self.path} cannot be written any more: {error.strerror or error}. What was written "
-            "before can be read; free some space and record again"
-        )
+
+def write_failure(path: Path, error: OSError) -> RecordingWriteError:
+    """Return the error to raise where a recording that grows cannot be written."""
+    return RecordingWriteError(
+        f"{path} cannot be written any more: {error.strerror or error}. What was written "
+        "before can be read; free some space and record again"
+    )
 
 
 def count_clipped(batch: Recording) -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from contextlib import suppress
 from pathlib import Path
 
 from calib.errors import DeviceBusyError, DeviceNotFoundError, DevicePermissionError, DriverError
@@ -88,8 +89,9 @@ class SmbusBus:
             ) from error
 
     def close(self) -> None:
-        """Let go of the bus."""
-        self._bus.close()
+        """Let go of the bus; it may be gone already."""
+        with suppress(OSError):
+            self._bus.close()
 
 
 def _name(pid: int) -> str:

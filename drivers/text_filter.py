@@ -26,6 +26,9 @@ from calib.types import FloatArray
 COLUMNS = ("accel_x", "accel_y", "accel_z", "gyro_x", "gyro_y", "gyro_z")
 EXPECTED = "time," + ",".join(COLUMNS) + "[,temperature][,lost]"
 
+_QUOTED = re.compile(rb'(?m)(?:(?<=,)|^)"((?:[^"\n]|"")*)"(?=,|$)')
+_HIDE, _SHOW = bytes.maketrans(b'",', b"\x1e\x1f"), bytes.maketrans(b"\x1e\x1f", b'",')
+
 _SPECIAL = re.compile(rb"(?m)^(?:[ \t]*(?:#.*)?)$\n?")
 
 
@@ -144,8 +147,13 @@ class CsvFilter:
     def _parse(self, data: bytes) -> tuple[Any, FloatArray] | None:
         """Return the lines as a table, channels as numbers and the rest as text, and their times.
 
-        None if one of the lines is damaged.
+        None if one of the lines is damaged. A quote is one more letter of its own line: one that
+        nobody closed must not join lines.
         """
+        if b"\x1e" in data or b"\x1f" in data:
+            return None
+        if b'"' in data:
+            data = _QUOTED.sub(_hide, data).replace(b'"', b"\x1e")
         types = dict.fromkeys(COLUMNS, pa.float64())
         for name in self._names:
             types.setdefault(name, pa.string())
@@ -155,14 +163,16 @@ class CsvFilter:
                 csv.ReadOptions(
                     use_threads=False, column_names=self._names, block_size=max(1, len(data))
                 ),
-                csv.ParseOptions(ignore_empty_lines=False),
+                csv.ParseOptions(quote_char=False, ignore_empty_lines=False),
                 csv.ConvertOptions(
                     column_types=types, strings_can_be_null=False, null_values=[], check_utf8=False
                 ),
             )
+            if table.num_rows != data.count(b"\n"):  # a carriage return within a line
+                return None
             if not all(pc.all(pc.is_finite(table.column(name))).as_py() for name in COLUMNS):
                 return None
-            return table, np.asarray(table.column("time").cast(pa.float64()).to_numpy())
+            return table, _numbers(table.column("time"))
         except pa.ArrowInvalid:
             return None
 
@@ -180,7 +190,7 @@ class CsvFilter:
         if "temperature" in self._names:
             column = table.column("temperature")
             try:
-                temperature = np.asarray(column.cast(pa.float64()).to_numpy())
+                temperature = _numbers(column)
             except pa.ArrowInvalid:
                 temperature = np.full(len(times), np.nan)
         block = Block(times, values[:3].T, values[3:].T, temperature)
@@ -204,10 +214,9 @@ class CsvFilter:
                 table.schema.get_field_index(name), name, pa.array(np.ascontiguousarray(values))
             )
         self.lines += table.num_rows
-        try:
-            return _format(table, quoting="none")
-        except pa.ArrowInvalid:  # a text column holds a comma or a quote
-            return _format(table, quoting="needed")
+        sink = io.BytesIO()
+        csv.write_csv(table, sink, csv.WriteOptions(include_header=False, quoting_style="none"))
+        return sink.getvalue().translate(_SHOW)
 
     def _drop(self, line: bytes, why: str) -> None:
         self.damaged += 1
@@ -215,7 +224,14 @@ class CsvFilter:
         self.complain(f"line {self._line} is left out: {why}, found {shown!r}")
 
 
-def _format(table: Any, *, quoting: str) -> bytes:
-    sink = io.BytesIO()
-    csv.write_csv(table, sink, csv.WriteOptions(include_header=False, quoting_style=quoting))
-    return sink.getvalue()
+def _hide(quoted: re.Match[bytes]) -> bytes:
+    """Return a cell in quotes so that its commas and quotes part nothing; a number needs none."""
+    try:
+        float(quoted[1])
+    except ValueError:
+        return quoted[0].translate(_HIDE)
+    return quoted[1]
+
+
+def _numbers(column: Any) -> FloatArray:
+    return np.asarray(pc.ascii_trim_whitespace(column).cast(pa.float64()).to_numpy())

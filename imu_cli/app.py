@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import gc
+import io
 import os
 import sys
 from contextlib import suppress
@@ -20,6 +21,9 @@ Exit codes: 0 done · 1 a bug in imu-cal · 2 wrong usage · 3 recording refused
 possible · 5 partial calibration · 6 a check said no (verify, --strict, FAIL) · 7 device ·
 8 flash failed, old values restored · 9 flash failed, device state changed · 10 calibration file
 refused · 11 a run of the line ended in ERROR · 130 interrupted"""
+
+CANNOT_WRITE = 3
+"""As of a recording that cannot be written."""
 
 GARBAGE = 100_000
 """Objects between two searches for cycles of garbage: looking at all of them takes time."""
@@ -117,20 +121,46 @@ def _root(
 
 def main() -> NoReturn:
     """Run the command line."""
+    sys.stdout = sys.stdout or open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="replace")  # a terminal that knows no ± still shows numbers
     # Our matrices are small: threads would cost more than they bring. Numpy is not loaded yet.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     # A diagnosis makes tens of thousands of candidates, and no cycle among them is ever left.
     gc.set_threshold(GARBAGE)
     try:
-        app()
+        try:
+            app()
+        finally:
+            sys.stdout.flush()
     except KeyboardInterrupt:
         sys.exit(130)
     except SystemExit as end:
         # Rich and click end with 1, which says a bug, when the reader of our output went away.
         if not isinstance(end.__context__, BrokenPipeError):
             raise
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _drop_output()
     except BrokenPipeError:
         # The reader of our output went away (`| head`): end without a traceback at exit.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _drop_output()
+    except OSError as error:
+        if not _is_stuck():
+            raise
+        typer.echo(f"imu-cal: standard output cannot be written: {error.strerror}", err=True)
+        _drop_output()
+        sys.exit(CANNOT_WRITE)
     sys.exit(0)
+
+
+def _is_stuck() -> bool:
+    """Return whether standard output takes no more, not even a line end."""
+    try:
+        sys.stdout.write("\n")
+        sys.stdout.flush()
+    except OSError:
+        return True
+    return False
+
+
+def _drop_output() -> None:
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -26,8 +26,6 @@ CLOCKS = {
 
 def summary_lines(recording: Recording, audit: Audit, name: str) -> list[str]:
     """Return what the recording holds, a line each."""
-    from rich.markup import escape
-
     device = recording.device
     parts = [" ".join(filter(None, (device.chip, device.serial_number))) or "not named"]
     if device.accel_full_scale is not None:
@@ -47,12 +45,11 @@ def summary_lines(recording: Recording, audit: Audit, name: str) -> list[str]:
         rows.append(("temperature", f"{low:.2f} to {high:.2f} °C"))
     rows.append(("complete", "yes" if audit.complete else "no, it was cut"))
     rows += [(key.replace("_", " "), value) for key, value in recording.notes.items()]
-    return [escape(line) for label, text in rows for line in _row(label, text)]
+    return [line for label, text in rows for line in _row(label, text)]
 
 
 def findings_table(audit: Audit) -> Table:
     """Return what is wrong, a row each."""
-    from rich.markup import escape
     from rich.table import Table
 
     table = Table(box=None, pad_edge=False, header_style="bold")
@@ -62,7 +59,7 @@ def findings_table(audit: Audit) -> Table:
     for finding in audit.findings:
         first = ", ".join(f"{t:.2f}" for t in finding.times[:2])
         more = " .." if finding.count > 2 and len(finding.times) > 2 else ""
-        table.add_row(finding.kind, escape(finding.message), first + more)
+        table.add_row(finding.kind, finding.message, first + more)
     return table
 
 

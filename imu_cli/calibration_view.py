@@ -9,6 +9,7 @@ import numpy as np
 from calib.calibration import Calibration, TriadSummary, parameter_unit
 from calib.effects.base import PRESENCE
 from calib.gravity import STANDARD_GRAVITY
+from imu_cli.output import console, styled
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -22,6 +23,11 @@ EVERYDAY = {
     "gyro.misalignment": (np.degrees(1.0), "°"),
 }
 """Factor and unit in which people know each group of parameters."""
+
+WIDE = 72
+"""Columns of a window from which both units are shown."""
+NUMBER = 11
+"""Characters of a number: a narrow window takes none of them away."""
 
 SHOWN = 4
 """So many of what was left out are listed on the screen; the file has all."""
@@ -40,15 +46,20 @@ def plus_minus(value: float, sigma: float | None) -> str:
 
 
 def parameter_table(calibration: Calibration) -> Table:
-    """Return the table of all parameters that are determined or should be."""
+    """Return the table of all parameters that are determined or should be.
+
+    A narrow window has the SI units alone, and breaks lines between numbers.
+    """
     from rich.table import Table
 
     table = Table(box=None, pad_edge=False, collapse_padding=True, header_style="bold")
-    table.add_column("parameter", no_wrap=True)
-    table.add_column("value ± std error", justify="right", no_wrap=True)
-    table.add_column("unit", no_wrap=True)
-    table.add_column("", justify="right", no_wrap=True)
-    table.add_column("", no_wrap=True)
+    wide = console().width >= WIDE
+    table.add_column("parameter", overflow="fold")
+    table.add_column("value ± std error", justify="right", min_width=NUMBER)
+    table.add_column("unit", overflow="fold")
+    if wide:
+        table.add_column("", justify="right", min_width=NUMBER)
+        table.add_column("", overflow="fold")
     sigmas = calibration.sigmas
     previous = ""
     for name, value in calibration.values.items():
@@ -64,14 +75,14 @@ def parameter_table(calibration: Calibration) -> Table:
             continue
         unit = "" if unit == "1" else unit
         if status == "undetermined":
-            table.add_row(name, "[yellow]undetermined[/]", unit)
+            table.add_row(name, styled(("undetermined", "yellow")), unit)
             continue
         sigma = sigmas.get(name)
-        cells = [name, plus_minus(value, sigma), "", unit, ""]
-        if group in EVERYDAY:
+        cells = [name, plus_minus(value, sigma), unit]
+        if wide and group in EVERYDAY:
             factor, everyday = EVERYDAY[group]
             scaled = None if sigma is None else factor * sigma
-            cells[2:] = [unit, plus_minus(factor * value, scaled), everyday]
+            cells += [plus_minus(factor * value, scaled), everyday]
         table.add_row(*cells)
     return table
 

@@ -8,10 +8,16 @@ import numpy as np
 
 from calib.compare import Comparison, Difference
 from calib.verify import Check, Verification
-from imu_cli.calibration_view import EVERYDAY, plus_minus, residual_text
+from imu_cli.calibration_view import EVERYDAY, NUMBER, plus_minus, residual_text
+from imu_cli.output import styled
 
 if TYPE_CHECKING:
     from rich.table import Table
+    from rich.text import Text
+
+
+SCORE = 7
+"""Characters of a score: a narrow window takes none of them away."""
 
 
 def difference_table(differences: tuple[Difference, ...], changed: tuple[Difference, ...]) -> Table:
@@ -19,15 +25,15 @@ def difference_table(differences: tuple[Difference, ...], changed: tuple[Differe
     from rich.table import Table
 
     table = Table(box=None, pad_edge=False, collapse_padding=True, header_style="bold")
-    table.add_column("parameter", no_wrap=True)
-    table.add_column("difference ± std error", justify="right", no_wrap=True)
-    table.add_column("", no_wrap=True)
-    table.add_column("std errors", justify="right", no_wrap=True)
-    table.add_column("", no_wrap=True)
+    table.add_column("parameter", overflow="fold")
+    table.add_column("difference ± std error", justify="right", min_width=NUMBER)
+    table.add_column("", overflow="fold")
+    table.add_column("std errors", justify="right", min_width=SCORE)
+    table.add_column("", overflow="fold")
     for item in differences:
         group = item.name.rpartition(".")[0]
         factor, unit = EVERYDAY.get(group, (1.0, item.unit))
-        mark = "[red]changed[/]" if item in changed else ""
+        mark: str | Text = styled(("changed", "red")) if item in changed else ""
         table.add_row(
             item.name,
             plus_minus(factor * item.difference, factor * item.sigma),
@@ -38,16 +44,20 @@ def difference_table(differences: tuple[Difference, ...], changed: tuple[Differe
     return table
 
 
-def check_lines(verification: Verification) -> list[str]:
+def check_lines(verification: Verification) -> list[str | Text]:
     """Return one line for each check: what is left, what was expected."""
-    lines = []
+    lines: list[str | Text] = []
     for check in verification.checks:
         failed = check in verification.failed
-        verdict = "[red]NOT RIGHT[/]" if failed else "right"
+        verdict: str | tuple[str, str] = ("NOT RIGHT", "red") if failed else "right"
         seen, expected = _size(check.rms, check.unit), _size(check.expected, check.unit)
         lines.append(
-            f"{check.name:<9}{check.count:>4} {_plural(check)}: {seen} rms, expected {expected}: "
-            f"{verdict} (p = {check.p_value:.2g})"
+            styled(
+                f"{check.name:<9}{check.count:>4} {_plural(check)}: {seen} rms, "
+                f"expected {expected}: ",
+                verdict,
+                f" (p = {check.p_value:.2g})",
+            )
         )
         if failed:
             low, high = check.worst

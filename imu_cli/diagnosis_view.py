@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 from calib.effects.base import PRESENCE
+from imu_cli.output import styled
 from imu_cli.report.units import people_unit, said
 from imu_cli.report.words import (
     alias_sentence,
@@ -20,6 +21,7 @@ from imu_cli.report.words import (
 
 if TYPE_CHECKING:
     from rich.table import Table
+    from rich.text import Text
 
 ABSORBED = 4
 """So many of the parameters that had absorbed an effect are said; the document has all."""
@@ -28,28 +30,28 @@ NUMBER = 7
 """Characters of a number in a table: a narrow window takes none of them away."""
 
 
-def diagnosis_lines(document: Mapping[str, Any]) -> Iterator[str | Table]:
+def diagnosis_lines(document: Mapping[str, Any]) -> Iterator[str | Text | Table]:
     """Yield what a diagnosis document says (``imu-cal diagnose --json``), line by line."""
-    yield f"[bold]{headline(document)}[/]"
+    yield styled((headline(document), "bold"))
     for number, finding in enumerate(document["findings"], 1):
         yield ""
-        yield f"[bold]{number}. {finding['title']}[/] ({finding['effect']})"
+        yield styled((f"{number}. {finding['title']}", "bold"), f" ({finding['effect']})")
         yield from (f"   {line}" for line in _finding(finding))
     for left in document["unexplained"]:
         place = f"{', '.join(left['channels'])}; {spans(left['intervals'])}"
         yield ""
-        yield (
-            f"[bold]Unexplained[/]: {place}; follows {left['follows']} "
-            f"(p {_equal(left['p_value'])})."
+        yield styled(
+            ("Unexplained", "bold"),
+            f": {place}; follows {left['follows']} (p {_equal(left['p_value'])}).",
         )
         yield from (f"  or: {r['effect']} (odds {r['odds']:.2g})" for r in left["rivals"])
     for alias in document["aliases"]:
         if alias["alike"]:
             yield ""
-            yield f"[bold]Cannot be known[/]: {alias_sentence(alias)}"
+            yield styled(("Cannot be known", "bold"), f": {alias_sentence(alias)}")
     if moved := moved_lines(document):
         yield ""
-        yield "[bold]Moved since the calibration[/]; calibrate again:"
+        yield styled(("Moved since the calibration", "bold"), "; calibrate again:")
         yield from (f"   {line}" for line in moved)
     if document["findings"] or document["unexplained"]:
         yield ""

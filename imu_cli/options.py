@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Iterable
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -49,6 +51,24 @@ def parse_duration(text: str) -> float:
             f"{text!r} is no duration; write a positive number and a unit, as in 90s, 10min, 1h"
         )
     return float(match[1]) * unit
+
+
+def refuse_source(
+    out: Path, sources: Iterable[Path], *, what: str = "recording", hint: str = "--output"
+) -> None:
+    """Refuse to write over what is read, under whichever of its names."""
+    for path in sources:
+        same = out.resolve() == path.resolve()
+        if same or (out.exists() and path.exists() and out.samefile(path)):
+            raise typer.BadParameter(f"{out} is the {what} itself", param_hint=hint)
+
+
+def replayed(url: str) -> list[Path]:
+    """Return the file that a device's address plays, if it is that of a replay."""
+    from drivers.address import parse_address
+
+    address = parse_address(url)
+    return [Path(address.target)] if address.scheme == "replay" else []
 
 
 def choose_gravity(gravity: float | None, latitude: float | None, height: float | None) -> Gravity:

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from rich.console import Console
+    from rich.text import Text
 
 
 @cache
@@ -18,7 +19,7 @@ def console() -> Console:
     """Return the console on standard output (rich honours NO_COLOR and pipes)."""
     from rich.console import Console
 
-    return Console(highlight=False)
+    return Console(highlight=False, markup=False, emoji=False)
 
 
 @cache
@@ -26,19 +27,35 @@ def messages() -> Console:
     """Return the console on standard error: warnings and progress, never results."""
     from rich.console import Console
 
-    return Console(stderr=True, highlight=False)
+    return Console(stderr=True, highlight=False, markup=False, emoji=False)
+
+
+def styled(*parts: str | tuple[str, str]) -> Text:
+    """Return a line of text; a part with a style is a pair, such as ``("done", "bold green")``."""
+    from rich.text import Text
+
+    return Text.assemble(*parts)
 
 
 def print_json(document: Any) -> None:
-    """Write one JSON document to standard output, and nothing else there."""
-    json.dump(document, sys.stdout, indent=2, ensure_ascii=False, allow_nan=False)
-    sys.stdout.write("\n")
+    """Write one JSON document to standard output, and nothing else there.
+
+    Letters that the output's encoding does not have are escaped.
+    """
+    text = json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False)
+    try:
+        text.encode(sys.stdout.encoding)
+    except UnicodeEncodeError:
+        text = json.dumps(document, indent=2, allow_nan=False)
+    sys.stdout.write(f"{text}\n")
 
 
 def print_lines(*items: Any) -> None:
     """Print lines of text and tables as results; lines are not wrapped, tables fit the screen."""
+    from rich.text import Text
+
     for item in items:
-        console().print(item, soft_wrap=isinstance(item, str))
+        console().print(item, soft_wrap=isinstance(item, (str, Text)), crop=False)
 
 
 def print_now(line: str) -> None:
@@ -56,7 +73,7 @@ def write_bytes(data: bytes) -> None:
 
 def warn(text: str) -> None:
     """Say something that the user should know but that does not stop the work."""
-    messages().print(f"[yellow]warning:[/] {text}", soft_wrap=True)
+    messages().print(styled(("warning:", "yellow"), f" {text}"), soft_wrap=True)
 
 
 @contextmanager
@@ -88,8 +105,13 @@ def show_unit(serial_number: str, attempts: list[dict[str, Any]], *, as_json: bo
         return
     for attempt in attempts:
         console().print(
-            f"[bold]{serial_number}[/] attempt {attempt['attempt']} at {attempt['station']}, "
-            f"{attempt['started'][:19]} UTC: [bold]{attempt['outcome']}[/] {attempt['reason']}"
+            styled(
+                (serial_number, "bold"),
+                f" attempt {attempt['attempt']} at {attempt['station']}, "
+                f"{attempt['started'][:19]} UTC: ",
+                (attempt["outcome"], "bold"),
+                f" {attempt['reason']}",
+            )
         )
         table = Table(box=None, pad_edge=False)
         for heading in ("check", "value", "low", "high", "", ""):

@@ -34,7 +34,7 @@ class ArrowWriter(Writer):
 
     def _start(self, batch: Recording) -> None:
         self._schema = schema_of(batch)
-        self._file = pa.OSFile(str(self._target), "wb")  # not buffered: a write is a write
+        self._file = pa.OSFile(os.fsencode(self._target), "wb")  # not buffered: a write is a write
         self._stream = pa.ipc.new_stream(self._file, self._schema)
 
     def _append(self, batch: Recording) -> None:

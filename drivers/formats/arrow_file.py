@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 
 import pyarrow as pa
@@ -26,13 +27,15 @@ class ArrowFileWriter(Writer):
 
     def _start(self, batch: Recording) -> None:
         self._schema = schema_of(batch)
-        self._arrow = pa.ipc.new_file(str(self._target), self._schema)
+        self._file = pa.OSFile(os.fsencode(self._target), "wb")
+        self._arrow = pa.ipc.new_file(self._file, self._schema)
 
     def _append(self, batch: Recording) -> None:
         self._arrow.write_batch(to_batch(batch, self._schema))
 
     def _finish(self) -> None:
         self._arrow.close()
+        self._file.close()
 
 
 class ArrowFile(Format):

@@ -37,7 +37,7 @@ class Source:
         import pyarrow as pa
 
         if self.regular:
-            with pa.memory_map(str(self.path)) as mapped:
+            with pa.memory_map(os.fsencode(self.path)) as mapped:
                 return mapped.read_buffer()
         return pa.py_buffer(self.head)
 
@@ -46,7 +46,7 @@ class Source:
         import pyarrow as pa
 
         if self.regular:
-            return pa.OSFile(str(self.path)).get_stream(start, size)
+            return pa.OSFile(os.fsencode(self.path)).get_stream(start, size)
         return pa.BufferReader(self.buffer.slice(start, size))
 
 

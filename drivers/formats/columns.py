@@ -75,11 +75,14 @@ def from_text(meta: Mapping[str, str], *, name: str, drop_invalid: bool) -> Asse
 
 def _number(key: str, value: str, name: str) -> float:
     try:
-        return float(value)
-    except ValueError as error:
+        number = float(value)
+    except ValueError:
+        number = np.nan
+    if not 0 <= number < np.inf:
         raise RecordingFormatError(
-            f"{name}: {key} is {value!r}, expected a number in SI units"
-        ) from error
+            f"{name}: {key} is {value!r}, expected a number in SI units, not negative"
+        )
+    return number
 
 
 def schema_of(recording: Recording) -> pa.Schema:
@@ -136,7 +139,7 @@ def assembler_of(schema: pa.Schema, *, name: str, drop_invalid: bool) -> Assembl
     packed = (schema.metadata or {}).get(b"imu_cal", b"{}")
     try:
         meta = {str(key): str(value) for key, value in json.loads(packed).items()}
-    except (ValueError, AttributeError) as error:
+    except (ValueError, AttributeError, RecursionError) as error:
         raise RecordingFormatError(f"{name}: its imu_cal metadata is damaged: {error}") from error
     return from_text(meta, name=name, drop_invalid=drop_invalid)
 

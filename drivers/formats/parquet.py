@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 
 import pyarrow as pa
@@ -28,13 +29,15 @@ class ParquetWriter(Writer):
         from pyarrow import parquet
 
         self._schema = schema_of(batch)
-        self._parquet = parquet.ParquetWriter(self._target, self._schema)
+        self._file = pa.OSFile(os.fsencode(self._target), "wb")
+        self._parquet = parquet.ParquetWriter(self._file, self._schema)
 
     def _append(self, batch: Recording) -> None:
         self._parquet.write_batch(to_batch(batch, self._schema))
 
     def _finish(self) -> None:
         self._parquet.close()
+        self._file.close()
 
 
 class Parquet(Format):

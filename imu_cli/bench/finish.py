@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import typer
+from rich.text import Text
 
 from calib.calibrate import calibrate
 from calib.calibration import Calibration, Provenance
@@ -87,11 +88,14 @@ def _summary(
 def _say(outcome: Outcome, files: dict[str, Path], routine: float | None) -> None:
     status = outcome.status
     poses = 0 if status.poses is None else len(status.poses)
-    lines = []
+    lines: list[str | Text] = []
     if status.done:
         lines.append(
-            f"[bold green]done[/] in {outcome.elapsed:.0f} s: {poses} poses, {status.turns} turns, "
-            "every target met"
+            output.styled(
+                ("done", "bold green"),
+                f" in {outcome.elapsed:.0f} s: {poses} poses, {status.turns} turns, "
+                "every target met",
+            )
         )
     else:
         missing = [
@@ -100,8 +104,11 @@ def _say(outcome: Outcome, files: dict[str, Path], routine: float | None) -> Non
             if error is None or error > status.targets[name]
         ]
         lines.append(
-            f"[bold yellow]the source ended[/] after {outcome.elapsed:.0f} s: {poses} poses, "
-            f"{status.turns} turns; not yet on target: {', '.join(missing)}"
+            output.styled(
+                ("the source ended", "bold yellow"),
+                f" after {outcome.elapsed:.0f} s: {poses} poses, "
+                f"{status.turns} turns; not yet on target: {', '.join(missing)}",
+            )
         )
     lines.append(
         "six faces with quarter turns would never have got there: some parameters they do not show"

@@ -5,16 +5,17 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from calib.errors import RecordingError
+from calib.errors import ImuError, RecordingError
 from calib.recording import Recording
 from drivers.driver import Driver
 from drivers.formats import open_writer, read_recording
+from drivers.record import write_failure
 from imu_cli.bench.screen import Header
 from imu_cli.bench.session import Session, Status
 
@@ -50,8 +51,15 @@ def run_session(
 
     A session that ends by itself marks the recording's clean end. One that is interrupted or
     killed leaves it cut, and `earlier` of the next run takes it up.
+
+    Raises
+    ------
+    DriverError
+        If the device cannot be opened, or went away.
+    RecordingWriteError
+        If the file cannot be written, such as on a full disk.
     """
-    with ExitStack() as stack:
+    with _failures_named(path), ExitStack() as stack:
         writer = open_writer(path)
         stack.push(writer)
         end = 0.0
@@ -93,6 +101,16 @@ def run_session(
                 writer.flush()
                 _leave_cut(writer)
                 return Outcome("interrupted", status, _elapsed(session, begun))
+
+
+@contextmanager
+def _failures_named(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        if isinstance(error, (ImuError, BrokenPipeError)):
+            raise
+        raise write_failure(path, error) from error
 
 
 def load_earlier(path: Path) -> Recording | None:

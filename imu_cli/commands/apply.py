@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from imu_cli.options import DropInvalidOption, ImuOption, ProfileOption
+from imu_cli.options import DropInvalidOption, ImuOption, ProfileOption, refuse_source
 
 if TYPE_CHECKING:
     from calib.apply import Coverage
@@ -55,15 +55,16 @@ def apply(
         return
     if out is None:
         raise typer.BadParameter("name the recording to write", param_hint="--output")
-    if any(out.resolve() == path.resolve() for path in log):
-        raise typer.BadParameter(f"{out} is the recording itself", param_hint="--output")
+    refuse_source(out, log)
+    refuse_source(out, [calibration], what="calibration")
     from drivers.apply_file import apply_file
+    from drivers.calibration_file import name_of
 
     coverage = apply_file(
         known,
         list(log),
         out,
-        name=calibration.name,
+        name=name_of(calibration),
         profile=profile,
         imu=imu,
         drop_invalid=drop_invalid,

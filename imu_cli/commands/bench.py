@@ -7,7 +7,14 @@ from typing import Annotated
 
 import typer
 
-from imu_cli.options import GravityOption, HeightOption, LatitudeOption, choose_gravity
+from imu_cli.options import (
+    GravityOption,
+    HeightOption,
+    LatitudeOption,
+    choose_gravity,
+    refuse_source,
+    replayed,
+)
 
 
 def bench(
@@ -59,6 +66,7 @@ def bench(
     from drivers.transports import make_driver
 
     driver = make_driver(url)
+    refuse_source(output_file, replayed(url))
     session = Session(targets=targets, gravity=choose_gravity(gravity, latitude, height))
     earlier = None if overwrite else load_earlier(output_file)
     with stop_on_signals() as stop, Screen(enabled=not json) as screen:

@@ -17,6 +17,7 @@ from imu_cli.options import (
     LatitudeOption,
     ProfileOption,
     choose_gravity,
+    refuse_source,
 )
 
 if TYPE_CHECKING:
@@ -131,11 +132,7 @@ def calibrate(
 
 def _destination(log: list[Path], out: Path | None) -> Path:
     destination = out or log[0].with_suffix(".cal.json")
-    for path in log:
-        if destination.resolve() == path.resolve():
-            raise typer.BadParameter(
-                f"{destination} is the recording itself", param_hint="--output"
-            )
+    refuse_source(destination, log)
     if destination.is_dir() or not destination.parent.is_dir():
         raise typer.BadParameter(
             f"{destination}: expected a file in a folder that is there", param_hint="--output"

@@ -37,8 +37,10 @@ def compare(
             if names:
                 output.print_lines(f"only {path} determines {', '.join(names)}")
         output.print_lines(
-            f"all {len(answer.differences)} together: p = {answer.p_value:.2g}: "
-            + ("[green]the same[/]" if answer.same else "[red]different[/]")
+            output.styled(
+                f"all {len(answer.differences)} together: p = {answer.p_value:.2g}: ",
+                ("the same", "green") if answer.same else ("different", "red"),
+            )
         )
     if not answer.same:
         raise typer.Exit(DIFFERENT)

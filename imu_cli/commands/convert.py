@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from imu_cli.options import DropInvalidOption, ImuOption, ProfileOption
+from imu_cli.options import DropInvalidOption, ImuOption, ProfileOption, refuse_source
 
 
 def convert(
@@ -28,8 +28,7 @@ def convert(
     from drivers.formats import open_batches, open_writer
     from imu_cli import output
 
-    if any(path.exists() and out.exists() and path.samefile(out) for path in log):
-        raise typer.BadParameter(f"{out} is the recording itself", param_hint="--output")
+    refuse_source(out, log)
     samples = lost = dropped = 0
     cut = ""
     with open_writer(out, atomic=True) as writer:

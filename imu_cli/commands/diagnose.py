@@ -14,6 +14,7 @@ from imu_cli.options import (
     LatitudeOption,
     ProfileOption,
     choose_gravity,
+    refuse_source,
 )
 
 if TYPE_CHECKING:
@@ -81,6 +82,10 @@ def diagnose(
     from imu_cli.diagnosis_view import diagnosis_lines
     from imu_cli.output import print_json, print_lines, warn
 
+    sources = [path for path in (recording, against, reference) if path is not None]
+    for made, option in ((output, "--output"), (report, "--report")):
+        if made is not None:
+            refuse_source(made, sources, hint=option)
     local = choose_gravity(gravity, latitude, height)
     if against is not None and reference is not None:
         raise typer.BadParameter(

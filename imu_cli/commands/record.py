@@ -47,9 +47,10 @@ def record(
     """
     from drivers.record import RecordLimits
     from drivers.record import record as run
+    from drivers.stream import StreamDriver
     from drivers.transports import make_driver
     from imu_cli import recording_view as view
-    from imu_cli.options import parse_duration
+    from imu_cli.options import parse_duration, refuse_source, replayed
 
     if duration is not None and samples is not None:
         raise typer.BadParameter("give --duration or --samples, not both")
@@ -64,6 +65,14 @@ def record(
     if raw is not None and raw == output_file:
         raise typer.BadParameter("--raw and --output must be two files")
     driver = make_driver(url)
+    refuse_source(output_file, replayed(url))
+    if raw is not None:
+        refuse_source(raw, replayed(url), hint="--raw")
+        if not isinstance(driver, StreamDriver):
+            raise typer.BadParameter(
+                f"{url} has no stream of bytes to save: only serial devices have one",
+                param_hint="--raw",
+            )
     with view.stop_on_signals() as stop, view.Progress() as progress:
         state = run(
             driver,

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from imu_cli.options import ImuOption, ProfileOption
+from imu_cli.options import ImuOption, ProfileOption, refuse_source
 
 
 def report(
@@ -26,5 +26,6 @@ def report(
     from imu_cli.report.source import load_report
 
     page = out or source.with_suffix(".html")
+    refuse_source(page, [source], what="source")
     write_atomic(page, render_page(load_report(source, profile=profile, imu=imu)))
     output.messages().print(f"wrote {page}", soft_wrap=True)

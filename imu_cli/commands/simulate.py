@@ -60,7 +60,7 @@ def simulate(
     noise: Annotated[
         float, typer.Option(help="Multiple of the sensor's noise; 0 is without.")
     ] = 1.0,
-    seed: Annotated[int, typer.Option(help="Of all that is random.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Of all that is random.")] = 0,
     gravity: Annotated[
         float | None, typer.Option(help="m/s². [default: 9.80665, or the calibration's]")
     ] = None,

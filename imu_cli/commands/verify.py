@@ -58,9 +58,11 @@ def verify(
             )
         output.print_lines(*(f"note: {remark}" for remark in answer.remarks))
         output.print_lines(
-            "[green]the calibration is right for this recording[/]"
+            output.styled(("the calibration is right for this recording", "green"))
             if answer.right
-            else "[red]the calibration is NOT right for this device today[/]: calibrate again"
+            else output.styled(
+                ("the calibration is NOT right for this device today", "red"), ": calibrate again"
+            )
         )
     if not answer.right:
         raise typer.Exit(NOT_RIGHT)

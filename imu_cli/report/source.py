@@ -24,10 +24,13 @@ def load_report(path: Path, *, profile: str | None = None, imu: int | None = Non
         If it is no recording either.
     """
     if path.suffix.lower() != ".json" or not path.is_file():
+        from drivers.calibration_file import name_of
         from drivers.formats import read_recording
         from imu_cli.report.recording import recording_report
 
-        return recording_report(read_recording([path], profile=profile, imu=imu), name=path.name)
+        return recording_report(
+            read_recording([path], profile=profile, imu=imu), name=name_of(path)
+        )
     kind, document = _kind(path)
     if kind == DIAGNOSIS:
         from imu_cli.report.diagnosis import diagnosis_report
@@ -42,7 +45,7 @@ def load_report(path: Path, *, profile: str | None = None, imu: int | None = Non
 def _kind(path: Path) -> tuple[str, Any]:
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError):
+    except (OSError, UnicodeDecodeError, json.JSONDecodeError, RecursionError):
         return CALIBRATION, None  # whose reader says exactly what is wrong
     kind = document.get("format") if isinstance(document, dict) else None
     if kind not in (CALIBRATION, DIAGNOSIS):

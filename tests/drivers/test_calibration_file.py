@@ -89,6 +89,7 @@ def test_every_cut_of_a_file_is_refused(tmp_path: Path) -> None:
         (b"", "empty"),
         (b"\xff\xfe\x00binary", "not text"),
         (b"time,accel_x\n0,1\n", "not JSON"),
+        (b"[" * 100_000, "lists within lists"),
         (b"[1, 2]", "must be an object"),
         (json.dumps({"format": "other"}).encode(), "expected 'imu-cal/calibration'"),
         (b'{"format": NaN}', "NaN"),

@@ -33,7 +33,7 @@ class FakeSmbus:
         self.written.append((address, register, data))
 
     def close(self) -> None:
-        pass
+        raise OSError(107, "Transport endpoint is not connected")
 
 
 @pytest.mark.parametrize(
@@ -72,6 +72,7 @@ def test_an_adapter_with_smbus_calls_only(monkeypatch: pytest.MonkeyPatch) -> No
     assert bus._bus.written == [(0x68, 0x6B, [1])]
     with pytest.raises(DriverError, match="fifo=off"):
         bus.read(0x68, 0x74, 112)
+    bus.close()  # an adapter that was pulled out is gone, and says so
 
 
 def test_other_systems_are_told(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

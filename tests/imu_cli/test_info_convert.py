@@ -99,6 +99,30 @@ def test_convert_says_what_it_left_out(tmp_path: Path) -> None:
     assert not read_recording(out).complete
 
 
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("report", "a.csv", "-o", "a.csv"),
+        ("report", "a.csv", "-o", "link.csv"),
+        ("diagnose", "a.csv", "-o", "a.csv"),
+        ("diagnose", "a.csv", "--report", "a.csv"),
+        ("record", "replay://a.csv?speed=0", "-o", "a.csv", "--overwrite"),
+        ("record", "replay://a.csv?speed=0", "-o", "b.csv", "--raw", "link.csv", "--overwrite"),
+        ("bench", "replay://a.csv?speed=0", "-o", "a.csv", "--overwrite", "--auto"),
+    ],
+)
+def test_no_command_writes_over_its_source(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: tuple[str, ...]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "a.csv").write_bytes((BAD / "one_pose.csv").read_bytes())
+    (tmp_path / "link.csv").hardlink_to(tmp_path / "a.csv")
+    code, _, err = run(*words)
+    assert code == 2
+    assert "itself" in err
+    assert (tmp_path / "a.csv").read_bytes() == (BAD / "one_pose.csv").read_bytes()
+
+
 def test_convert_refuses_to_overwrite_its_input_and_unknown_suffixes(tmp_path: Path) -> None:
     assert run("convert", BENCH, "-o", BENCH)[0] == 2
     code, _, err = run("convert", BENCH, "-o", tmp_path / "x.zip")

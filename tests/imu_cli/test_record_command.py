@@ -153,6 +153,8 @@ def test_samples_json_and_existing_files(tmp_path: Path) -> None:
             "not both",
         ),
         (["record", "emulator://arduino", "-o", "a.csv", "--raw", "a.csv"], 2, "two files"),
+        (["record", "emulator://mpu6050", "-o", "a.csv", "--raw", "b"], 2, "no stream of bytes"),
+        (["record", "replay://none.csv", "-o", "a.csv", "--raw", "b"], 2, "no stream of bytes"),
         (["emulate", "toaster"], 2, "witmotion"),
         (["emulate", "arduino", "--motion", "dance"], 2, "bench"),
     ],

@@ -178,6 +178,7 @@ def test_events_are_in_the_twin_of_their_own_recording_only(sensor: Path, tmp_pa
         (["--effect", "axis_error"], "accel_axes"),
         (["--duration", "long"], "no duration"),
         (["--rate", "0"], "--rate"),
+        (["--seed", "-1"], "--seed"),
         (["--rate", "0.01", "--duration", "60s"], "0.6 samples"),
         (["--rate", "8000", "--duration", "24h"], "simulate shorter pieces"),
         (["--gyro-range", "0"], "--gyro-range"),

@@ -46,6 +46,15 @@ def test_refused_with_a_message_of_its_own(name: str) -> None:
         assert caught.value.exit_code == 3
 
 
+@pytest.mark.parametrize("value", ["nan", "inf", "-39", "4 g"])
+def test_a_full_scale_is_a_number(tmp_path: Path, value: str) -> None:
+    path = tmp_path / "a.csv"
+    text = (BAD / "one_pose.csv").read_text(encoding="utf-8")
+    path.write_text(text.replace("39.2266", value), encoding="utf-8")
+    with pytest.raises(RecordingFormatError, match=f"accel_full_scale is '{value}', expected"):
+        read_recording(path)
+
+
 @pytest.mark.parametrize("name", ["nan_row.csv", "infinite_row.csv", "time_repeated.csv"])
 def test_drop_invalid_makes_a_gap(name: str) -> None:
     recording = read_recording(BAD / name, drop_invalid=True)

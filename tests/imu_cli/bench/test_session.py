@@ -228,6 +228,17 @@ def test_auto_on_a_replay_writes_everything(
     assert "finished recording" in again.stderr
 
 
+@pytest.mark.parametrize("suffix", [".arrow", ".csv"])
+def test_a_full_disk_is_said(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"a{suffix}"
+    path.symlink_to("/dev/full")
+    url = "emulator://witmotion?motion=bench&speed=0&seed=3"
+    done = CliRunner().invoke(app, ["bench", url, "-o", str(path), "--auto", "--overwrite"])
+    assert done.exit_code == 3
+    assert "cannot be written any more" in " ".join(done.stderr.split())
+    assert "No space left" in " ".join(done.stderr.split())
+
+
 def test_a_terminal_shows_the_screen_and_ctrl_c_pauses(tmp_path: Path) -> None:
     master, slave = pty.openpty()
     ioctl(slave, TIOCSWINSZ, struct.pack("HHHH", 30, 100, 0, 0))
