@@ -195,6 +195,7 @@ def _in_cells(time: FloatArray, reading: FloatArray) -> _Readings:
     span = float(time[-1] - time[0])
     width = max(span / CELLS, min(CELL, span / LEAST), span / len(time))
     n = max(int(np.ceil(span / width)), 1)
+    width = span / n  # or the last one's readings would be earlier than its middle
     cell = np.minimum(((time - time[0]) / width).astype(np.int64), n - 1)
     middle = time[0] + width * (np.arange(n) + 0.5)
     count = np.bincount(cell, minlength=n)

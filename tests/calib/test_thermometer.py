@@ -63,6 +63,19 @@ def test_a_cycle_is_followed(step: float, cycles: float) -> None:
     assert np.abs(smooth_temperature(time, reading)(time) - cycle).max() < 0.1 + 0.3 * step
 
 
+@pytest.mark.parametrize("duration", [165.56, 130.1, 61.9])
+def test_the_end_of_a_recording_is_no_later_than_it_is(duration: float) -> None:
+    """However its length is to the cells in which readings are gathered."""
+    time = np.arange(0.0, duration, 0.0025)
+    true = 30.0 + 6.0 * np.cos(2 * np.pi * time / 110.0)
+    rng = np.random.default_rng(3)
+    found = smooth_temperature(time, true + rng.normal(0.0, 0.02, len(time)))
+    last = time > duration - 3.0
+    rate = -6.0 * 2 * np.pi / 110.0 * np.sin(2 * np.pi * time / 110.0)
+    assert np.abs(found.rate_at(time) - rate)[last].max() < 0.01
+    assert np.abs(found(time) - true)[last].max() < 0.01
+
+
 def test_constant_temperature_has_no_rate() -> None:
     reading = 25.0 + np.random.default_rng(4).normal(0, 0.3, len(TIME))
     smooth = smooth_temperature(TIME, reading)
