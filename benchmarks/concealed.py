@@ -530,7 +530,7 @@ def sized_term(
     if single:
         weights = {n: typical[n] * float(rng.choice([-1.0, 1.0])) for n in used}
     # Of what is never negative (no filter sharpens) there is no such case.
-    never = {p.name for p in effect.parameters if p.least >= 0.0}
+    never = {p.name for p in effect.parameters if p.least is not None and p.least >= 0.0}
     weights = {n: abs(w) if n in never else w for n, w in weights.items()}
     total = sum(w * rows.column(columns[n]) for n, w in weights.items())
     scale = float(np.sqrt(power / np.square(whitener.project(total)).sum()))
