@@ -31,6 +31,10 @@ ALIKE = 0.7
 """Correlation of the two where they belong together: a hand that moves besides leaves 0.85 and more
 of it, two recordings of other motions reach 0.6 by chance (80 s; 0.43 in 160 s)."""
 
+SHAKEN = 0.5
+"""How much the length of the specific force may vary beside its direction. Of who walks it varies
+as much, and both with the step: that is acceleration, which turns nothing."""
+
 BETTER = 1.5
 """Times by which the variance that is left must be larger without the delay."""
 
@@ -44,7 +48,13 @@ def gyro_delay(recording: Recording) -> float | None:
         return None
     if recording.duration < 20.0 * SMOOTH:
         return None
-    turning, tilting = _speeds(recording)
+    turning, force = _averages(recording)
+    size: FloatArray = np.linalg.norm(force, axis=1)
+    up = force / np.maximum(size, 1e-12)[:, None]
+    shaken = float(np.std(size) / max(float(np.median(size)), 1e-12))
+    if shaken > SHAKEN * float(np.sqrt(up.var(axis=0).sum())):
+        return None
+    tilting: FloatArray = np.linalg.norm(np.gradient(up, STEP, axis=0), axis=1)
     lag, value = _correlation(tilting, turning)
     best = int(np.argmax(value))
     together = float(value[np.abs(lag) < 0.5 * LEAST].max())
@@ -67,8 +77,8 @@ def _averaged(values: FloatArray, width: int) -> FloatArray:
     return np.asarray(sliding_window_view(padded, width, axis=0).mean(axis=-1))
 
 
-def _speeds(recording: Recording) -> tuple[FloatArray, FloatArray]:
-    """Return how fast the sensor turns by either of its triads, at even times."""
+def _averages(recording: Recording) -> tuple[FloatArray, FloatArray]:
+    """Return how fast the sensor turns (n,), and the specific force (n, 3), at even times."""
     start = recording.time[0]
     at = np.arange(start, min(recording.time[-1], start + LONGEST), STEP)
     width = max(1, round(SMOOTH / STEP))
@@ -80,10 +90,7 @@ def _speeds(recording: Recording) -> tuple[FloatArray, FloatArray]:
     rate: FloatArray = np.linalg.norm(
         even(recording.gyro - np.median(recording.gyro, axis=0)), axis=1
     )
-    force = even(recording.accel)
-    up = force / np.maximum(np.linalg.norm(force, axis=1, keepdims=True), 1e-12)
-    tilt = np.linalg.norm(np.gradient(up, STEP, axis=0), axis=1)
-    return rate, np.asarray(tilt, np.float64)
+    return rate, even(recording.accel)
 
 
 def _correlation(first: FloatArray, second: FloatArray) -> tuple[FloatArray, FloatArray]:

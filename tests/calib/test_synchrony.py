@@ -78,3 +78,32 @@ def test_neighbours_are_averaged_and_mirrored_at_the_ends(width):
     values = np.random.default_rng(2).normal(size=(40, 3))
     expected = uniform_filter1d(values, width, axis=0)
     np.testing.assert_allclose(_averaged(values, width), expected, atol=1e-14)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_who_walks_is_not_late(seed: int) -> None:
+    """With every step the specific force changes its length and its direction; turns go along."""
+    rng = np.random.default_rng(seed)
+    time = np.arange(0.0, 90.0, 0.01)
+    moves = np.clip((time - 4.0) / 2.0, 0.0, 1.0) * np.clip((86.0 - time) / 2.0, 0.0, 1.0)
+    step = 2 * np.pi * 0.9 * time
+    late = rng.uniform(0.0, 2 * np.pi, 3)
+    rate = np.stack(
+        (
+            0.34 * np.cos(step + late[0]) + 0.25 * np.cos(3 * step),
+            0.45 * np.cos(2 * step + late[1]) + 0.27 * np.cos(4 * step),
+            0.51 * np.cos(step + late[2]) + 0.34 * np.cos(3 * step),
+        ),
+        axis=1,
+    )
+    force = np.stack(
+        (
+            0.5 * np.sin(step) + 0.2 * np.sin(3 * step),
+            0.6 * np.sin(step + 1.0),
+            2.5 * np.cos(2 * step) + 2.0 * np.cos(4 * step + 1.0) + 1.3 * np.cos(6 * step + 0.4),
+        ),
+        axis=1,
+    )
+    still = np.array([0.0, 2.0, GRAVITY])
+    walker = Recording(time, still + moves[:, None] * force, moves[:, None] * rate, "device")
+    assert gyro_delay(walker) is None
