@@ -134,17 +134,18 @@ class Judge:
         self.rows, self.mean = rows, fitted(rows, accepted)
         self._settle(levels, contrast_noise(rows, accepted))
 
-    def settle(self, whole: Whole) -> float:
+    def settle(self, whole: Whole, *, unlike: float = UNLIKE) -> float:
         """Judge under the noise that an explanation leaves from now on; return the likelihood.
 
-        Of what it leaves, as a logarithm.
+        Of what it leaves, as a logarithm. What one of another make would leave, the part ``unlike``
+        of the change, counts as noise.
         """
         left = self.rows.with_residual(self.rows.residual - whole.column)
         # What is fitted is no noise either, and beside less of it is known better.
         for _ in range(SETTLES):
             levels = self.without(whole)
             off = left.residual - self.mean @ self._fitted(left.residual)
-            fitted_too = left.with_residual(off + UNLIKE * whole.column)
+            fitted_too = left.with_residual(off + unlike * whole.column)
             self._settle(levels.values, contrast_noise(fitted_too, self.accepted))
         return levels.log_likelihood + contrast_likelihood(left.with_residual(off), self.contrast)
 
@@ -182,7 +183,8 @@ class Judge:
         if not self.problem.reference:
             return max(found, key=lambda whole: self.without(whole).log_likelihood)
         if not self.noisy:
-            return max(found, key=self.settle)
+            # Each by what it leaves: the larger a change, the more would count as noise besides.
+            return max(found, key=lambda whole: self.settle(whole, unlike=0.0))
         first = max(found, key=self._value)
         self.settle(first)
         delay, *low_passes = found
