@@ -157,9 +157,10 @@ def clock_errors(stamps: FloatArray, time: FloatArray) -> FloatArray:
 
     From the means of batches of (n,) stamps less times; zero where the stamps are the times.
     """
-    off = np.array([part.mean() for part in np.array_split(stamps - time, MEANS)])
-    spread = float(np.std(off)) / np.sqrt(MEANS)
-    return np.array([spread, spread * np.sqrt(12.0) / float(time[-1] - time[0])])
+    parts = np.array_split(stamps - time, min(MEANS, len(time)))
+    spread = float(np.std([part.mean() for part in parts])) / np.sqrt(len(parts))
+    span = float(time[-1] - time[0])
+    return np.array([spread, spread * np.sqrt(12.0) / span if span > 0 else 0.0])
 
 
 def sample_numbers(time: FloatArray, lost: IntArray | None = None) -> IntArray:

@@ -343,6 +343,13 @@ def test_a_simulation_at_rest_leaves_it_undetermined():
     assert "motion" in found.missing[0]
 
 
+@pytest.mark.parametrize("samples", [1, 2, 40])
+def test_a_simulation_of_next_to_nothing_leaves_it_undetermined(samples):
+    found = diagnose_against(recorded(), simulation().slice(0, samples), gravity=GRAVITY)
+    assert found.verdict == "undetermined"
+    assert "motion" in found.missing[0]
+
+
 @pytest.mark.parametrize("noise", [0.0, 1.0])
 def test_a_twin_of_the_recording_itself_is_no_truth(noise):
     """Its motion holds the recording's noise; one that was simulated does not, shaken or not."""
