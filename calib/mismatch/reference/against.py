@@ -28,6 +28,7 @@ from calib.mismatch.reference.band import STILL, follows_noise, matched, too_few
 from calib.mismatch.reference.carried import OF_GYRO
 from calib.mismatch.reference.comparison import ComparisonProblem
 from calib.mismatch.reference.oriented import oriented
+from calib.mismatch.reference.others import told_from_the_other
 from calib.mismatch.reference.setupfindings import find_setups
 from calib.mismatch.reference.shaken import noise_beside
 from calib.mismatch.reference.truths import RecordingTruth
@@ -227,6 +228,10 @@ def conclude(
     outcome, model = _in_samples(outcome, problem.setup.model, problem.thin)
     fit = outcome.fit(reference=True)
     findings, unexplained, (known, covariance) = explain(outcome, fit, names=problem.names)
+    if problem.gyroscopic:
+        spread = problem.loose[-len(problem.setup.errors) :]
+        findings, others = told_from_the_other(findings, problem.setup.errors, spread)
+        missing += others
     found = find_setups(outcome, fit, problem, setups, clocks)
     begin = outcome.rows.interval[:, 0]
     findings = [f for f in findings if not any(_the_same(f, g, begin) for g in seen.findings)]

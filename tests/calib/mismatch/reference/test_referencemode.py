@@ -436,7 +436,9 @@ def test_beside_an_imu_that_nobody_calibrated_an_arm_is_no_size_effect(turn):
     found = diagnose_reference(
         recorded(Term("accel_lever_arm", arm), rate=104.0), other, gravity=GRAVITY
     )
-    assert set(named(found)) == {"accel_lever_arm", "gyro_misalignment", "reference_misalignment"}
+    # What its scale factors make of axes that are turned is no misalignment of the sensor.
+    assert set(named(found)) == {"accel_lever_arm", "reference_misalignment"}
+    assert any("known better" in text for text in found.missing)
     assert not found.unexplained
     for name, value in arm.items():
         q = named(found)["accel_lever_arm"][name]
