@@ -1,7 +1,9 @@
 """The command line as a process."""
 
+import os
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -23,3 +25,14 @@ def test_an_error_that_nobody_reads_keeps_its_exit_code() -> None:
         assert process.stderr is not None
         process.stderr.close()
     assert process.returncode == 3
+
+
+def test_an_interrupt_of_what_is_being_imported_ends_with_its_exit_code(tmp_path: Path) -> None:
+    """Modules that make dataclasses run `exec`; `python -m` ended by the signal then."""
+    (tmp_path / "interrupted.py").write_text(
+        "import imu_cli.app as cli\ncli.app = lambda: exec('raise KeyboardInterrupt')\ncli.main()\n"
+    )
+    command = [sys.executable, "-m", "interrupted"]
+    paths = os.pathsep.join([str(tmp_path), *sys.path])
+    found = subprocess.run(command, env={**os.environ, "PYTHONPATH": paths}, check=False)
+    assert found.returncode == 130
