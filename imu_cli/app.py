@@ -132,11 +132,11 @@ def main() -> NoReturn:
         try:
             app()
         finally:
+            # Python ends by SIGINT if one interrupted what `exec` ran, as dataclasses and named
+            # tuples are made, caught or not; unless something else was run by it since.
+            exec("")
             sys.stdout.flush()
     except KeyboardInterrupt:
-        # Python ends by SIGINT if one interrupted what `exec` ran, as dataclasses and named tuples
-        # are made, caught or not; unless something else was run by it since.
-        exec("")
         sys.exit(130)
     except SystemExit as end:
         # Rich and click end with 1, which says a bug, when the reader of our output went away.
