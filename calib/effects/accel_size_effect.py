@@ -7,6 +7,9 @@ from collections.abc import Mapping
 from calib.effects.base import SPLINE_REACH, Column, Effect, Parameter, State
 from calib.recording import AXES
 
+MOST = 0.03
+"""m that the axes of one accelerometer may sit apart, made of separate parts on one board."""
+
 
 class AccelSizeEffect(Effect):
     """``f_m,i += (w x (w x r_i) + dw/dt x r_i)_i, r_x = 0``."""
@@ -19,7 +22,9 @@ class AccelSizeEffect(Effect):
         "package, 10 mm with separate parts"
     )
     parameters = tuple(
-        Parameter(f"r{a}{b}", "m", 1e-3, (f"accel.{a}",)) for a in ("y", "z") for b in AXES
+        Parameter(f"r{a}{b}", "m", 1e-3, (f"accel.{a}",), least=-MOST, most=MOST)
+        for a in ("y", "z")
+        for b in AXES
     )
     follows = "rate squared and angular acceleration"
     needs = "fast turns about several axes, from rest to rest"

@@ -45,9 +45,9 @@ PRESENCE = "presence"
 parameters (a cut-off, a full scale); its column is the whole change made with that shape."""
 
 
-WORST = 50.0
+WORST = 100.0
 """Times its typical size that a term of a sensor may have. What would have to be larger is no term
-of it, whatever it explains: the gyroscopes of a worn-out part may feel 5 dps/g, and none 25."""
+of it, whatever it explains: the gyroscopes of a worn-out part may feel 10 dps/g, and none 25."""
 
 SPLINE_REACH = 32
 """Samples after which a cubic spline has forgotten its neighbours: it does by 0.27 a sample, and
@@ -331,13 +331,13 @@ class Effect(ABC):
         """Return the least and the most that some of its parameters can physically be, (p,) each.
 
         Of a term of the sensor that is `WORST` times what is typical, either way, where nothing
-        else is said; an event or a setup may be of any size.
+        else is said; an event or a setup may be of any size, and what refines others, too.
         """
         about = {p.name: p for p in self.parameters}
         far = WORST if self.kind == "sensor" else np.inf
         least, most = np.empty((2, len(names)))
         for k, p in enumerate(about[name] for name in names):
-            own = np.inf if p.unit == PRESENCE else far * p.typical
+            own = np.inf if p.unit == PRESENCE or p.refining else far * p.typical
             least[k] = -own if p.least is None else p.least
             most[k] = own if p.most is None else p.most
         return least, most

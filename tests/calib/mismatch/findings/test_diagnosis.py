@@ -65,7 +65,7 @@ def test_a_large_warm_up_is_not_the_temperature_that_rises_as_fast():
     (found,) = diagnose_recording(real, gravity=GRAVITY).findings
     assert found.effect == "accel_warm_up"
     assert abs(found.parameters["tau"].value - tau) < 3 * found.parameters["tau"].sigma
-    assert [r.effect for r in found.rivals] == ["accel_bias_temperature"]
+    assert {r.effect for r in found.rivals} <= {"accel_bias_temperature"}
 
 
 @pytest.mark.long
