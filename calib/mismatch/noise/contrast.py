@@ -52,7 +52,7 @@ def contrast_variance(rows: Rows, *, apart: BoolArray | None = None) -> FloatArr
         if squares:
             values = np.concatenate([found for _, found in squares])
             level = typical(values)
-            level = max(level, float(np.minimum(values, 9.0 * max(level, 1e-12)).mean()))
+            level = max(level, float(np.minimum(values, CUT * max(level, 1e-12)).mean()))
         elif mine.any() and not moved:
             # Of so few nobody can tell what an effect is, and what the sensor or its holder does.
             triad = (channel // 3 == c // 3) & ~restless
