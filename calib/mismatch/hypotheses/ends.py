@@ -31,10 +31,13 @@ from calib.mismatch.findings.diagnosis import Interval
 from calib.mismatch.hypotheses.candidates import FLUCTUATING, GAIN, GAIN_IN_TIME, Candidate
 from calib.mismatch.hypotheses.factors import log_bayes_factor, log_bayes_factors
 from calib.mismatch.hypotheses.shared import likely_share
+from calib.mismatch.hypotheses.slipped import place_slip
 from calib.mismatch.hypotheses.turned import turned_parts
 from calib.mismatch.hypotheses.wander import wandering
 from calib.mismatch.hypotheses.windows import (
     FLUCTUATION,
+    RAMP,
+    SLIPPED,
     TURNED,
     fluctuating,
     make_slots,
@@ -79,6 +82,8 @@ def place_window(rows: Rows, candidate: Candidate, whitener: Whitener, y: FloatA
     the others are the rule there, and not it. A gain may have changed at a moment: beside the scale
     factor one until then is another one from then on, and it is said of the shorter part.
     """
+    if candidate.name == SLIPPED:
+        return _place_slipped(rows, candidate, whitener, y)
     if candidate.name == TURNED:
         return _place_turned(rows, candidate, whitener, y)
     if candidate.name == GAIN_IN_TIME:
@@ -185,6 +190,25 @@ def _place_turned(rows: Rows, candidate: Candidate, whitener: Whitener, y: Float
     weight = softmax(value + _of_place(first, last, number, 1.0))
     where = expected_overlap(edges[first], edges[last], weight)
     return moved_window(candidate, *where)
+
+
+def _place_slipped(
+    rows: Rows, candidate: Candidate, whitener: Whitener, y: FloatArray
+) -> Candidate:
+    """Return a slip for the window that overlaps most, and at its very moments.
+
+    What went on at a pace, as far as rows tell that are linear in it, may be a larger one at once.
+    """
+    plain = _place_turned(rows, replace(candidate, shape={}), whitener, y)
+    plain, value = place_slip(rows, plain, whitener, y)
+    if not RAMP.keys() <= candidate.shape.keys():
+        return plain
+    paced = _place_turned(rows, candidate, whitener, y)
+    return (
+        plain
+        if value > log_bayes_factor(whitener.project(window_columns(rows, paced)), y)
+        else paced
+    )
 
 
 def _share(

@@ -175,7 +175,8 @@ def _plain_columns(effect: Effect, rows: Rows, shape: Mapping[str, float]) -> di
     gain = dict.fromkeys(CHANNELS, 1.0)
     if isinstance(effect, TransformEffect):
         # It acts on what the sensor puts out.
-        gain = dict(zip(CHANNELS, rows.gain.tolist(), strict=True))
+        scale = np.diagonal(rows.matrices, axis1=1, axis2=2)
+        gain = dict(zip(CHANNELS, scale.ravel().tolist(), strict=True))
     return {
         n: rows.column({c: gain[c] * values for c, values in signals.items()})
         for n, signals in effect.columns(rows.state, shape).items()

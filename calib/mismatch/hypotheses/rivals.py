@@ -131,8 +131,7 @@ def add_rivals(stack: Stack, rows: Rows, *, skip: tuple[str, ...] = ()) -> None:
         stack.extend(bank)
     if "time" not in skip:
         stack.add(*_fading(stack, rows))
-    if "time" not in skip and not rows.aligned:
-        # Beside a truth both triads turn against that.
+    if "time" not in skip:
         stack.add(*turned_axes(stack, rows, RIVAL * _OF_TRIADS[TURNED]))
     if "direction of gravity" in skip:
         return

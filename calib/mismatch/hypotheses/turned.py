@@ -5,6 +5,9 @@ output ``s`` gains ``s x v``: in a window, or for good from a moment on, at once
 pace. A turn that was there throughout is a misalignment, which has a name; so has all but the first
 quarter of one, as far as a recording tells, and no window begins with the recording.
 
+Beside a truth both turn against that where the sensor slips in its mount. That they are turned
+throughout is a misalignment to the reference, which is fitted always: so a slip may be early.
+
 An accelerometer that turns at rest shows it at once, as gravity moves across it: it may turn in
 every part of a rest. A gyroscope shows it in turns alone.
 
@@ -22,6 +25,7 @@ from calib.mismatch.hypotheses.candidates import Candidate
 from calib.mismatch.hypotheses.score import Stack
 from calib.mismatch.hypotheses.windows import (
     RAMP,
+    SLIPPED,
     TURNED,
     Slots,
     carried,
@@ -40,6 +44,8 @@ EARLIEST = 0.25
 SHORTEST = 3
 """Segments (or twice as many parts of them) in a window, fewest: a turn is known from several."""
 
+_TRIADS = ((TURNED, CHANNELS[:3]), (TURNED, CHANNELS[3:]))
+
 FOR_GOOD = np.eye(3)
 AND_BACK = np.repeat(np.eye(3), 2, axis=0) * np.tile([[1.0], [-1.0]], (3, 1))
 AT_A_PACE = np.eye(6)
@@ -53,7 +59,8 @@ def turned_axes(stack: Stack, rows: Rows, weight: float) -> Iterator[Candidate]:
     Their columns are added to the stack; their weights sum to `weight`. Windows of one length, and
     what is turned for good at once, and at a pace, have the same share.
     """
-    for triad in (CHANNELS[:3], CHANNELS[3:]):
+    turning = ((SLIPPED, CHANNELS),) if rows.aligned else _TRIADS
+    for name, triad in turning:
         slots = _slots(rows, triad)
         start = _starts(rows, slots)
         shortest = SHORTEST if len(start) == len(rows.interval) else 2 * SHORTEST
@@ -64,7 +71,8 @@ def turned_axes(stack: Stack, rows: Rows, weight: float) -> Iterator[Candidate]:
             for a, b in windows(number)
             if a > 0 and b < number and b - a >= shortest
         ]
-        for k in range(max(int(EARLIEST * number), 1), number):
+        earliest = 0.0 if rows.aligned else EARLIEST
+        for k in range(max(int(earliest * number), 1), number):
             found.append((0, (float(start[k]), end), plain[:, [k]], FOR_GOOD))
             if k in slots.first:
                 both = np.stack((plain[:, k], paced[:, k]), axis=1)
@@ -72,9 +80,9 @@ def turned_axes(stack: Stack, rows: Rows, weight: float) -> Iterator[Candidate]:
         parts = Counter(part for part, *_ in found)
         for part, interval, index, mixing in found:
             yield Candidate(
-                TURNED,
+                name,
                 index.ravel(),
-                weight / 2 / len(parts) / parts[part],
+                weight / len(turning) / len(parts) / parts[part],
                 False,
                 triad,
                 shape=dict(RAMP) if part < 0 else {},
@@ -110,7 +118,8 @@ def _in_slots(
 ) -> list[FloatArray]:
     """Return the (m, n) columns of a turn about each axis, (n,) times as fast, in each slot."""
     size = typical_size(triad[0].split(".")[0])
-    about = Candidate(TURNED, np.zeros(0, np.int64), 0.0, False, triad)
+    name = SLIPPED if len(triad) == len(CHANNELS) else TURNED
+    about = Candidate(name, np.zeros(0, np.int64), 0.0, False, triad)
     out = []
     for carriers in carried(rows.state, about):
         columns = np.zeros((len(rows.residual), slots.first[-1]))

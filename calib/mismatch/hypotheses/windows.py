@@ -30,12 +30,16 @@ FAST = 3.0
 TURNED = "turned axes in a window"
 """A triad that a mounting, or glue, lets turn against the other: ``v x signal``, v small."""
 
+SLIPPED = "a slip of the sensor in its mount"
+"""Both triads, turned against a truth."""
+
 WINDOWED = (
     "bias in a window",
     GAIN,
     FLUCTUATING,
     "wave in a window",
     TURNED,
+    SLIPPED,
 )
 """Rivals that are functions of time (or a gain) in a window, whose ends can be moved."""
 
@@ -276,6 +280,10 @@ def carried(state: State, candidate: Candidate) -> list[list[tuple[int, FloatArr
         return [
             [(c, v[:, i]) for i, c in enumerate(channels) if i != j] for j, v in enumerate(turned)
         ]
+    if candidate.name == SLIPPED:
+        force, rate = state.force / state.gravity, state.rate / state.gravity
+        turned = [np.hstack((np.cross(axis, force), np.cross(axis, rate))) for axis in np.eye(3)]
+        return [[(c, v[:, c]) for c in channels if c % 3 != j] for j, v in enumerate(turned)]
     return [[(c, np.ones(len(state.time)))] for c in channels]
 
 
@@ -375,7 +383,7 @@ def own_signal(state: State, c: int) -> FloatArray:
 
 def nearby_windows(rows: Rows, candidate: Candidate) -> Iterator[tuple[float, float]]:
     """Yield the windows, to the segment, that are nearer to a candidate's than to others tried."""
-    if candidate.interval is None or candidate.name == TURNED:
+    if candidate.interval is None or candidate.name in (TURNED, SLIPPED):
         # Axes that turn are tried in parts of segments.
         return
     start, stop = candidate.interval

@@ -361,7 +361,9 @@ class ComparisonProblem:
             steady=steady,
             late=late,
         )
-        rows = replace(rows, gain=self._gain(), clustered=self.noisy)
+        model = self.setup.model
+        matrices = np.stack((model.accel.matrix, model.gyro.matrix))
+        rows = replace(rows, matrices=matrices, clustered=self.noisy)
         if self.stuck:
             rows = with_rounding(rows, self.stuck)
         if felt is state and not arm_of(self.setup.model).any():

@@ -159,8 +159,8 @@ class Rows:
         `baseline` and `nuisance` where no setup is felt (no lever arm); empty where none is.
     lean : Lean, optional
         How the sensor may move at rest; None where the truth says how it moves.
-    gain : (6,) array
-        What the sensor's channels make of the state: one, or beside a truth their scale factors.
+    matrices : (2, 3, 3) array
+        What the sensor's triads make of the state: nothing, or beside a truth ``I + S + M``.
     clustered : bool
         Whether what the rows of one segment err by may go together, as a truth's own noise does.
     unresolved : bool
@@ -189,7 +189,7 @@ class Rows:
     prior: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
     plain: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
     lean: Lean | None = None
-    gain: FloatArray = field(default_factory=lambda: np.ones(len(CHANNELS)))
+    matrices: FloatArray = field(default_factory=lambda: np.stack((np.eye(3), np.eye(3))))
     clustered: bool = False
     unresolved: bool = False
 

@@ -25,6 +25,7 @@ from calib.mismatch.findings.evidence import gather
 from calib.mismatch.findings.heldout import HeldOut, LeftOut, held_out, leave_out, pose_levels
 from calib.mismatch.hypotheses.families import is_moment
 from calib.mismatch.hypotheses.places import joined
+from calib.mismatch.hypotheses.slipped import angle_of
 from calib.mismatch.hypotheses.windows import touched
 from calib.mismatch.noise.noise import make_whitener
 from calib.mismatch.rows.rows import Kind, Rows
@@ -315,10 +316,11 @@ def _rivals(a: Accepted) -> tuple[Rival, ...]:
 def _unexplained(rows: Rows, a: Accepted, rivals: tuple[Rival, ...]) -> Unexplained:
     c = a.candidate
     whole = (float(rows.interval[0, 0]), float(rows.interval[-1, 1]))
+    angle = angle_of(c)
     return Unexplained(
         channels=touched(c),
         intervals=(c.interval or whole,),
-        follows=c.name,
+        follows=c.name if angle is None else f"{c.name}, by {np.degrees(angle):.2g}°",
         p_value=chance(a.e_value),
         rivals=rivals,
     )

@@ -6,6 +6,7 @@ import numpy as np
 
 from calib.effects import get_effect
 from calib.mismatch.hypotheses.factors import LARGE, SCALES
+from calib.mismatch.hypotheses.slipped import angle_of
 from calib.mismatch.noise.noise import make_whitener
 from calib.mismatch.rows.rows import Rows
 from calib.mismatch.search.accepted import Accepted, fitted
@@ -59,7 +60,8 @@ def prior_rows(
     for a in accepted:
         own = slice(at, at + a.columns.shape[1])
         if not a.candidate.physical:
-            spread[own] = LARGE
+            # How far a sensor may turn is known: half a radian, as it were.
+            spread[own] = LARGE if angle_of(a.candidate) is None else SCALES[-1]
         else:
             least, most = get_effect(a.candidate.name).limits(a.candidate.parameters)
             far = np.maximum(-least, most) / a.typical

@@ -13,6 +13,7 @@ from calib.mismatch.hypotheses.candidates import Candidate
 from calib.mismatch.hypotheses.ends import place_window, tune_wave
 from calib.mismatch.hypotheses.families import NEAR, candidate_columns, forms, neighbours
 from calib.mismatch.hypotheses.peak import close_in
+from calib.mismatch.hypotheses.slipped import angle_of, slip_columns
 from calib.mismatch.hypotheses.windows import THROUGHOUT, has_ends, window_columns
 from calib.mismatch.noise.noise import Whitener, make_whitener
 from calib.mismatch.rows.rows import Rows
@@ -37,7 +38,8 @@ def refine_last(
             candidate, columns = tune_wave(rows, last.candidate, whitener, y)
         else:
             candidate = place_window(rows, last.candidate, whitener, y)
-            columns = window_columns(rows, candidate)
+            slipped = angle_of(candidate) is not None
+            columns = (slip_columns if slipped else window_columns)(rows, candidate)
         number = columns.shape[1]
         return replace(
             last,

@@ -12,6 +12,7 @@ from calib.effects import get_effect
 from calib.effects.base import PRESENCE, Term, TransformEffect
 from calib.mismatch.hypotheses.candidates import Candidate
 from calib.mismatch.hypotheses.families import candidate_columns, is_step, neighbours
+from calib.mismatch.hypotheses.slipped import TURN, angle_of, slip_columns, turned_on
 from calib.mismatch.noise.noise import estimate_levels, find_levels, make_whitener
 from calib.mismatch.rows.rows import Rows
 from calib.mismatch.search.accepted import Accepted, contrast_noise, fitted
@@ -95,7 +96,8 @@ def refit(
     for _ in range(REFINED if rough else 0):
         before = accepted[-1].candidate
         accepted[-1] = refine_last(rows, accepted, levels, contrast, reference=problem.reference)
-        if accepted[-1].candidate is before or not before.physical:
+        own = accepted[-1].candidate
+        if own is before or not (before.physical or angle_of(own) is not None):
             break
         # What a shape that was not yet right had left is noise no more.
         levels = estimate_levels(rows, fitted(rows, accepted), levels).values
@@ -291,7 +293,10 @@ def _step(
     baseline, nuisance = dict(zip(rows.names, step[:p], strict=True)), step[p : p + q]
     problem.move(baseline, nuisance, tuple(terms))
     rows = problem.rows()
-    renewed = [_renew(a, rows, reference=problem.reference) for a in moved]
+    renewed = [
+        _renew(_slipped(rows, a, own), rows, reference=problem.reference)
+        for a, own in zip(moved, beside, strict=True)
+    ]
     changed = np.zeros(len(removed))
     for a, new, own in zip(moved, renewed, beside, strict=True):
         changed += (new.columns - a.columns) @ own
@@ -330,7 +335,16 @@ def _movable(candidate: Candidate, *, signals: bool) -> bool:
     return lasting and all(p.unit != PRESENCE for p in effect.parameters)
 
 
+def _slipped(rows: Rows, a: Accepted, coefficients: FloatArray) -> Accepted:
+    """Return a slip about the rotation that was found now; anything else as it is."""
+    if angle_of(a.candidate) is None:
+        return a
+    return replace(a, candidate=turned_on(rows, a.candidate, coefficients[: len(TURN)]))
+
+
 def _renew(a: Accepted, rows: Rows, *, reference: bool) -> Accepted:
+    if angle_of(a.candidate) is not None:
+        return replace(a, columns=slip_columns(rows, a.candidate))
     if not a.candidate.physical:
         return a
     columns = candidate_columns(rows, a.candidate, a.candidate.shape, reference=reference)

@@ -15,6 +15,7 @@ from calib.mismatch.hypotheses.candidates import GAIN, GAIN_IN_TIME, Candidate
 from calib.mismatch.hypotheses.rivals import FADED, FADING, FROM_START, RIVAL
 from calib.mismatch.hypotheses.score import Stack
 from calib.mismatch.hypotheses.windows import (
+    SLIPPED,
     TURNED,
     WINDOWED,
     moved_window,
@@ -52,7 +53,9 @@ def test_rivals_share_one_prior_and_a_window_is_the_same_column_wherever_it_come
     rows = made.rows()
     stack = make_stack(rows, skip=(), reference=False)
     assert sum(c.weight for c in stack if not c.physical) <= RIVAL + 1e-9
-    longest = [max(rivals(stack, name), key=lambda c: len(c.index)) for name in WINDOWED]
+    # Beside a truth alone does a sensor slip in its mount.
+    names = [name for name in WINDOWED if name != SLIPPED]
+    longest = [max(rivals(stack, name), key=lambda c: len(c.index)) for name in names]
     assert {len(c.channels) for c in longest} == {1, 3}
     for candidate in longest:
         on_grid = stack.of(candidate)
@@ -169,7 +172,7 @@ def test_nearby_windows_lie_around_a_window_and_make_no_step_of_a_bias():
     rows = made.rows()
     stack = make_stack(rows, skip=(), reference=False)
     ends = rows.interval[0, 0], rows.interval[-1, 1]
-    for name in (n for n in WINDOWED if n != TURNED):
+    for name in (n for n in WINDOWED if n not in (TURNED, SLIPPED)):
         for candidate in rivals(stack, name)[::97]:
             assert candidate.interval is not None
             near = list(nearby_windows(rows, candidate))

@@ -49,15 +49,19 @@ def simulation() -> Recording:
     return whole.slice(100, len(whole))
 
 
-def recorded(*terms: Term, seed: int = 2, sampling: Sampling = IDEAL) -> Recording:
-    rng = np.random.default_rng(seed)
-    model = SensorModel(
+def sensor(rng: np.random.Generator, *terms: Term) -> SensorModel:
+    return SensorModel(
         Triad(
             rng.normal(0, 0.1, 3), rng.normal(0, 0.01, 3), np.tril(rng.normal(0, 0.01, (3, 3)), -1)
         ),
         Triad(rng.normal(0, 0.02, 3), rng.normal(0, 0.01, 3)),
         terms,
     )
+
+
+def recorded(*terms: Term, seed: int = 2, sampling: Sampling = IDEAL) -> Recording:
+    rng = np.random.default_rng(seed)
+    model = sensor(rng, *terms)
     return simulate(motion(), model, CONSUMER, rng=rng, rate=50.0, sampling=sampling)
 
 
