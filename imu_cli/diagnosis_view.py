@@ -53,7 +53,8 @@ def diagnosis_lines(document: Mapping[str, Any]) -> Iterator[str | Text | Table]
         yield ""
         yield styled(("Moved since the calibration", "bold"), "; calibrate again:")
         yield from (f"   {line}" for line in moved)
-    if document["findings"] or document["unexplained"]:
+    # Nothing was fitted to what must be mended first.
+    if document["fit"]["residuals"] and (document["findings"] or document["unexplained"]):
         yield ""
         yield _residuals(document["fit"]["residuals"])
         yield f" {likelihood(document['fit'])}"

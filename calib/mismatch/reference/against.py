@@ -27,6 +27,7 @@ from calib.mismatch.reference.axes import has_own_axes
 from calib.mismatch.reference.band import STILL, follows_noise, matched, too_few
 from calib.mismatch.reference.carried import OF_GYRO
 from calib.mismatch.reference.comparison import ComparisonProblem
+from calib.mismatch.reference.laid import laid
 from calib.mismatch.reference.oriented import oriented
 from calib.mismatch.reference.others import told_from_the_other
 from calib.mismatch.reference.setupfindings import find_setups
@@ -34,7 +35,7 @@ from calib.mismatch.reference.shaken import noise_beside
 from calib.mismatch.reference.truths import RecordingTruth
 from calib.mismatch.reference.twinned import UNSIGNED, diagnose_twin
 from calib.mismatch.samples.resting import unsaid
-from calib.mismatch.samples.samples import Samples, look_at_samples, with_reading
+from calib.mismatch.samples.samples import Samples, axes_beside, look_at_samples, with_reading
 from calib.mismatch.samples.within import look_beside
 from calib.mismatch.search.estimate import Estimate
 from calib.mismatch.search.explain import changes, explain, verdict
@@ -121,6 +122,8 @@ def diagnose_against(
     alignment = align(real.time, real.gyro, simulated.time, simulated.gyro)
     if follows_noise(real, RecordingTruth(simulated, gravity), alignment):
         return undetermined(UNSIGNED, summary)
+    if numbers := laid(real, simulated, alignment):
+        return unfit(seen._replace(findings=(axes_beside(real, numbers), *seen.findings)), summary)
     problem, skip = compare_simulation(
         real, simulated, seen, alignment=alignment, gravity=gravity, model=model
     )

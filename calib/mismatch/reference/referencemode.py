@@ -29,6 +29,7 @@ from calib.mismatch.reference.alike import check_apart, misleads
 from calib.mismatch.reference.band import BEYOND, Matched, limited, low_passed, matched, smoothed
 from calib.mismatch.reference.carried import known_errors, settled
 from calib.mismatch.reference.comparison import ComparisonProblem
+from calib.mismatch.reference.laid import UNLIKE
 from calib.mismatch.reference.oriented import oriented_at_rests
 from calib.mismatch.reference.shaken import noise_beside
 from calib.mismatch.reference.swaps import swapped
@@ -47,6 +48,12 @@ from calib.types import BoolArray, FloatArray
 
 BRISK = 2.0
 """Times the fastest rate that the sensor saw at which nothing of the body turned."""
+
+OPPOSITE = (
+    "the accelerometers of the two have opposite signs: an accelerometer at rest reads 1 g upwards "
+    "(+9.8 m/s² on the axis that is up); mend the one that does not"
+)
+"""Turns tell nothing of it: what is up and what is down turn alike."""
 
 UNTURNED = 1e-3
 """Weight of no rotation in a mounting, relative to what was measured."""
@@ -314,7 +321,10 @@ def compared(
             )
         reference = settled(reference)
         alignment = align(real.time, real.gyro, reference.time, reference.gyro)
-        mat = mounting(real, RecordingTruth(reference, gravity), alignment)[0]
+        mat, error = mounting(real, RecordingTruth(reference, gravity), alignment)
+        opposite = RecordingTruth(replace(reference, accel=-reference.accel), gravity)
+        if error > ASTRAY and UNLIKE * mounting(real, opposite, alignment)[1] < error:
+            raise NoCommonMotionError(OPPOSITE)
         other = known_errors(reference, mat, gravity=gravity)
         white = white_noise(real, reference)
         truth = RecordingTruth(reference, gravity, known.spoilt)

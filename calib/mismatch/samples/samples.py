@@ -61,6 +61,9 @@ COPIED = "nothing: one repeats the other"
 
 SPIKES = "nothing: samples are off course, and back at once"
 
+DOWNWARDS = ORDERS.index(((0, 1, 2), (-1, -1, -1)))
+"""How axes lie of which all have the wrong sign."""
+
 STUCK = 0.2
 """Share of the recording for which a channel that is stuck leaves nothing to compare with."""
 
@@ -284,6 +287,22 @@ def _axes(recording: Recording, closure: Closure | None) -> list[Finding]:
     number = next((k for k in range(len(ORDERS)) if np.array_equal(signed_permutation(k), made)), 0)
     names = tuple(f"gyro.{a}" for a, row in zip("xyz", made - np.eye(3), strict=True) if row.any())
     return [_finding("axis_error", recording, names, {"gyro": 1.0, "gyro_axes": float(number)})]
+
+
+def axes_beside(recording: Recording, numbers: Mapping[str, int]) -> Finding:
+    """Return the finding that triads show the axes of a simulation in another order."""
+    values: dict[str, float] = {}
+    names: list[str] = []
+    for triad, number in numbers.items():
+        values |= {triad: 1.0, f"{triad}_axes": float(number)}
+        off = signed_permutation(number) - np.eye(3)
+        names += [f"{triad}.{a}" for a, row in zip("xyz", off, strict=True) if row.any()]
+    whose = "The two do not have the same axes: mend those of the recording, or of the simulation."
+    found = _finding("axis_error", recording, tuple(names), values)
+    words = get_effect("axis_error").in_words(values)
+    if numbers.get("accel") == DOWNWARDS:
+        words += " An accelerometer at rest reads 1 g upwards, and not downwards."
+    return replace(found, sentence=f"{whose} Beside the simulation: {words}")
 
 
 def _saturation(recording: Recording, clipped: BoolArray, triad: str, limit: float) -> Finding:
