@@ -102,6 +102,13 @@ def notes(document: Mapping[str, Any]) -> list[str]:
             f"{left['samples']} samples were left out: the motion jumped between two of them at "
             f"{spans(left['intervals'], digits=2)}, as what is let go does, and neither tells when."
         )
+    if "compared" in recording:
+        part = recording["compared"]
+        out.append(
+            f"Compared were {part['seconds']:.3g} s of {recording['duration']:.3g} s, from "
+            f"{part['from']:.1f} to {part['to']:.1f} s: nothing is said of the rest, which the "
+            "other does not know."
+        )
     if "corners" in recording:
         out.append(
             f"{recording['corners']} samples were left out: those of the simulation are too few to "

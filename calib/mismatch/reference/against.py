@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
+from typing import cast
 
 import numpy as np
 
@@ -68,6 +69,9 @@ left out."""
 _SELDOM_ALONE = ("earth_rate", "gravity_magnitude", "reference_tilt", "reference_smoothing")
 """What is in a simulation's own signals already, or is a scale that the baseline has; and what is
 wrong with a room, or with markers."""
+
+COMPARED, MOST_OF_IT = "compared", 0.8
+"""How much of a recording was compared, where it is less than this share of it."""
 
 BY_ITSELF = (
     "motion to compare: neither it nor the simulation turns, so it was judged by itself; rests "
@@ -257,6 +261,9 @@ def conclude(
         missing += (f"motion that determines {', '.join(open_)}",)
     change, likelihood = changes(outcome)
     alignment = problem.setup.alignment
+    common, (first, last) = len(problem.time) * problem.interval, problem.time[[0, -1]].tolist()
+    if common < MOST_OF_IT * cast(float, summary["duration"]):
+        summary = {**summary, COMPARED: {"seconds": common, "from": first, "to": last}}
     return Diagnosis(
         verdict=verdict(tuple(findings), tuple(unexplained), able=not open_),
         findings=tuple(findings),

@@ -29,6 +29,7 @@ from calib.simulation.library import make_motion
 from calib.simulation.noise import CONSUMER, NoiseModel
 from calib.simulation.recorded import motion_of
 from calib.statics import find_poses
+from imu_cli.report.words import notes
 
 GRAVITY = 9.80665
 SHOWN = 30.0
@@ -594,3 +595,13 @@ def test_a_pendulum_behind_a_low_pass_is_not_taken_for_one_with_a_cubic_scale():
     found = diagnose_against(real, other, gravity=GRAVITY)
     (item,) = found.findings
     assert item.effect == "bandwidth"
+
+
+def test_a_simulation_of_a_part_is_said_to_be_of_a_part():
+    """Of 33 s it knew 13, and the whole was "consistent"."""
+    found = diagnose_against(recorded(), simulation().slice(0, 1000), gravity=GRAVITY)
+    part = found.summary["compared"]
+    assert part["seconds"] == pytest.approx(1000 / 80.0, abs=1.0)
+    assert "compared" not in diagnose_against(recorded(), simulation(), gravity=GRAVITY).summary
+    (said,) = [note for note in notes(found.to_json()) if note.startswith("Compared")]
+    assert "of 32.7 s" in said
