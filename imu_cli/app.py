@@ -6,9 +6,11 @@ import ast
 import gc
 import io
 import os
+import signal
 import sys
 from contextlib import suppress
 from pathlib import Path
+from types import FrameType
 from typing import Any, NoReturn
 
 import typer
@@ -20,7 +22,8 @@ EXIT_CODES = """\
 Exit codes: 0 done · 1 a bug in imu-cal · 2 wrong usage · 3 recording refused · 4 no calibration
 possible · 5 partial calibration · 6 a check said no (verify, --strict, FAIL) · 7 device ·
 8 flash failed, old values restored · 9 flash failed, device state changed · 10 calibration file
-refused · 11 a run of the line ended in ERROR · 130 interrupted"""
+refused · 11 a run of the line ended in ERROR · 130 interrupted · 143, 129 ended by SIGTERM or
+SIGHUP"""
 
 CANNOT_WRITE = 3
 """As of a recording that cannot be written."""
@@ -102,6 +105,10 @@ app = typer.Typer(
 )
 
 
+SIGNALLED = 128
+"""Added to the number of a signal, what a shell shows of a command that it ended."""
+
+
 def _version(value: bool) -> None:  # noqa: FBT001 - Typer calls it with the option's value
     if value:
         from importlib.metadata import version
@@ -128,6 +135,7 @@ def main() -> NoReturn:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     # A diagnosis makes tens of thousands of candidates, and no cycle among them is ever left.
     gc.set_threshold(GARBAGE)
+    _end_on_signals()
     try:
         try:
             app()
@@ -153,6 +161,21 @@ def main() -> NoReturn:
         _drop_output()
         sys.exit(CANNOT_WRITE)
     sys.exit(0)
+
+
+def _end_on_signals() -> None:
+    """Let SIGTERM and a terminal that is closed end a command as an error would.
+
+    Files that are half written are taken away then, ports closed. Those that are ignored stay so.
+    """
+
+    def end(number: int, frame: FrameType | None) -> NoReturn:
+        sys.exit(SIGNALLED + number)
+
+    for name in ("SIGTERM", "SIGHUP"):
+        number = getattr(signal, name, None)  # one of them is not known everywhere
+        if number is not None and signal.getsignal(number) == signal.SIG_DFL:
+            signal.signal(number, end)
 
 
 def _is_stuck() -> bool:

@@ -1,13 +1,18 @@
 """``imu-cal info`` and ``convert`` as a person at the bench, or a script, uses them."""
 
 import json
+import signal
+import subprocess
+import sys
 from pathlib import Path
+from time import sleep
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from drivers.formats import read_recording
+from calib.recording import Recording
+from drivers.formats import read_recording, write_recording
 from imu_cli.app import app
 
 FIXTURES = Path(__file__).resolve().parents[2] / "fixtures"
@@ -129,3 +134,20 @@ def test_convert_refuses_to_overwrite_its_input_and_unknown_suffixes(tmp_path: P
     assert code == 3
     assert "'.zip' names no format" in err
     assert run("convert", BENCH, "-o", tmp_path / "no" / "x.csv")[0] == 3
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_what_ends_a_conversion_leaves_no_half_of_a_file(tmp_path: Path, number: int) -> None:
+    """A `.part` of any size stayed."""
+    time = np.arange(300_000) / 100.0
+    many = Recording(time, np.ones((len(time), 3)), np.zeros((len(time), 3)), "device")
+    log, out = tmp_path / "log.arrow", tmp_path / "log.csv"
+    write_recording(many, log)
+    with subprocess.Popen(
+        [sys.executable, "-m", "imu_cli", "convert", str(log), "-o", str(out)]
+    ) as made:
+        while made.poll() is None and not list(tmp_path.glob("*.part")):
+            sleep(0.01)
+        made.send_signal(number)
+        assert made.wait(60) == 128 + number
+    assert list(tmp_path.iterdir()) == [log]
