@@ -55,6 +55,8 @@ REVERSAL = TREMOR_RATE / 4
 rad/s."""
 LONG_REST = 30
 """Blocks from which on a rest cannot be the end of a swing."""
+CARRIED = 6
+"""Blocks for which what has stopped to turn is still carried, or shaken as it is put down."""
 LONGEST_RISE = 40
 """Blocks by which an end may move inwards."""
 NEAR = 20, 600
@@ -109,14 +111,14 @@ def refine(
     # Poses differ in rate by g-sensitivity and drift.
     centre = [np.linalg.norm(np.median(off[a:b], axis=0)) for a, b in flat]
     spread = max(3.0 * float(np.median(centre)), DRIFT / units.rate if units.rate else 0.0)
-    found: list[tuple[int, int, float]] = []
+    found: list[tuple[int, int, float, float]] = []
     for segments, n_rate, n_force in zip(pieces, noise, force, strict=True):
         for scale in scales:
             level = n_rate * max(NORM / np.sqrt(scale), LASTING) + spread
             segments = _split(segments, partial(_rate_moved, off, scale=scale, level=level))
         segments = _join(blocks, off, segments, (n_force, n_rate), units)
-        found += [(*segment, ONSET * n_rate) for segment in segments]
-    return _trim(blocks.gyro, off, found, least, units)
+        found += [(*segment, ONSET * n_rate, ONSET * n_force) for segment in segments]
+    return _trim(blocks, off, found, least, units)
 
 
 def _rate_at_rest(
@@ -273,26 +275,36 @@ def _join(
 
 
 def _trim(
-    gyro: FloatArray,
+    blocks: Blocks,
     off: FloatArray,
-    segments: list[tuple[int, int, float]],
+    segments: list[tuple[int, int, float, float]],
     least: int,
     units: Units,
 ) -> list[tuple[int, int]]:
-    """Return the segments with their ends moved to where the turns beside them began."""
+    """Return the segments with their ends moved to where the motions beside them began.
+
+    Those are turns; and a hand that still carries what it turns no more, or already, for up to
+    `CARRIED` blocks. What takes longer to come to rest is an accelerometer.
+    """
     found = []
     edges = [0, *(e for segment in segments for e in segment[:2]), len(off)]
-    for k, (a, b, level) in enumerate(segments):
+    for k, (a, b, *levels) in enumerate(segments):
         if b - a < least or _swings(off[a:b], units):
             continue
-        rate = gyro[edges[2 * k] : edges[2 * k + 3]]
-        into, out = a - edges[2 * k], edges[2 * k + 3] - b
+        around = slice(edges[2 * k], edges[2 * k + 3])
+        into, out = a - around.start, around.stop - b
         near = min(max((b - a) // 2, NEAR[0]), NEAR[1], b - a)
-        first, last = (np.median(gyro[i : i + near], axis=0) for i in (a, b - near))
-        size = np.linalg.norm(rate - first, axis=1)
-        begin, early = _rise(size[::-1], out + b - a, level, (b - a) // 2)
-        size = np.linalg.norm(rate - last, axis=1)
-        end, late = _rise(size, into + b - a, level, (b - a) // 2)
+        half = (b - a) // 2
+        begins, ends = [], []
+        for values, level, inside in zip(
+            (blocks.gyro, blocks.accel), levels, (half, min(half, CARRIED)), strict=True
+        ):
+            first, last = (np.median(values[i : i + near], axis=0) for i in (a, b - near))
+            size = np.linalg.norm(values[around] - first, axis=1)
+            begins.append(_rise(size[::-1], out + b - a, level, inside))
+            size = np.linalg.norm(values[around] - last, axis=1)
+            ends.append(_rise(size, into + b - a, level, inside))
+        (begin, early), (end, late) = max(begins, key=sum), max(ends, key=sum)
         spare = b - a - begin - end - SHORTEST
         if spare >= 0:
             # A short rest keeps its middle: there margins share what there is.
