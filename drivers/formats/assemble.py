@@ -17,6 +17,16 @@ MAX_REVERSAL = 1.0
 """s; rows out of order may be dropped, but not a clock that started again."""
 
 
+ROUNDED, EXACT = (0.02, 0.6), 0.01
+"""Shares of the usual step between which stamps are rounded to a tick (where a tick is a step no
+two are alike), and of a tick by which floating point leaves these off."""
+
+
+SCATTERED = 0.1
+"""Share of steps that differ from the usual one where a host is late: of an even clock no two
+stamps are alike but by mistake."""
+
+
 @dataclass
 class Assembler:
     """Makes the batches of one recording, whatever file they come from.
@@ -49,6 +59,9 @@ class Assembler:
     _ticks: Ticks = field(default_factory=Ticks)
     _pending: int = 0
     _last: float = -np.inf
+    _stamp: float = -np.inf
+    _values: FloatArray | None = None
+    """Of the row that was read last, as it is."""
     _warm: bool | None = None
     """Whether the thermometer says anything, once that is known."""
 
@@ -72,6 +85,7 @@ class Assembler:
         if len(time) == 0:
             return None
         time = self._ticks.counted_on(time)
+        time = self._told_apart(time, np.hstack((accel, gyro)))
         temperature = self._measured(temperature, first)
         bad = self._not_finite(time, accel, gyro, temperature, first)
         late = self._not_increasing(time, bad, first)
@@ -99,6 +113,34 @@ class Assembler:
             complete=self.complete,
             notes=self._notes(),
         )
+
+    def _told_apart(self, time: FloatArray, values: FloatArray) -> FloatArray:
+        """Return times of which those that rounding made alike are within what it hides.
+
+        A late host and stamps in whole milliseconds give two samples one stamp now and then. A row
+        that is there twice has the same values, too, and is left alike.
+        """
+        same = np.diff(time, prepend=self._stamp) == 0
+        before, self._values, self._stamp = self._values, values[-1], float(time[-1])
+        if not same.any():
+            return time
+        first = values[:1] if before is None else before[None]
+        other = (np.diff(values, axis=0, prepend=first) != 0).any(axis=1)
+        step = np.diff(time)
+        step = step[step > 0]
+        if not step.size or not (other | ~same).all():
+            return time
+        tick, usual = _tick(step), float(np.median(step))
+        scatter = float((np.abs(step - usual) > 0.5 * tick).mean())
+        if not ROUNDED[0] * usual < tick < ROUNDED[1] * usual or scatter < SCATTERED:
+            return time
+        # Members of a group lie evenly in their tick; the first of all may go on from before.
+        group = np.cumsum(~same)
+        place = np.arange(len(time)) - np.searchsorted(group, group)
+        place[group == 0] += 1
+        count = np.bincount(group, minlength=1)
+        count[0] += 1
+        return np.asarray(time + tick * place / count[group])
 
     def _measured(self, temperature: FloatArray | None, first: int) -> FloatArray | None:
         """Return the temperature, None where no row has one."""
@@ -195,3 +237,15 @@ class Assembler:
         out[keep] = np.diff(kept, prepend=0)
         self._pending = int(total[-1] - (kept[-1] if kept.size else 0))
         return out, keep
+
+
+def _tick(step: FloatArray) -> float:
+    """Return the power of ten, in s, that all steps (n,) are multiples of, or else the shortest.
+
+    0 if they are multiples of neither.
+    """
+    for tick in (0.1, 0.01, 1e-3, 1e-4, float(step.min())):
+        count = step / tick
+        if (np.abs(count - np.round(count)) < EXACT).all():
+            return tick
+    return 0.0

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from imu_cli.options import (
+    DropInvalidOption,
     FixedPointOption,
     HeightOption,
     ImuOption,
@@ -18,6 +19,8 @@ from imu_cli.options import (
 )
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from calib.calibration import Calibration
     from calib.mismatch import Diagnosis
     from calib.model import SensorModel
@@ -67,6 +70,7 @@ def diagnose(
         Path | None,
         typer.Option("--report", help="Write a page with the plots that convinced (HTML)."),
     ] = None,
+    drop_invalid: DropInvalidOption = False,
     json: Annotated[bool, typer.Option("--json", help="Print one JSON document.")] = False,
 ) -> None:
     """Find the physics that a simulation of this recording leaves out.
@@ -102,17 +106,18 @@ def diagnose(
         local = known.gravity
     model = None if known is None else known.model
     if against is not None:
-        real = read_recording(recording, profile=profile, imu=imu)
-        simulated = read_recording(against, profile=other_profile)
+        real = read_recording(recording, profile=profile, imu=imu, drop_invalid=drop_invalid)
+        simulated = read_recording(against, profile=other_profile, drop_invalid=drop_invalid)
         found = diagnose_against(real, simulated, gravity=local.value, model=model)
     elif reference is not None:
-        real = read_recording(recording, profile=profile, imu=imu)
+        real = read_recording(recording, profile=profile, imu=imu, drop_invalid=drop_invalid)
         other = read_reference(
             reference, imu=reference_imu, profile=other_profile, fixed=fixed_point
         )
         found = diagnose_reference(real, other, gravity=local.value, model=model)
     else:
-        found, real = _by_itself(recording, profile, imu, gravity=local.value, model=model)
+        read = {"profile": profile, "imu": imu, "drop_invalid": drop_invalid}
+        found, real = _by_itself(recording, read, gravity=local.value, model=model)
     if known is not None:
         found = found.beside(known, real)
     if output is not None and found.names:
@@ -136,7 +141,7 @@ def diagnose(
 
 
 def _by_itself(
-    path: Path, profile: str | None, imu: int | None, *, gravity: float, model: SensorModel | None
+    path: Path, read: Mapping[str, Any], *, gravity: float, model: SensorModel | None
 ) -> tuple[Diagnosis, Recording]:
     """Read a recording, thinned where it is long, and compare it with its twin."""
     from calib.mismatch import diagnose_thinned, thin
@@ -152,10 +157,10 @@ def _by_itself(
             say(f"reading: {count:,} samples")
 
         if path.is_file():
-            thinned = thin(lambda: open_batches(path, profile=profile, imu=imu), progress=told)
+            thinned = thin(lambda: open_batches(path, **read), progress=told)
         else:
             # A pipe can be read only once.
-            real = read_recording(path, profile=profile, imu=imu)
+            real = read_recording(path, **read)
             thinned = thin(lambda: (real,), progress=told)
         say("comparing with its twin")
         return diagnose_thinned(thinned, gravity=gravity, model=model), thinned.recording

@@ -82,3 +82,27 @@ def test_a_log_of_hundredths_is_read_and_says_so(tmp_path: Path) -> None:
 def test_a_log_with_one_stamp_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InvalidSampleError, match="time does not increase"):
         read_recording(written(tmp_path / "log.csv", np.full(300, 5.0)))
+
+
+@pytest.mark.parametrize("batch", [37, 10_000])
+def test_stamps_that_rounding_made_alike_are_told_apart(tmp_path: Path, batch: int) -> None:
+    """Whole milliseconds of a late host: 30 of 13000 rows had the stamp of the one before."""
+    rng = np.random.default_rng(7)
+    time = 12.0 + np.arange(4000) / 200
+    stamps = np.round(np.maximum.accumulate(time + rng.exponential(1.2e-3, len(time))), 3)
+    assert 10 < (np.diff(stamps) == 0).sum() < 200
+    log = written(tmp_path / "log.csv", stamps)
+    parts = list(open_batches(log, batch=batch))
+    read = np.concatenate([part.time for part in parts])
+    assert (np.diff(read) > 0).all()
+    assert len(read) == 4000
+    assert np.abs(read - stamps).max() < 1e-3
+
+
+def test_a_row_that_is_there_twice_is_refused(tmp_path: Path) -> None:
+    stamps = np.round(np.arange(300) / 125, 3)
+    log = written(tmp_path / "log.csv", stamps)
+    lines = log.read_text().splitlines(keepends=True)
+    log.write_text("".join([*lines[:50], lines[49], *lines[50:]]))
+    with pytest.raises(InvalidSampleError, match="line 51: time does not increase"):
+        read_recording(log)
