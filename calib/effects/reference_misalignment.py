@@ -8,6 +8,8 @@ import numpy as np
 
 from calib.effects.base import Column, Effect, Parameter, State
 from calib.recording import AXES, CHANNELS
+from calib.rotation import mat_from_rotvec
+from calib.types import FloatArray
 
 
 def _across(axis: str) -> tuple[str, ...]:
@@ -15,11 +17,11 @@ def _across(axis: str) -> tuple[str, ...]:
 
 
 class ReferenceMisalignment(Effect):
-    """``f_m += f x rho, w_m += w x rho``."""
+    """``f_m = R(-rho) f, w_m = R(-rho) w``, R the rotation by a vector; nearly ``f += f x rho``."""
 
     slug = "reference_misalignment"
     title = "misalignment to the reference"
-    equation = "f_m += f x rho, w_m += w x rho"
+    equation = "f_m = R(-rho) f, w_m = R(-rho) w"
     source = "Mounting of markers or fixture by hand; 1 degree is typical"
     kind = "setup"
     parameters = tuple(
@@ -39,6 +41,14 @@ class ReferenceMisalignment(Effect):
             seen = np.hstack([np.cross(state.force, axis), np.cross(state.rate, axis)])
             out[f"r{b}"] = {c: seen[:, i] for i, c in enumerate(CHANNELS) if c in _across(b)}
         return out
+
+    def contribution(self, state: State, parameters: Mapping[str, float]) -> dict[str, FloatArray]:
+        """Return what turning both signals adds; of 3 degrees, products of two angles are seen."""
+        turn = mat_from_rotvec(-np.array([parameters.get(f"r{a}", 0.0) for a in AXES]))
+        if not (turn - np.eye(3)).any():
+            return {}
+        change = np.hstack([s @ (turn - np.eye(3)).T for s in (state.force, state.rate)])
+        return dict(zip(CHANNELS, change.T, strict=True))
 
 
 EFFECT = ReferenceMisalignment()

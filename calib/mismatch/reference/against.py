@@ -29,6 +29,7 @@ from calib.mismatch.reference.band import STILL, follows_noise, matched, too_few
 from calib.mismatch.reference.carried import OF_GYRO
 from calib.mismatch.reference.comparison import ComparisonProblem
 from calib.mismatch.reference.laid import laid
+from calib.mismatch.reference.mounted import mounted_far
 from calib.mismatch.reference.oriented import oriented
 from calib.mismatch.reference.others import told_from_the_other
 from calib.mismatch.reference.setupfindings import find_setups
@@ -126,10 +127,11 @@ def diagnose_against(
     alignment = align(real.time, real.gyro, simulated.time, simulated.gyro)
     if follows_noise(real, RecordingTruth(simulated, gravity), alignment):
         return undetermined(UNSIGNED, summary)
-    if numbers := laid(real, simulated, alignment):
+    mat = mounted_far(real, RecordingTruth(simulated, gravity), alignment)
+    if mat is None and (numbers := laid(real, simulated, alignment)):
         return unfit(seen._replace(findings=(axes_beside(real, numbers), *seen.findings)), summary)
     problem, skip = compare_simulation(
-        real, simulated, seen, alignment=alignment, gravity=gravity, model=model
+        real, simulated, seen, alignment=alignment, gravity=gravity, model=model, mat_sr=mat
     )
     # When a simulation starts is nobody's fault; what its clock does to the motion is.
     few: tuple[str, ...] = ()
@@ -146,7 +148,7 @@ def diagnose_against(
         problem,
         seen,
         summary,
-        setups=("clock_scale",),
+        setups=("clock_scale", *(() if mat is None else ("reference_misalignment",))),
         clocks=clocks,
         noisy=noise_beside(heard, poses, simulated, problem.setup.alignment),
         skip=skip,
@@ -162,12 +164,18 @@ def compare_simulation(
     gravity: float,
     alignment: Alignment | None = None,
     model: SensorModel | None = None,
+    mat_sr: FloatArray | None = None,
 ) -> tuple[ComparisonProblem, tuple[str, ...]]:
-    """Align a simulation with a recording; return what to compare, and what cannot show."""
+    """Align a simulation with a recording; return what to compare, and what cannot show.
+
+    The sensor is mounted in its frame as ``mat_sr`` (3, 3) says, if at a large angle.
+    """
     if alignment is None:
         alignment = align(real.time, real.gyro, simulated.time, simulated.gyro)
     truth = RecordingTruth(simulated, gravity)
-    common = matched(real, truth, alignment, np.eye(3), spoilt=seen.spoilt)
+    common = matched(
+        real, truth, alignment, np.eye(3) if mat_sr is None else mat_sr, spoilt=seen.spoilt
+    )
     compare = partial(
         ComparisonProblem,
         common.real,
@@ -175,6 +183,7 @@ def compare_simulation(
         alignment,
         gravity=gravity,
         model=model,
+        mat_sr=mat_sr,
         spoilt=common.spoilt,
         blur=common.blur,
         band=common.band,

@@ -17,6 +17,7 @@ import numpy as np
 
 from calib.effects.axis_error import ORDERS, signed_permutation
 from calib.mismatch.reference.alignment import Alignment
+from calib.mismatch.reference.mounted import UNLIKE
 from calib.mismatch.reference.truths import near
 from calib.recording import Recording
 from calib.types import FloatArray
@@ -24,9 +25,6 @@ from calib.types import FloatArray
 ALIKE = 0.03
 """What the right way leaves, at most: a sensor that is mounted at 14 degrees leaves as much. One
 that is mounted at a larger angle has no right way."""
-
-UNLIKE = 5.0
-"""How many times more the axes as they are must leave, or they are as good."""
 
 TIED = 1.5
 """Up to so many times the least is as little: of axes that nothing turns about, all ways are alike,

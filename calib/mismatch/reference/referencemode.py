@@ -29,7 +29,7 @@ from calib.mismatch.reference.alike import check_apart, misleads
 from calib.mismatch.reference.band import BEYOND, Matched, limited, low_passed, matched, smoothed
 from calib.mismatch.reference.carried import known_errors, settled
 from calib.mismatch.reference.comparison import ComparisonProblem
-from calib.mismatch.reference.laid import UNLIKE
+from calib.mismatch.reference.mounted import UNLIKE, mounting
 from calib.mismatch.reference.oriented import oriented_at_rests
 from calib.mismatch.reference.shaken import noise_beside
 from calib.mismatch.reference.swaps import swapped
@@ -39,7 +39,7 @@ from calib.mismatch.reference.witnessed import white_noise
 from calib.mismatch.samples.samples import Samples, look_at_samples, with_reading
 from calib.model import SensorModel
 from calib.recording import Recording
-from calib.rotation import mat_from_quat, nearest_rotation, quat_multiply, rotate
+from calib.rotation import mat_from_quat, quat_multiply, rotate
 from calib.statics import find_poses
 from calib.stillness import runs
 from calib.threads import one_thread
@@ -54,9 +54,6 @@ OPPOSITE = (
     "(+9.8 m/s² on the axis that is up); mend the one that does not"
 )
 """Turns tell nothing of it: what is up and what is down turn alike."""
-
-UNTURNED = 1e-3
-"""Weight of no rotation in a mounting, relative to what was measured."""
 
 ROUGH, SLOW = 20.0, 5.0
 """Hz up to which a captured motion is aligned and its frame is found, noisy as its rates are; the
@@ -445,35 +442,3 @@ def _turned(real: Recording, placed: _Placed, up: FloatArray, gravity: float) ->
         position=None if seen.position is None else rotate(turn, seen.position),
     )
     return _placed(real, turned, gravity)
-
-
-def mounting(
-    real: Recording, truth: RecordingTruth, alignment: Alignment
-) -> tuple[FloatArray, float]:
-    """Return the rotation from the truth's frame to s, and what share of the signals it leaves.
-
-    Wahba's problem over rates and specific forces, by singular values. What is left is the power of
-    the rates' differences relative to the rates', and the same of forces: of turns about one axis
-    alone, the other way round and turned over are the same for a gyroscope.
-
-    References
-    ----------
-    .. [1] F. L. Markley, "Attitude determination using vector observations and the singular value
-       decomposition", J. Astronaut. Sci. 36, 1988, p. 245.
-    """
-    at = alignment.times(real.time)
-    inside = truth.covers(at)
-    state = truth.state(at[inside])
-    gyro = real.gyro[inside] - np.median(real.gyro[inside], axis=0)
-    rate = state.rate - np.median(state.rate, axis=0)
-    accel = real.accel[inside]
-    product = gyro.T @ rate / max(float(np.square(rate).sum()), 1e-12)
-    product += accel.T @ state.force / float(np.square(state.force).sum())
-    # A turn that nothing tells of (heading, on a table) is none.
-    product += UNTURNED * np.linalg.norm(product) * np.eye(3)
-    mat = nearest_rotation(product)
-    left = [
-        np.square(seen - true @ mat.T).sum() / max(float(np.square(seen).sum()), 1e-12)
-        for seen, true in ((gyro, rate), (accel, state.force))
-    ]
-    return mat, float(sum(left))

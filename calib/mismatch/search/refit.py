@@ -103,6 +103,11 @@ def refit(
         levels = estimate_levels(rows, fitted(rows, accepted), levels).values
     rows, accepted, steps, off = _stepped(problem, rows, accepted, levels, contrast)
     straight = steps == 1 and off < BENT
+    if straight and rough and _is_felt(accepted[-1]):
+        # Now the sensor's errors act on that as well: of a table's gravity none of them is known,
+        # but of what an arm adds to it.
+        rows, accepted, _, off = _stepped(problem, rows, accepted, levels, contrast)
+        straight, steps = False, 2
     for _ in range(REFINED):
         if steps == 1 or not off < BENT:
             break
@@ -126,6 +131,11 @@ def refit(
         rows, accepted, steps, off = _stepped(problem, rows, accepted, levels, contrast)
         straight = straight and steps == 1 and off < BENT
     return Refit(rows, accepted, levels, straight)
+
+
+def _is_felt(a: Accepted) -> bool:
+    """Whether the model has taken up a setup, which changes what the sensor feels."""
+    return a.in_model and get_effect(a.candidate.name).kind == "setup"
 
 
 def _moments_anew(

@@ -78,3 +78,17 @@ def test_gravity_with_the_other_sign_is_said_in_words():
     other = replace(simulation(), accel=-simulation().accel)
     (finding,) = diagnose_against(recorded(), other, gravity=GRAVITY).findings
     assert "reads 1 g upwards, and not downwards" in finding.sentence
+
+
+@pytest.mark.parametrize("angle", [4.0, 11.0, 90.0, 150.0])
+def test_a_mounting_at_any_angle_is_one_finding_with_its_rotation(angle: float):
+    """Of 4 degrees products of two angles were a `gyro_misalignment`, and 30 another motion."""
+    turn = np.radians(angle) * np.array([-0.48, -0.36, 0.8])
+    mat = mat_from_rotvec(turn)
+    found = diagnose_against(recorded(), turned(simulation(), mat, mat), gravity=GRAVITY)
+    assert found.verdict == "explained"
+    (finding,) = found.findings
+    assert finding.effect == "reference_misalignment"
+    for value, true in zip(finding.parameters.values(), turn, strict=True):
+        assert value.sigma < 2e-4
+        assert abs(value.value - true) < 4.0 * value.sigma

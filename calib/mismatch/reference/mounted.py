@@ -1,0 +1,78 @@
+"""How a sensor is mounted in the frame of what moves it: a rotation, from both of its triads."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from calib.mismatch.reference.alignment import Alignment
+from calib.mismatch.reference.truths import RecordingTruth
+from calib.recording import Recording
+from calib.rotation import nearest_rotation, rotvec_from_mat
+from calib.types import FloatArray
+
+_Signals = tuple[tuple[FloatArray, FloatArray], tuple[FloatArray, FloatArray]]
+
+UNTURNED = 1e-3
+"""Weight of no rotation in a mounting, relative to what was measured."""
+
+FAR = np.radians(10.0)
+"""Angle of a mounting that no misalignment of axes comes near to."""
+
+ALIKE = 0.1
+"""Share of the signals' powers, in sum, that the right mounting leaves at most: errors of 5 % of
+scale leave a twentieth of that."""
+
+UNLIKE = 5.0
+"""How many times more another frame must leave, or it is as good."""
+
+
+def mounting(
+    real: Recording, truth: RecordingTruth, alignment: Alignment
+) -> tuple[FloatArray, float]:
+    """Return the rotation from the truth's frame to s, and what share of the signals it leaves.
+
+    Wahba's problem over rates and specific forces, by singular values. What is left is the power of
+    the rates' differences relative to the rates', and the same of forces: of turns about one axis
+    alone, the other way round and turned over are the same for a gyroscope.
+
+    References
+    ----------
+    .. [1] F. L. Markley, "Attitude determination using vector observations and the singular value
+       decomposition", J. Astronaut. Sci. 36, 1988, p. 245.
+    """
+    seen = _both(real, truth, alignment)
+    (gyro, rate), (accel, force) = seen
+    product = gyro.T @ rate / max(float(np.square(rate).sum()), 1e-12)
+    product += accel.T @ force / float(np.square(force).sum())
+    # A turn that nothing tells of (heading, on a table) is none.
+    product += UNTURNED * np.linalg.norm(product) * np.eye(3)
+    mat = nearest_rotation(product)
+    return mat, _left(seen, mat)
+
+
+def mounted_far(real: Recording, truth: RecordingTruth, alignment: Alignment) -> FloatArray | None:
+    """Return the rotation from a simulation's frame to s, if it is large and explains the two.
+
+    A small one is an effect like others, to be told from what turns the axes of one triad alone.
+    """
+    mat, left = mounting(real, truth, alignment)
+    if np.linalg.norm(rotvec_from_mat(mat)) < FAR or left > ALIKE:
+        return None
+    return mat if UNLIKE * left < _left(_both(real, truth, alignment), np.eye(3)) else None
+
+
+def _both(real: Recording, truth: RecordingTruth, alignment: Alignment) -> _Signals:
+    """Return what the recording and the truth have in common: rates beside rest, and forces."""
+    at = alignment.times(real.time)
+    inside = truth.covers(at)
+    state = truth.state(at[inside])
+    gyro, rate = (r - np.median(r, axis=0) for r in (real.gyro[inside], state.rate))
+    return (gyro, rate), (real.accel[inside], state.force)
+
+
+def _left(both: _Signals, mat: FloatArray) -> float:
+    """Return what shares of the signals' powers a rotation leaves, in sum."""
+    return sum(
+        float(np.square(seen - true @ mat.T).sum() / max(np.square(seen).sum(), 1e-12))
+        for seen, true in both
+    )
