@@ -43,7 +43,7 @@ def mounting(
     seen = _both(real, truth, alignment)
     (gyro, rate), (accel, force) = seen
     product = gyro.T @ rate / max(float(np.square(rate).sum()), 1e-12)
-    product += accel.T @ force / float(np.square(force).sum())
+    product += accel.T @ force / max(float(np.square(force).sum()), 1e-12)
     # A turn that nothing tells of (heading, on a table) is none.
     product += UNTURNED * np.linalg.norm(product) * np.eye(3)
     mat = nearest_rotation(product)
