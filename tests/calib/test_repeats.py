@@ -65,3 +65,17 @@ def test_rounding_makes_no_blocks_by_chance(noise: float) -> None:
 def test_few_samples() -> None:
     for n in (1, 2, 3, 40):
         assert find_repeats(RNG(1).normal(0, 1, (n, 6)), np.zeros(n, bool)).size == 0
+
+
+@pytest.mark.parametrize("lsb", [0.1, 1.0])
+def test_one_sample_that_comes_twice_in_a_turn_is_found(lsb: float) -> None:
+    """Where noise is of a count, chance makes some at rest: one more was none."""
+    time = np.arange(20_000) / 100
+    turning = 4000.0 * np.sin(time)[:, None] ** 3 * [1.0, -0.7, 0.4, 2.0, 1.5, -1.0]
+    turning[(time % (4 * np.pi)) > 2 * np.pi] = 0.0
+    values = lsb * np.round((turning + RNG(1).normal(0, 1, (20_000, 6))) / lsb)
+    moving = np.abs(turning).max(axis=1) > 1.0
+    assert find_repeats(values, moving).size == 0
+    at = int(np.argmax(np.abs(np.diff(turning[:, 0]))))
+    again = np.insert(values, at, values[at - 1], axis=0)
+    assert find_repeats(again, np.insert(moving, at, moving[at])).tolist() == [at]
