@@ -124,7 +124,7 @@ def _switched(switch: Switch) -> UnitFault:
         triad,
         factor,
         f"from {start:.1f} to {stop:.1f} s the {TRIADS[triad]} is {factor:.4g} times as large as "
-        f"in the rest of the recording{_name(factor, known)} there",
+        f"in the rest of the recording{name_of(factor, known)} there",
         interval=switch.interval,
     )
 
@@ -147,7 +147,7 @@ def _accel_fault(recording: Recording, poses: Poses) -> UnitFault | None:
             "accel",
             factor,
             f"accelerometer {'xyz'[odd]} measures {factor * G:.4g} m/s² of gravity, expected "
-            f"{G:.2f}, a factor of {factor:.4g}{_name(factor, ACCEL_FACTORS)}",
+            f"{G:.2f}, a factor of {factor:.4g}{name_of(factor, ACCEL_FACTORS)}",
             odd,
         )
     if low <= factor <= high:
@@ -162,7 +162,7 @@ def _accel_fault(recording: Recording, poses: Poses) -> UnitFault | None:
     return UnitFault(
         "accel",
         factor,
-        f"{where}, expected {G:.2f}, a factor of {factor:.4g}{_name(factor, ACCEL_FACTORS)}",
+        f"{where}, expected {G:.2f}, a factor of {factor:.4g}{name_of(factor, ACCEL_FACTORS)}",
     )
 
 
@@ -215,7 +215,7 @@ def _gyro_fault(recording: Recording, closure: Closure | None) -> UnitFault | No
             "gyro",
             factor,
             f"turns are {factor:.4g} times as large by {what} as by the direction of "
-            f"gravity{_name(factor, GYRO_FACTORS)}",
+            f"gravity{name_of(factor, GYRO_FACTORS)}",
             odd,
         )
     rate = np.linalg.norm(recording.gyro - np.median(recording.gyro, axis=0), axis=1)
@@ -230,7 +230,7 @@ def _gyro_fault(recording: Recording, closure: Closure | None) -> UnitFault | No
     return None
 
 
-def _name(factor: float, known: dict[float, str]) -> str:
+def name_of(factor: float, known: dict[float, str]) -> str:
     """Return what a factor means, if it is near one that is known."""
     values = np.array(list(known))
     distance = np.abs(np.log(factor / values))

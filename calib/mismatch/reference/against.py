@@ -29,6 +29,7 @@ from calib.mismatch.reference.band import STILL, follows_noise, matched, too_few
 from calib.mismatch.reference.carried import OF_GYRO
 from calib.mismatch.reference.comparison import ComparisonProblem
 from calib.mismatch.reference.laid import laid
+from calib.mismatch.reference.misread import misread
 from calib.mismatch.reference.mounted import mounted_far
 from calib.mismatch.reference.oriented import oriented
 from calib.mismatch.reference.others import told_from_the_other
@@ -130,6 +131,9 @@ def diagnose_against(
     mat = mounted_far(real, RecordingTruth(simulated, gravity), alignment)
     if mat is None and (numbers := laid(real, simulated, alignment)):
         return unfit(seen._replace(findings=(axes_beside(real, numbers), *seen.findings)), summary)
+    wrong = misread(real, RecordingTruth(simulated, gravity), alignment, other="simulation")
+    if wrong is not None:
+        return unfit(seen._replace(findings=(wrong, *seen.findings)), summary)
     problem, skip = compare_simulation(
         real, simulated, seen, alignment=alignment, gravity=gravity, model=model, mat_sr=mat
     )
@@ -254,7 +258,7 @@ def conclude(
     findings = [*seen.findings, *found, *findings]
     left = problem.left()
     if left is not None:
-        noisy = (*noisy, *look_beside(*left))
+        noisy = (*noisy, *look_beside(*left, exact=not problem.noisy and not problem.gyroscopic))
     noisy = unsaid(noisy, findings, seen.unexplained)
     unexplained = [*seen.unexplained, *gathered(joined([*unexplained, *noisy]))]
     slugs = {f.effect for f in findings}

@@ -40,7 +40,7 @@ def mounting(
     .. [1] F. L. Markley, "Attitude determination using vector observations and the singular value
        decomposition", J. Astronaut. Sci. 36, 1988, p. 245.
     """
-    seen = _both(real, truth, alignment)
+    seen = both(real, truth, alignment)
     (gyro, rate), (accel, force) = seen
     product = gyro.T @ rate / max(float(np.square(rate).sum()), 1e-12)
     product += accel.T @ force / max(float(np.square(force).sum()), 1e-12)
@@ -58,10 +58,10 @@ def mounted_far(real: Recording, truth: RecordingTruth, alignment: Alignment) ->
     mat, left = mounting(real, truth, alignment)
     if np.linalg.norm(rotvec_from_mat(mat)) < FAR or left > ALIKE:
         return None
-    return mat if UNLIKE * left < _left(_both(real, truth, alignment), np.eye(3)) else None
+    return mat if UNLIKE * left < _left(both(real, truth, alignment), np.eye(3)) else None
 
 
-def _both(real: Recording, truth: RecordingTruth, alignment: Alignment) -> _Signals:
+def both(real: Recording, truth: RecordingTruth, alignment: Alignment) -> _Signals:
     """Return what the recording and the truth have in common: rates beside rest, and forces."""
     at = alignment.times(real.time)
     inside = truth.covers(at)

@@ -29,6 +29,7 @@ from calib.mismatch.reference.alike import check_apart, misleads
 from calib.mismatch.reference.band import BEYOND, Matched, limited, low_passed, matched, smoothed
 from calib.mismatch.reference.carried import known_errors, settled
 from calib.mismatch.reference.comparison import ComparisonProblem
+from calib.mismatch.reference.misread import MisreadError, misread
 from calib.mismatch.reference.mounted import UNLIKE, mounting
 from calib.mismatch.reference.oriented import oriented_at_rests
 from calib.mismatch.reference.shaken import noise_beside
@@ -260,7 +261,10 @@ def diagnose_reference(
             if reference.placed
             else "not known: the accelerometer is judged only at rest"
         )
-    problem, skip = compare_reference(real, reference, seen, gravity=gravity, model=model)
+    try:
+        problem, skip = compare_reference(real, reference, seen, gravity=gravity, model=model)
+    except MisreadError as error:
+        return unfit(seen._replace(findings=(error.finding, *seen.findings)), summary)
     missing: tuple[str, ...] = ()
     if (
         isinstance(reference, ReferenceMotion)
@@ -322,6 +326,7 @@ def compared(
         opposite = RecordingTruth(replace(reference, accel=-reference.accel), gravity)
         if error > ASTRAY and UNLIKE * mounting(real, opposite, alignment)[1] < error:
             raise NoCommonMotionError(OPPOSITE)
+        _refuse_misread(real, RecordingTruth(reference, gravity), alignment)
         other = known_errors(reference, mat, gravity=gravity)
         white = white_noise(real, reference)
         truth = RecordingTruth(reference, gravity, known.spoilt)
@@ -375,6 +380,8 @@ def _captured(
             if up is not None and (other := _turned(real, way, up, gravity)).error < best.error:
                 best, notes[UP] = other, in_words(up)
     reference, truth, alignment, mat, _ = best
+    slow = replace(truth, recording=low_passed(truth.recording, ROUGH))
+    _refuse_misread(low_passed(real, ROUGH), slow, alignment)
     bad = swapped(reference.time, reference.quat, real, alignment, mat)
     if bad.any():
         at = alignment.moments(reference.time)
@@ -389,6 +396,12 @@ def _captured(
         kept = limited(real, truth, common.band, spoilt)
         common = kept._replace(folded=common.folded, jumps=common.jumps)
     return common, alignment, mat, notes, reference
+
+
+def _refuse_misread(real: Recording, truth: RecordingTruth, alignment: Alignment) -> None:
+    wrong = misread(real, truth, alignment, other="reference")
+    if wrong is not None:
+        raise MisreadError(wrong)
 
 
 def _left_out(time: FloatArray, bad: BoolArray, missing: BoolArray) -> dict[str, object]:

@@ -26,10 +26,10 @@ from calib.poses import Poses
 from calib.recording import CHANNELS, Recording
 from calib.repeats import find_repeats
 from calib.synchrony import STEP, gyro_delay
-from calib.tilts import FEWEST, Closure
+from calib.tilts import FEWEST, GYRO_FACTORS, Closure
 from calib.turns import find_turns
 from calib.types import BoolArray, FloatArray, IntArray
-from calib.units import unit_faults
+from calib.units import ACCEL_FACTORS, name_of, unit_faults
 
 _JOIN = 1.0
 """Places closer than this are one interval, s."""
@@ -289,20 +289,33 @@ def _axes(recording: Recording, closure: Closure | None) -> list[Finding]:
     return [_finding("axis_error", recording, names, {"gyro": 1.0, "gyro_axes": float(number)})]
 
 
-def axes_beside(recording: Recording, numbers: Mapping[str, int]) -> Finding:
-    """Return the finding that triads show the axes of a simulation in another order."""
+def axes_beside(
+    recording: Recording, numbers: Mapping[str, int], *, other: str = "simulation"
+) -> Finding:
+    """Return the finding that triads show the axes of the `other` in another order."""
     values: dict[str, float] = {}
     names: list[str] = []
     for triad, number in numbers.items():
         values |= {triad: 1.0, f"{triad}_axes": float(number)}
         off = signed_permutation(number) - np.eye(3)
         names += [f"{triad}.{a}" for a, row in zip("xyz", off, strict=True) if row.any()]
-    whose = "The two do not have the same axes: mend those of the recording, or of the simulation."
+    whose = f"The two do not have the same axes: mend those of the recording, or of the {other}."
     found = _finding("axis_error", recording, tuple(names), values)
     words = get_effect("axis_error").in_words(values)
     if numbers.get("accel") == DOWNWARDS:
         words += " An accelerometer at rest reads 1 g upwards, and not downwards."
-    return replace(found, sentence=f"{whose} Beside the simulation: {words}")
+    return replace(found, sentence=f"{whose} Beside the {other}: {words}")
+
+
+def factor_beside(recording: Recording, triad: str, factor: float, *, other: str) -> Finding:
+    """Return the finding that a triad reads so many times what the `other` has."""
+    channels, known = (CHANNELS[:3], ACCEL_FACTORS) if triad == "accel" else (GYRO, GYRO_FACTORS)
+    found = _finding("unit_error", recording, channels, {triad: factor - 1.0})
+    return replace(
+        found,
+        sentence=f"The {triad} reads {factor:.4g} times what the {other} has: check the units and "
+        f"ranges of both{name_of(factor, known)}.",
+    )
 
 
 def _saturation(recording: Recording, clipped: BoolArray, triad: str, limit: float) -> Finding:

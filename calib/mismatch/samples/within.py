@@ -26,6 +26,7 @@ from calib.mismatch.hypotheses.windows import windows
 from calib.mismatch.samples.spectrum import SHARE
 from calib.poses import Poses
 from calib.recording import CHANNELS, Recording
+from calib.stillness import runs
 from calib.types import BoolArray, FloatArray, IntArray
 
 CLAIM = 1e-4
@@ -47,6 +48,12 @@ SEVERAL = 4
 """Pulses on one channel that are no noise then: it has so many in 2e-5 of recordings."""
 
 PULSES = "the time: pulses there"
+
+JOLT, MOST_JOLTS = 20.0, 4
+"""Noises by which a moment is off that is a jolt beside a truth without noise, and how many there
+are at most: of more, the truth has corners, or noise that is not normal."""
+
+JOLTED = "the time: a jolt there"
 
 OFF_COURSE = "the time: single samples are off course there"
 """What these follow."""
@@ -118,7 +125,9 @@ def look_within(recording: Recording, poses: Poses) -> tuple[Unexplained, ...]:
     return tuple(pulses + _stretches(looks, poses.interval, {u.channels for u in pulses}))
 
 
-def look_beside(time: FloatArray, left: FloatArray) -> tuple[Unexplained, ...]:
+def look_beside(
+    time: FloatArray, left: FloatArray, *, exact: bool = False
+) -> tuple[Unexplained, ...]:
     """Return channels that have pulses or are restless beside a truth, at rest or in motion.
 
     Parameters
@@ -128,6 +137,9 @@ def look_beside(time: FloatArray, left: FloatArray) -> tuple[Unexplained, ...]:
     left : (n, 6) array
         What is left of samples beside the truth: noise, about as large throughout and white. On a
         channel on which it is nothing, nothing is seen.
+    exact : bool
+        Whether the truth has no noise of its own. Then no motion is left either, and one jolt is
+        one, whichever channels show it.
     """
     if len(time) < 2:
         return ()
@@ -148,6 +160,8 @@ def look_beside(time: FloatArray, left: FloatArray) -> tuple[Unexplained, ...]:
         ]
 
     pulses = _pulses(by(NEARBY), time)
+    if exact:
+        pulses += _jolts(looks, time)
     each = max(STRETCH, (time[-1] - time[0]) / STRETCHES)
     edges = np.arange(time[0], time[-1] + each, each)
     ends = np.stack((edges[:-1], np.minimum(edges[1:], time[-1])), axis=1)
@@ -259,6 +273,27 @@ def _pulses(looks: list[_Look], time: FloatArray) -> list[Unexplained]:
         where = densest(np.asarray(start + APART * (found + 0.5)), (start, stop))
         out.append(Unexplained((channel,), (where,), PULSES, p))
     return out
+
+
+def _jolts(looks: list[_Look], time: FloatArray) -> list[Unexplained]:
+    """Return the few moments at which channels are off by many noises: one item of all of them."""
+    start, stop = float(time[0]), float(time[-1])
+    moments = int((stop - start) / APART) + 1
+    seen = np.zeros((moments, 6))
+    for look in looks:
+        at = ((look.time - start) / APART).astype(np.int64)
+        np.maximum.at(seen, at, np.abs(look.size))
+    first, last = runs(np.asarray((seen > JOLT).any(axis=1)))
+    if not 0 < len(first) <= MOST_JOLTS:
+        return []
+    shown = np.max([seen[a:b].max(axis=0) for a, b in zip(first, last, strict=True)], axis=0)
+    where = tuple(
+        (start + APART * a, min(start + APART * b, stop))
+        for a, b in zip(first.tolist(), last.tolist(), strict=True)
+    )
+    channels = tuple(c for c, size in zip(CHANNELS, shown, strict=True) if size > JOLT)
+    p = 2.0 * float(ndtr(-JOLT)) * sum(look.size.size for look in looks)
+    return [Unexplained(channels, where, JOLTED, p)]
 
 
 def _spikes(

@@ -309,3 +309,25 @@ def test_a_channel_of_which_nothing_is_left_says_nothing_beside_a_truth() -> Non
     assert look_beside(time, left) == ()
     left[1000:1100, 2] = 1.0
     assert look_beside(time, left) == ()
+
+
+def test_one_jolt_beside_an_exact_truth_is_said_with_all_channels_that_show_it() -> None:
+    """A table that slipped by 1.5 degrees in one sample was "explained"."""
+    time = np.arange(0.0, 60.0, 0.01)
+    left = np.random.default_rng(2).normal(size=(len(time), 6))
+    assert not look_beside(time, left, exact=True)
+    left[3000, 3:] += [40.0, 70.0, -30.0]
+    assert not look_beside(time, left)
+    (found,) = look_beside(time, left, exact=True)
+    assert found.follows == "the time: a jolt there"
+    assert found.channels == ("gyro.x", "gyro.y", "gyro.z")
+    ((start, stop),) = found.intervals
+    assert start <= 30.0 <= stop < start + 2.0
+    assert found.p_value < 1e-50
+
+
+def test_corners_that_a_truth_does_not_follow_are_no_jolts() -> None:
+    time = np.arange(0.0, 60.0, 0.01)
+    left = np.random.default_rng(2).normal(size=(len(time), 6))
+    left[500::600, 3] += 100.0
+    assert all("jolt" not in u.follows for u in look_beside(time, left, exact=True))
