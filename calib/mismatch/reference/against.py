@@ -197,7 +197,8 @@ def compare_simulation(
         unknown=common.unknown,
     )
     problem = compare()
-    if has_own_axes(problem.rows()):
+    # In a frame that is not known it is the gyroscope that is turned against the accelerometer.
+    if mat_sr is None and has_own_axes(problem.rows()):
         problem = compare(own_axes=True)
     noisy = common.limited and not common.exact
     return problem, ((*_SELDOM_ALONE, "bandwidth") if noisy else _SELDOM_ALONE)

@@ -47,6 +47,9 @@ shorter."""
 REACH = 0.5
 """s by which a part's offset may differ from its neighbour's."""
 
+LONGER, FASTER = 50.0, 10.0
+"""Times by which one lasts longer, or turns faster, from which units are in doubt."""
+
 CLEAR = 0.99
 """Correlation from which on clocks run alike: below, they may run apart, and what repeats itself
 may match at another time."""
@@ -130,16 +133,17 @@ def _aligned(
 ) -> Alignment:
     step = max(STEP, _interval(time), _interval(ref_time))
     a, b = _even(time, rate, step), _even(ref_time, ref_rate, step)
+    units = _units(a, b, step)
     for name, values in (("the recording", a), ("the reference", b)):
         if len(values) * step < LEAST_OVERLAP:
             raise NoCommonMotionError(
                 f"{name} lasts {len(values) * step:.1f} s; at least {LEAST_OVERLAP:g} s of common "
-                "motion are needed to align the two in time"
+                f"motion are needed to align the two in time{units}"
             )
         if values.std() < MOVING:
             raise NoCommonMotionError(
                 f"{name} does not turn (its rate changes by {np.degrees(values.std()):.2f} dps): "
-                "there is no motion to align the two in time by"
+                f"there is no motion to align the two in time by{units}"
             )
     least = round(LEAST_OVERLAP / step)
     match, faster = _best_lag(a, b, least), 0.0
@@ -152,8 +156,8 @@ def _aligned(
     if match.value < LEAST_CORRELATION:
         raise NoCommonMotionError(
             "the two do not show the same motion: the correlation of their rates is "
-            f"{match.value:.2f} at best, expected at least {LEAST_CORRELATION:g}; check that they "
-            "belong together"
+            f"{max(match.value, 0.0):.2f} at best, expected at least {LEAST_CORRELATION:g}; check "
+            f"that they belong together{units}"
         )
     lag = match.lag
     # a[k] = b[k + lag]
@@ -176,6 +180,24 @@ def _aligned(
     # By the clock that was made to run as the recording's.
     near = Alignment((1.0 + faster) * offset, (1.0 + faster) * stretch, middle, match.value)
     return near.moved(faster * middle, faster)
+
+
+def _units(a: FloatArray, b: FloatArray, step: float) -> str:
+    """Return what to say of units where the two last, or turn, so differently; mostly nothing."""
+    said = ""
+    if len(a) and len(b) and not 1 / LONGER < len(b) / len(a) < LONGER:
+        said += (
+            f"; the recording lasts {len(a) * step:.3g} s and the reference {len(b) * step:.3g} s: "
+            "check the unit of their times"
+        )
+    own, other = (float(v.std()) if len(v) else 0.0 for v in (a, b))
+    if min(own, other) > 0 and not 1 / FASTER < other / own < FASTER:
+        said += (
+            f"; the rate of the reference changes by {other / own:.3g} times as much as that of "
+            "the recording: check the unit of its angles or rates (1 rad is 57.3 degrees), and "
+            "that of its times"
+        )
+    return said
 
 
 def _interval(time: FloatArray) -> float:

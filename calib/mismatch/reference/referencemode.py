@@ -47,6 +47,9 @@ from calib.threads import one_thread
 from calib.timing import clock_errors, even_times
 from calib.types import BoolArray, FloatArray
 
+MISTAKEN = 0.2
+"""Share of the reference's time for which that is no mistake about markers, but another unit."""
+
 BRISK = 2.0
 """Times the fastest rate that the sensor saw at which nothing of the body turned."""
 
@@ -430,7 +433,14 @@ def _placed_below(
         )
     rate = rough.state(known).rate
     # Faster than the sensor ever turned: markers that were taken for one another.
-    rate[np.linalg.norm(rate, axis=1) > BRISK * np.linalg.norm(real.gyro, axis=1).max()] = 0.0
+    speed, most = np.linalg.norm(rate, axis=1), float(np.linalg.norm(real.gyro, axis=1).max())
+    if np.mean(speed > BRISK * most) > MISTAKEN:
+        raise NoCommonMotionError(
+            f"the reference turns by up to {float(speed.max()) / max(most, 1e-12):.3g} times what "
+            "the recording ever does: check the unit of its angles or rates (degrees or radians; "
+            "1 rad is 57.3 degrees), and that of its times"
+        )
+    rate[speed > BRISK * most] = 0.0
     alignment = align(real.time, real.gyro, known, rate)
     return _Placed(reference, truth, alignment, *mounting(real, rough, alignment))
 

@@ -333,11 +333,14 @@ def test_another_motion_is_an_error_that_says_so():
         diagnose_against(recorded(), other, gravity=GRAVITY)
 
 
-def test_a_simulation_in_g_is_an_error_that_says_so():
-    """Its factor is nearly ten, which a scale factor would take up."""
-    other = replace(simulation(), accel=simulation().accel / GRAVITY)
-    with pytest.raises(NoCommonMotionError, match="unit"):
-        diagnose_against(recorded(), other, gravity=GRAVITY)
+def test_a_simulation_in_g_is_named_with_its_factor():
+    other = simulation()
+    (found,) = diagnose_against(
+        recorded(), replace(other, accel=other.accel / GRAVITY), gravity=GRAVITY
+    ).findings
+    assert found.effect == "unit_error"
+    assert found.parameters["accel"].value == pytest.approx(GRAVITY - 1.0, rel=0.02)
+    assert "check the units" in found.sentence
 
 
 def test_a_simulation_at_rest_leaves_it_undetermined():
