@@ -55,6 +55,8 @@ REVERSAL = TREMOR_RATE / 4
 rad/s."""
 LONG_REST = 30
 """Blocks from which on a rest cannot be the end of a swing."""
+MOVED = 0.001
+"""Force, in g, from which what carries a sensor is seen, however quiet that is."""
 CARRIED = 6
 """Blocks for which what has stopped to turn is still carried, or shaken as it is put down."""
 LONGEST_RISE = 40
@@ -117,7 +119,8 @@ def refine(
             level = n_rate * max(NORM / np.sqrt(scale), LASTING) + spread
             segments = _split(segments, partial(_rate_moved, off, scale=scale, level=level))
         segments = _join(blocks, off, segments, (n_force, n_rate), units)
-        found += [(*segment, ONSET * n_rate, ONSET * n_force) for segment in segments]
+        moves = max(ONSET * n_force, MOVED * units.gravity)
+        found += [(*segment, ONSET * n_rate, moves) for segment in segments]
     return _trim(blocks, off, found, least, units)
 
 

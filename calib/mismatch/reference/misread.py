@@ -29,8 +29,9 @@ mounting: of poses that are 13 degrees apart."""
 ALIKE = 0.05
 """Share of the rates' power that the right reading leaves at most."""
 
-FACTOR = 1.3
-"""Times that a scale is another unit's, or range's: no sensor is off by as much."""
+FACTOR, MOST = 1.3, 2000.0
+"""Times that a scale is another unit's, or range's: no sensor is off by as much; and at most, as
+thousandths are."""
 
 
 class MisreadError(NoCommonMotionError):
@@ -58,12 +59,16 @@ def misread(
     number, factor = _reading(gyro, rate @ mat.T, about)
     if number:
         return axes_beside(real, {"gyro": number}, other=other)
-    if factor and not 1 / FACTOR < factor < FACTOR:
+    if _is_other_unit(factor):
         return factor_beside(real, "gyro", factor, other=other)
     number, factor = _reading(accel, force @ mat.T, about)
-    if not number and factor and not 1 / FACTOR < factor < FACTOR:
+    if not number and _is_other_unit(factor):
         return factor_beside(real, "accel", factor, other=other)
     return None
+
+
+def _is_other_unit(factor: float) -> bool:
+    return FACTOR < factor < MOST or FACTOR < 1.0 / max(factor, 1e-12) < MOST
 
 
 def _reading(seen: FloatArray, true: FloatArray, about: FloatArray | None) -> tuple[int, float]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
 
@@ -108,6 +108,8 @@ def explain(
         values = fit.step[part] * a.typical
         sigma = np.sqrt(np.diag(fit.covariance)[part]) * a.typical
         effect = get_effect(a.candidate.name)
+        if effect.kind != "setup" and _is_taken_over(fit, accepted, i):
+            continue
         parameters = {
             n: Quantity(float(v), float(s), parameter_unit(f"{effect.slug}.{n}"))
             for n, v, s in zip(a.candidate.parameters, values, sigma, strict=True)
@@ -199,6 +201,20 @@ def explain(
     covariance = (fit.joint(shapes) * np.outer(scale, scale))[np.ix_(index, index)]
     unexplained += _of_poses(of_poses)
     return findings, joined(unexplained), (tuple(known), covariance)
+
+
+def _is_taken_over(fit: Estimate, accepted: Sequence[Accepted], which: int) -> bool:
+    """Whether nothing is left of an effect beside what was found later on its channels, unnamed.
+
+    What wanders, or follows where the sensor points, looks like a step at first.
+    """
+    own = accepted[which].candidate
+    later = (a.candidate for a in accepted[which + 1 :] if not a.candidate.physical)
+    if own.present or not any(set(c.channels) & set(own.channels) for c in later):
+        return False
+    part = slice(fit.at[which], fit.at[which + 1])
+    step, covariance = fit.step[part], fit.covariance[part, part]
+    return float(chdtrc(len(step), step @ np.linalg.pinv(covariance) @ step)) > UNSURE
 
 
 def _left_by_filters(outcome: Outcome, fit: Estimate) -> set[int]:

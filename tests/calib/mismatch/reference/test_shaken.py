@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from calib.mismatch import diagnose_against, diagnose_reference
+from calib.mismatch.hypotheses.places import joined
 from calib.mismatch.reference.alignment import Alignment
 from calib.mismatch.reference.shaken import noise_beside
 from calib.mismatch.samples.resting import look_at_rests
@@ -91,7 +92,7 @@ def test_what_shakes_all_axes_may_be_motion_that_markers_do_not_resolve() -> Non
     part = slice(int(poses.start[4]), int(poses.stop[8]))
     more = 4.0 * CONSUMER.accel_noise_density * np.sqrt(50.0)
     accel[part, 2] += np.random.default_rng(2).normal(0.0, more, len(accel[part]))
-    (found,) = noise_beside(replace(real, accel=accel), poses, None, same)
+    (found,) = joined(list(noise_beside(replace(real, accel=accel), poses, None, same)))
     assert found.channels == ("accel.z",)
 
 
