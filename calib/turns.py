@@ -104,7 +104,9 @@ def turns_and_shaking(recording: Recording, poses: Poses) -> Shaking:
         At least one, of it, in the order of time.
     """
     time = recording.time
-    starts, ends = observed_turns(time, recording.gyro - np.median(poses.gyro, axis=0))
+    starts, ends = observed_turns(
+        time, recording.gyro - np.median(poses.gyro, axis=0), recording.accel
+    )
     middle = poses.interval.mean(axis=1)
     first = np.searchsorted(ends, middle[:-1])
     last = np.searchsorted(ends, middle[1:]) - 1

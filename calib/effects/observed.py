@@ -30,6 +30,9 @@ CREEPING = 2e-3
 """rad/s below which none is, however quiet the rest: a table's profile has no noise, and a low-pass
 rings after a turn."""
 
+CARRIED = 0.1
+"""m/s² below which nothing is carried, however quiet the rest: what settles may be as much."""
+
 TURN_REACH = STEADY + PAUSE + LOOK
 """s on either side of a moment that decide whether a turn is under way."""
 
@@ -50,14 +53,18 @@ def observed(state: State, reads: Collection[str]) -> State:
     return replace(state, since_turn=since, turning=turning) if turns else state
 
 
-def observed_turns(time: FloatArray, rate: FloatArray) -> tuple[FloatArray, FloatArray]:
+def observed_turns(
+    time: FloatArray, rate: FloatArray, force: FloatArray | None = None
+) -> tuple[FloatArray, FloatArray]:
     """Return when turns start and end, (k,) s each.
 
     A turn is where the mean rate is above `TURNING`, until it stays below for `PAUSE`. It ends
     with the last sample that stands out of what the gyroscope reads in the rest after it, and
     starts likewise: a hand slows down over tenths of a second, in which much of a settling is gone.
+    It may still carry what turns no more, which ``force`` (n, 3), if it is given, tells.
     """
     mean = window_mean(rate, *windows(time, STEADY))
+    both = rate if force is None else np.hstack((rate, force))
     fast = np.flatnonzero(np.linalg.norm(mean, axis=1) > TURNING)
     if not len(fast):
         return np.zeros(0), np.zeros(0)
@@ -65,29 +72,31 @@ def observed_turns(time: FloatArray, rate: FloatArray) -> tuple[FloatArray, Floa
     first = fast[np.diff(at, prepend=-np.inf) > PAUSE]
     last = fast[np.diff(at, append=np.inf) > PAUSE]
     starts = [
-        _edge(-time[::-1], rate[::-1], len(time) - 1 - b, -after)
+        _edge(-time[::-1], both[::-1], len(time) - 1 - b, -after)
         for b, after in zip(first, np.append(-np.inf, time[last[:-1]]), strict=True)
     ]
     ends = [
-        _edge(time, rate, a, before)
+        _edge(time, both, a, before)
         for a, before in zip(last, np.append(time[first[1:]], np.inf), strict=True)
     ]
     return -np.array(starts), np.array(ends)
 
 
-def _edge(time: FloatArray, rate: FloatArray, last: int, following: float) -> float:
+def _edge(time: FloatArray, both: FloatArray, last: int, following: float) -> float:
     """Return the time at which a turn ends whose mean rate is high until sample `last`.
+
+    ``both`` (n, 3 or 6) are rates, and forces if they are looked at.
 
     At ``following`` s the next turn is under way; its start is not looked at.
     """
     now = float(time[last])
     stop = int(np.searchsorted(time, min(now + LOOK, 0.5 * (now + following)), side="right"))
-    rest = rate[(last + stop) // 2 : stop]
+    rest = both[(last + stop) // 2 : stop]
     if len(rest) < 2:
         return now
     a, b = np.searchsorted(time, (now - STEADY, now + LOOK - PAUSE))
-    most = np.maximum(MOVES * rest.std(axis=0), CREEPING)
-    off = np.abs(rate[a : min(b, stop)] - rest.mean(axis=0)) > most
+    most = np.maximum(MOVES * rest.std(axis=0), np.repeat((CREEPING, CARRIED), 3)[: rest.shape[1]])
+    off = np.abs(both[a : min(b, stop)] - rest.mean(axis=0)) > most
     moves = np.flatnonzero(off.any(axis=1))
     return float(time[a + moves[-1]]) if len(moves) else now
 

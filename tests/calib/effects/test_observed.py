@@ -119,6 +119,18 @@ def test_what_rings_after_a_turn_without_noise_is_none() -> None:
     assert ends == pytest.approx([4.0], abs=0.05)
 
 
+def test_what_is_carried_when_it_turns_no_more_has_not_ended_its_move() -> None:
+    """Settling began where the turn ended: its time constant was twice what it is."""
+    time = np.arange(0.0, 10.0, 0.01)
+    rate, force = np.random.default_rng(4).normal(0.0, [[[0.002]], [[0.03]]], (2, len(time), 3))
+    force[:, 2] += 9.81
+    rate[300:400, 1] += 2.0
+    force[290:445, 0] += np.hanning(155) + 0.3
+    starts, ends = observed_turns(time, rate, force)
+    assert starts == pytest.approx([2.9], abs=0.011)
+    assert ends == pytest.approx([4.44], abs=0.011)
+
+
 def test_a_pause_on_the_way_ends_no_turn_and_what_shakes_is_none() -> None:
     time = np.arange(0.0, 10.0, 0.01)
     rate = np.zeros((len(time), 3))
