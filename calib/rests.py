@@ -299,14 +299,15 @@ def _trim(
         near = min(max((b - a) // 2, NEAR[0]), NEAR[1], b - a)
         half = (b - a) // 2
         begins, ends = [], []
-        for values, level, inside in zip(
-            (blocks.gyro, blocks.accel), levels, (half, min(half, CARRIED)), strict=True
+        for values, level, carried in zip(
+            (blocks.gyro, blocks.accel), levels, (False, True), strict=True
         ):
+            inside = min(half, CARRIED) if carried else half
             first, last = (np.median(values[i : i + near], axis=0) for i in (a, b - near))
             size = np.linalg.norm(values[around] - first, axis=1)
-            begins.append(_rise(size[::-1], out + b - a, level, inside))
+            begins.append(_rise(size[::-1], out + b - a, level, inside, brisk=carried))
             size = np.linalg.norm(values[around] - last, axis=1)
-            ends.append(_rise(size, into + b - a, level, inside))
+            ends.append(_rise(size, into + b - a, level, inside, brisk=carried))
         (begin, early), (end, late) = max(begins, key=sum), max(ends, key=sum)
         spare = b - a - begin - end - SHORTEST
         if spare >= 0:
@@ -328,11 +329,15 @@ def _swings(off: FloatArray, units: Units) -> bool:
     return bool(max(np.linalg.norm(change), 2 * np.linalg.norm(off.mean(axis=0))) > usual)
 
 
-def _rise(rate: FloatArray, end: int, level: float, inside: int) -> tuple[int, int]:
+def _rise(
+    rate: FloatArray, end: int, level: float, inside: int, *, brisk: bool = False
+) -> tuple[int, int]:
     """Return by how many blocks the end of a segment must move inwards, and a margin to that.
 
     A rate that grows as (t - t0)² passes `level` at t1 and four times it at t2 = 2 t1 - t0. The
-    level may have been passed for good up to `inside` blocks before the end.
+    level may have been passed for good up to `inside` blocks before the end. What is not as
+    ``brisk`` as a hand that carries something, if that is asked for, is none: gravity moves as
+    slowly as a slow turn begins, which the gyroscope tells.
     """
     begin = end - min(inside, LONGEST_RISE)
     rate = rate[begin : end + 2 * LONGEST_RISE]
@@ -347,6 +352,8 @@ def _rise(rate: FloatArray, end: int, level: float, inside: int) -> tuple[int, i
     high = np.flatnonzero(rate[first:] > RISE * level)
     rise = int(high[0]) if high.size else int(np.argmax(rate[first:]))
     inwards = rise - (first - (end - begin))
+    if brisk and (rise > CARRIED or inwards <= 0):
+        return 0, 0
     # A quarter of the rise, and the two blocks in which the levels were passed.
     margin = (rise + 3) // 4 + 2
     if inwards < 0:
