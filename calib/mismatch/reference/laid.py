@@ -1,12 +1,13 @@
-"""How the axes of a recording lie beside those of a simulation: swapped, or with the wrong sign.
+"""How the axes of a recording lie beside those of a truth: swapped, or with the wrong sign.
 
 A scale factor of -1 takes up a sign, and nine free numbers of a matrix any order. So before
-anything is fitted, each of the 48 ways P to lay three axes onto three is judged by what it leaves,
+anything is fitted, each of the 48 ways P to lay three axes onto three is judged by what it leaves
+of the power of vectors y beside the best multiple of P x,
 
-    e(P) = sum |y - P x|^2 / sum (|y|^2 + |x|^2),
+    e(P) = 1 - tr(P' C)^2 / (sum |x|^2 sum |y|^2),   C = sum y x',
 
-of forces as they are (gravity is in them), and of rates beside their mean (a bias is not). A turn
-by an angle a leaves ``1 - cos a`` of what it turns.
+of forces as they are (gravity is in them), and of rates beside their mean (a bias is not). What is
+turned by an angle a leaves ``sin^2 a``.
 """
 
 from __future__ import annotations
@@ -20,10 +21,11 @@ from calib.mismatch.reference.alignment import Alignment
 from calib.mismatch.reference.mounted import UNLIKE
 from calib.mismatch.reference.truths import near
 from calib.recording import Recording
+from calib.rotation import skew
 from calib.types import FloatArray
 
-ALIKE = 0.03
-"""What the right way leaves, at most: a sensor that is mounted at 14 degrees leaves as much. One
+ALIKE = 0.05
+"""What the right way leaves, at most: a sensor that is mounted at 13 degrees leaves as much. One
 that is mounted at a larger angle has no right way."""
 
 TIED = 1.5
@@ -49,23 +51,37 @@ def laid(real: Recording, simulated: Recording, alignment: Alignment) -> Mapping
         true = np.stack([np.interp(at[known], simulated.time, v) for v in true.T], axis=1)
         if triad == "gyro":
             own, true = own - own.mean(axis=0), true - true.mean(axis=0)
-        number = _likeliest(own, true)
+        number, _ = reading(own, true)
         if number:
             out[triad] = number
     return out
 
 
-def _likeliest(own: FloatArray, true: FloatArray) -> int:
-    """Return the number of the way in which (n, 3) vectors show those that are true."""
-    total = float(np.square(own).sum() + np.square(true).sum())
-    if not total:
-        return 0
-    both = own.T @ true
+def reading(
+    seen: FloatArray, true: FloatArray, about: FloatArray | None = None
+) -> tuple[int, float]:
+    """Return in which of the `ORDERS` a triad reads (n, 3) vectors, and how many times as large.
+
+    These may be turned by any angle about an axis, (3,), if one is given: ``R(t) = cos(t) (I - u
+    u') + sin(t) [u]x + u u'``, so that any trace is ``a cos(t) + b sin(t) + c``, and at most
+    ``|(a, b)| + c``. The factor is 0 where no way explains what it reads.
+    """
+    power = float(np.square(true).sum() * np.square(seen).sum())
+    if not power:
+        return 0, 0.0
     ways = np.stack([signed_permutation(k) for k in range(len(ORDERS))])
-    left = np.maximum(1.0 - 2.0 * np.einsum("kij,ij->k", ways, both) / total, 0.0)
-    best = float(left.min())
-    if best > ALIKE or left[0] < max(UNLIKE * best, ALIKE):
-        return 0
-    tied = np.flatnonzero(left <= TIED * best + 1e-6)
-    changed = [int(np.count_nonzero(ways[k] - np.eye(3))) for k in tied]
-    return int(tied[int(np.argmin(changed))])
+    cross = np.einsum("kji,jl->kil", ways, seen.T @ true)  # P' C
+    along = np.einsum("kii->k", cross)
+    if about is not None:
+        c = np.einsum("i,kij,j->k", about, cross, about)
+        turn = np.einsum("kij,ij->k", cross, skew(about))  # tr(R' C) = C : R
+        along = np.hypot(along - c, turn) + c
+    left = 1.0 - np.square(np.maximum(along, 0.0)) / power
+    best, number = float(left.min()), 0
+    if best > ALIKE:
+        return 0, 0.0
+    if left[0] > max(UNLIKE * best, ALIKE):
+        tied = np.flatnonzero(left <= TIED * best + 1e-6)
+        changed = np.count_nonzero(ways[tied] - np.eye(3), axis=(1, 2))
+        number = int(tied[int(np.argmin(changed))])
+    return number, float(along[number] / np.square(true).sum())

@@ -10,24 +10,19 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.effects.axis_error import ORDERS, signed_permutation
 from calib.errors import NoCommonMotionError
 from calib.mismatch.findings.diagnosis import Finding
 from calib.mismatch.reference.alignment import Alignment
-from calib.mismatch.reference.laid import TIED
-from calib.mismatch.reference.mounted import UNLIKE, both
+from calib.mismatch.reference.laid import reading
+from calib.mismatch.reference.mounted import both
 from calib.mismatch.reference.truths import RecordingTruth
 from calib.mismatch.samples.samples import axes_beside, factor_beside
 from calib.recording import Recording
-from calib.rotation import nearest_rotation, skew
-from calib.types import FloatArray
+from calib.rotation import nearest_rotation
 
 TOLD = 0.05
 """Second singular value of gravity's directions, relative to the first, from which they tell a
 mounting: of poses that are 13 degrees apart."""
-
-ALIKE = 0.05
-"""Share of the rates' power that the right reading leaves at most."""
 
 FACTOR, MOST = 1.3, 2000.0
 """Times that a scale is another unit's, or range's: no sensor is off by as much; and at most, as
@@ -56,12 +51,12 @@ def misread(
     else:
         about = accel.mean(axis=0) / max(float(np.linalg.norm(accel.mean(axis=0))), 1e-12)
         mat = nearest_rotation(np.outer(about, force.mean(axis=0)))
-    number, factor = _reading(gyro, rate @ mat.T, about)
+    number, factor = reading(gyro, rate @ mat.T, about)
     if number:
         return axes_beside(real, {"gyro": number}, other=other)
     if _is_other_unit(factor):
         return factor_beside(real, "gyro", factor, other=other)
-    number, factor = _reading(accel, force @ mat.T, about)
+    number, factor = reading(accel, force @ mat.T, about)
     if not number and _is_other_unit(factor):
         return factor_beside(real, "accel", factor, other=other)
     return None
@@ -69,31 +64,3 @@ def misread(
 
 def _is_other_unit(factor: float) -> bool:
     return FACTOR < factor < MOST or FACTOR < 1.0 / max(factor, 1e-12) < MOST
-
-
-def _reading(seen: FloatArray, true: FloatArray, about: FloatArray | None) -> tuple[int, float]:
-    """Return in which of the `ORDERS` a triad reads (n, 3) vectors, and how many times as large.
-
-    These may be turned by any angle about an axis, (3,), if one is given: ``R(t) = cos(t) (I - u
-    u') + sin(t) [u]x + u u'``, so that any trace is ``a cos(t) + b sin(t) + c``, and at most
-    ``|(a, b)| + c``. The factor is 0 where no way explains what it reads.
-    """
-    power, own = float(np.square(true).sum()), float(np.square(seen).sum())
-    ways = np.stack([signed_permutation(k) for k in range(len(ORDERS))])
-    cross = np.einsum("kji,jl->kil", ways, seen.T @ true)  # P' C
-    along = np.einsum("kii->k", cross)
-    if about is not None:
-        # tr(R' C) = C : R.
-        c = np.einsum("i,kij,j->k", about, cross, about)
-        turn = np.einsum("kij,ij->k", cross, skew(about))
-        along = np.hypot(along - c, turn) + c
-    left = 1.0 - np.square(np.maximum(along, 0.0)) / (power * own)
-    best = float(left.min())
-    if best > ALIKE:
-        return 0, 0.0
-    if left[0] <= max(UNLIKE * best, ALIKE):
-        return 0, float(along[0] / power)
-    tied = np.flatnonzero(left <= TIED * best + 1e-6)
-    changed = np.count_nonzero(ways[tied] - np.eye(3), axis=(1, 2))
-    number = int(tied[int(np.argmin(changed))])
-    return number, float(along[number] / power)

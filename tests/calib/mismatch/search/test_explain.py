@@ -8,10 +8,12 @@ import pytest
 from calib.calibration import Quantity
 from calib.effects import get_effect
 from calib.mismatch.findings.diagnosis import Rival
-from calib.mismatch.search.accepted import accept
+from calib.mismatch.hypotheses.candidates import Candidate
+from calib.mismatch.search.accepted import Accepted, accept
 from calib.mismatch.search.estimate import Estimate, Windows
 from calib.mismatch.search.explain import (
     _OF_MOTION,
+    _is_taken_over,
     _is_whole,
     _least_squares,
     _of_windows,
@@ -112,3 +114,24 @@ def test_a_rival_of_what_has_come_to_nothing_is_so_much_more_probable_at_least()
     (rival,) = _rivals(gone)
     assert rival.effect == "bandwidth"
     assert rival.odds == pytest.approx(1.0 / SHOWN)
+
+
+def test_of_a_step_that_later_wandering_took_over_nothing_is_said():
+    """A field that is fixed to the room was a step of half a standard error."""
+    none = np.zeros((0, 1))
+
+    def found(name: str, *, physical: bool, channel: str) -> Accepted:
+        own = Candidate(name, np.zeros(0, np.int64), 0.1, physical, (channel,), parameters=("b",))
+        return Accepted(own, none, np.ones(1), np.zeros(1), False, 1e9)
+
+    step = found("gyro_bias_step", physical=True, channel="gyro.x")
+    wanders = found("direction of gravity", physical=False, channel="gyro.x")
+    elsewhere = found("direction of gravity", physical=False, channel="gyro.y")
+
+    def fit(size: float) -> Estimate:
+        return Estimate(np.array([size, 9.0]), np.eye(2), (0, 1, 2), {}, {}, {}, np.zeros(0))
+
+    assert _is_taken_over(fit(0.5), [step, wanders], 0)
+    assert not _is_taken_over(fit(5.0), [step, wanders], 0)
+    assert not _is_taken_over(fit(0.5), [step, elsewhere], 0)
+    assert not _is_taken_over(fit(0.5), [wanders, step], 1)
