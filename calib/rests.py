@@ -55,10 +55,6 @@ REVERSAL = TREMOR_RATE / 4
 rad/s."""
 LONG_REST = 30
 """Blocks from which on a rest cannot be the end of a swing."""
-MOVED = 0.001
-"""Force, in g, from which what carries a sensor is seen, however quiet that is."""
-CARRIED = 6
-"""Blocks for which what has stopped to turn is still carried, or shaken as it is put down."""
 LONGEST_RISE = 40
 """Blocks by which an end may move inwards."""
 NEAR = 20, 600
@@ -93,11 +89,11 @@ def refine(
     whole = list(zip(start[long].tolist(), stop[long].tolist(), strict=True))
     if not whole:
         return []
-    noise = [_scatter(blocks.gyro[a:b], steps[1]) for a, b in whole]
+    noise = [scatter(blocks.gyro[a:b], steps[1]) for a, b in whole]
     if units.rate is not None:  # a hand that shakes more than this is not at rest
         most = max(TREMOR_RATE / 4 / units.rate, 2 * float(np.median(noise)))
         noise = [min(n, most) for n in noise]
-    force = [_scatter(blocks.accel[a:b], steps[0]) for a, b in whole]
+    force = [scatter(blocks.accel[a:b], steps[0]) for a, b in whole]
     # First what the accelerometer sees, which needs no bias to be known.
     pieces = []
     for run, n_force in zip(whole, force, strict=True):
@@ -113,15 +109,14 @@ def refine(
     # Poses differ in rate by g-sensitivity and drift.
     centre = [np.linalg.norm(np.median(off[a:b], axis=0)) for a, b in flat]
     spread = max(3.0 * float(np.median(centre)), DRIFT / units.rate if units.rate else 0.0)
-    found: list[tuple[int, int, float, float]] = []
+    found: list[tuple[int, int, float]] = []
     for segments, n_rate, n_force in zip(pieces, noise, force, strict=True):
         for scale in scales:
             level = n_rate * max(NORM / np.sqrt(scale), LASTING) + spread
             segments = _split(segments, partial(_rate_moved, off, scale=scale, level=level))
         segments = _join(blocks, off, segments, (n_force, n_rate), units)
-        moves = max(ONSET * n_force, MOVED * units.gravity)
-        found += [(*segment, ONSET * n_rate, moves) for segment in segments]
-    return _trim(blocks, off, found, least, units)
+        found += [(*segment, ONSET * n_rate) for segment in segments]
+    return _trim(blocks.gyro, off, found, least, units)
 
 
 def _rate_at_rest(
@@ -199,7 +194,7 @@ def _followed(
     return when, np.concatenate([known[g][1] for g in sorted(known)])
 
 
-def _scatter(values: FloatArray, step: float) -> float:
+def scatter(values: FloatArray, step: float) -> float:
     """Return the standard deviation of one axis of the block means, from block to block."""
     square = np.square(np.diff(values, axis=0)).sum(axis=1)
     # 2.366 is the median of chi-square with three degrees of freedom.
@@ -278,37 +273,26 @@ def _join(
 
 
 def _trim(
-    blocks: Blocks,
+    gyro: FloatArray,
     off: FloatArray,
-    segments: list[tuple[int, int, float, float]],
+    segments: list[tuple[int, int, float]],
     least: int,
     units: Units,
 ) -> list[tuple[int, int]]:
-    """Return the segments with their ends moved to where the motions beside them began.
-
-    Those are turns; and a hand that still carries what it turns no more, or already, for up to
-    `CARRIED` blocks. What takes longer to come to rest is an accelerometer.
-    """
+    """Return the segments with their ends moved to where the turns beside them began."""
     found = []
     edges = [0, *(e for segment in segments for e in segment[:2]), len(off)]
-    for k, (a, b, *levels) in enumerate(segments):
+    for k, (a, b, level) in enumerate(segments):
         if b - a < least or _swings(off[a:b], units):
             continue
-        around = slice(edges[2 * k], edges[2 * k + 3])
-        into, out = a - around.start, around.stop - b
+        rate = gyro[edges[2 * k] : edges[2 * k + 3]]
+        into, out = a - edges[2 * k], edges[2 * k + 3] - b
         near = min(max((b - a) // 2, NEAR[0]), NEAR[1], b - a)
-        half = (b - a) // 2
-        begins, ends = [], []
-        for values, level, carried in zip(
-            (blocks.gyro, blocks.accel), levels, (False, True), strict=True
-        ):
-            inside = min(half, CARRIED) if carried else half
-            first, last = (np.median(values[i : i + near], axis=0) for i in (a, b - near))
-            size = np.linalg.norm(values[around] - first, axis=1)
-            begins.append(_rise(size[::-1], out + b - a, level, inside, brisk=carried))
-            size = np.linalg.norm(values[around] - last, axis=1)
-            ends.append(_rise(size, into + b - a, level, inside, brisk=carried))
-        (begin, early), (end, late) = max(begins, key=sum), max(ends, key=sum)
+        first, last = (np.median(gyro[i : i + near], axis=0) for i in (a, b - near))
+        size = np.linalg.norm(rate - first, axis=1)
+        begin, early = rise(size[::-1], out + b - a, level, (b - a) // 2)
+        size = np.linalg.norm(rate - last, axis=1)
+        end, late = rise(size, into + b - a, level, (b - a) // 2)
         spare = b - a - begin - end - SHORTEST
         if spare >= 0:
             # A short rest keeps its middle: there margins share what there is.
@@ -329,15 +313,14 @@ def _swings(off: FloatArray, units: Units) -> bool:
     return bool(max(np.linalg.norm(change), 2 * np.linalg.norm(off.mean(axis=0))) > usual)
 
 
-def _rise(
-    rate: FloatArray, end: int, level: float, inside: int, *, brisk: bool = False
+def rise(
+    rate: FloatArray, end: int, level: float, inside: int, *, brisk: int | None = None
 ) -> tuple[int, int]:
     """Return by how many blocks the end of a segment must move inwards, and a margin to that.
 
     A rate that grows as (t - t0)² passes `level` at t1 and four times it at t2 = 2 t1 - t0. The
-    level may have been passed for good up to `inside` blocks before the end. What is not as
-    ``brisk`` as a hand that carries something, if that is asked for, is none: gravity moves as
-    slowly as a slow turn begins, which the gyroscope tells.
+    level may have been passed for good up to `inside` blocks before the end. With ``brisk``, what
+    takes more blocks than that to rise, or begins beyond the end, is none.
     """
     begin = end - min(inside, LONGEST_RISE)
     rate = rate[begin : end + 2 * LONGEST_RISE]
@@ -350,12 +333,12 @@ def _rise(
     below = np.flatnonzero(~above[: end - begin + int(outside[0])])
     first = int(below[-1]) + 1 if below.size else 0
     high = np.flatnonzero(rate[first:] > RISE * level)
-    rise = int(high[0]) if high.size else int(np.argmax(rate[first:]))
-    inwards = rise - (first - (end - begin))
-    if brisk and (rise > CARRIED or inwards <= 0):
+    taken = int(high[0]) if high.size else int(np.argmax(rate[first:]))
+    inwards = taken - (first - (end - begin))
+    if brisk is not None and (taken > brisk or inwards <= 0):
         return 0, 0
     # A quarter of the rise, and the two blocks in which the levels were passed.
-    margin = (rise + 3) // 4 + 2
+    margin = (taken + 3) // 4 + 2
     if inwards < 0:
         inwards, margin = 0, max(0, margin + inwards)
     return min(inwards, LONGEST_RISE), margin

@@ -35,6 +35,7 @@ from calib.mismatch.rows.grid import (
     steady,
     untouched,
 )
+from calib.mismatch.rows.uncarried import uncarried
 from calib.mismatch.rows.underway import under_way
 from calib.mismatch.samples.losses import INCOMPLETE, leave_out_unwhole
 from calib.mismatch.samples.resting import look_at_rests, unsaid
@@ -129,6 +130,7 @@ def _diagnose(thinned: Thinned, *, gravity: float, model: SensorModel | None) ->
         if seen.unexplained:
             need = NEEDED.get(seen.unexplained[-1].follows, "channels that move: one is stuck")
         return _unfit(thinned, missing, f"{need}: mend that and diagnose again", "explained")
+    poses = uncarried(recording, poses)
     noisy = look_at_rests(recording, poses)
     poses = _whole(connected(untouched(recording, steady(recording, poses))), seen.spoilt)
     if not len(poses):

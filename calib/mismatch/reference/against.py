@@ -39,7 +39,7 @@ from calib.mismatch.reference.truths import RecordingTruth
 from calib.mismatch.reference.twinned import UNSIGNED, diagnose_twin
 from calib.mismatch.samples.resting import unsaid
 from calib.mismatch.samples.samples import Samples, axes_beside, look_at_samples, with_reading
-from calib.mismatch.samples.within import look_beside
+from calib.mismatch.samples.within import is_told, look_beside
 from calib.mismatch.search.estimate import Estimate
 from calib.mismatch.search.explain import changes, explain, verdict
 from calib.mismatch.search.search import Outcome, search
@@ -261,6 +261,7 @@ def conclude(
     if left is not None:
         noisy = (*noisy, *look_beside(*left, exact=not problem.noisy and not problem.gyroscopic))
     noisy = unsaid(noisy, findings, seen.unexplained)
+    noisy = tuple(item for item in noisy if not is_told(item, unexplained))
     unexplained = [*seen.unexplained, *gathered(joined([*unexplained, *noisy]))]
     slugs = {f.effect for f in findings}
     keep = [i for i, n in enumerate(known) if n in problem.names or n.split(".")[0] in slugs]

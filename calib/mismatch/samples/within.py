@@ -14,6 +14,7 @@ Only what one channel does alone is said to be none.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -273,6 +274,19 @@ def _pulses(looks: list[_Look], time: FloatArray) -> list[Unexplained]:
         where = densest(np.asarray(start + APART * (found + 0.5)), (start, stop))
         out.append(Unexplained((channel,), (where,), PULSES, p))
     return out
+
+
+def is_told(item: Unexplained, others: Sequence[Unexplained]) -> bool:
+    """Whether a jolt is that of something else, which is left in the samples: in it, or at an end.
+
+    Ends are known to some seconds.
+    """
+    alike = [other for other in others if set(other.channels) & set(item.channels)]
+    spans = [where for other in alike for where in other.intervals]
+    return item.follows == JOLTED and all(
+        any(start - NEARBY <= b and a <= stop + NEARBY for start, stop in spans)
+        for a, b in item.intervals
+    )
 
 
 def _jolts(looks: list[_Look], time: FloatArray) -> list[Unexplained]:
