@@ -261,7 +261,7 @@ def conclude(
     if left is not None:
         noisy = (*noisy, *look_beside(*left, exact=not problem.noisy and not problem.gyroscopic))
     noisy = unsaid(noisy, findings, seen.unexplained)
-    noisy = tuple(item for item in noisy if not is_told(item, unexplained))
+    noisy = tuple(item for item in noisy if not is_told(item, [*seen.unexplained, *unexplained]))
     unexplained = [*seen.unexplained, *gathered(joined([*unexplained, *noisy]))]
     slugs = {f.effect for f in findings}
     keep = [i for i, n in enumerate(known) if n in problem.names or n.split(".")[0] in slugs]
