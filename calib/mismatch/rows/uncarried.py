@@ -28,8 +28,11 @@ BESIDE = 20
 
 
 def uncarried(recording: Recording, poses: Poses) -> Poses:
-    """Return the poses, of a recording and in the order of time, without such moments at ends."""
-    if recording.interval <= 0:
+    """Return the poses, of a recording and in the order of time, without such moments at ends.
+
+    Where no seconds are known, nor is what is brisk.
+    """
+    if recording.interval <= 0 or recording.clock == "invalid":
         return poses
     size = block_size(recording.interval)
     start, stop = poses.start.copy(), poses.stop.copy()
