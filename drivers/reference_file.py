@@ -36,7 +36,12 @@ TABLE = ("angle", "angle_deg", "rate", "rate_dps")
 
 
 def read_reference(
-    path: Path, *, imu: int | None = None, profile: str | None = None, fixed: bool = False
+    path: Path,
+    *,
+    imu: int | None = None,
+    profile: str | None = None,
+    fixed: bool = False,
+    drop_invalid: bool = False,
 ) -> Recording | ReferenceMotion:
     """Read a reference.
 
@@ -49,13 +54,15 @@ def read_reference(
         Import profile of the other IMU's log; the reference then is one.
     fixed : bool
         Whether its orientations are said to be those of a body that turns about a fixed point.
+    drop_invalid : bool
+        Turn invalid rows of another IMU's log into gaps.
 
     Raises
     ------
     RecordingError
         If it is none of the above; the message names what was seen and expected.
     """
-    found = _read(path, imu=imu, profile=profile)
+    found = _read(path, imu=imu, profile=profile, drop_invalid=drop_invalid)
     if not fixed:
         return found
     if isinstance(found, Recording) or found.position is not None:
@@ -85,11 +92,13 @@ def read_motion(path: Path, *, fixed: bool = False) -> ReferenceMotion:
     return found
 
 
-def _read(path: Path, *, imu: int | None, profile: str | None) -> Recording | ReferenceMotion:
+def _read(
+    path: Path, *, imu: int | None, profile: str | None, drop_invalid: bool
+) -> Recording | ReferenceMotion:
     if not path.is_file() or profile is not None:
         if not path.exists():
             raise RecordingNotFoundError(f"{path}: there is no such reference")
-        return read_recording(path, imu=imu, profile=profile)
+        return read_recording(path, imu=imu, profile=profile, drop_invalid=drop_invalid)
     with path.open("rb") as file:
         head = file.read(4096)
     if head.startswith(b"\x89HDF\r\n\x1a\n"):
@@ -102,7 +111,7 @@ def _read(path: Path, *, imu: int | None, profile: str | None) -> Recording | Re
             return _captured(path, _columns(path, names))
         if "time" in names and set(TABLE) & set(names) and not {"ax", "accel_x"} & set(names):
             return _table(path, _columns(path, names))
-    return read_recording(path, imu=imu)
+    return read_recording(path, imu=imu, drop_invalid=drop_invalid)
 
 
 def _header(head: bytes) -> list[str]:

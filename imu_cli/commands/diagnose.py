@@ -112,7 +112,11 @@ def diagnose(
     elif reference is not None:
         real = read_recording(recording, profile=profile, imu=imu, drop_invalid=drop_invalid)
         other = read_reference(
-            reference, imu=reference_imu, profile=other_profile, fixed=fixed_point
+            reference,
+            imu=reference_imu,
+            profile=other_profile,
+            fixed=fixed_point,
+            drop_invalid=drop_invalid,
         )
         found = diagnose_reference(real, other, gravity=local.value, model=model)
     else:
