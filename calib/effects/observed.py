@@ -85,9 +85,8 @@ def observed_turns(
 def _edge(time: FloatArray, both: FloatArray, last: int, following: float) -> float:
     """Return the time at which a turn ends whose mean rate is high until sample `last`.
 
-    ``both`` (n, 3 or 6) are rates, and forces if they are looked at.
-
-    At ``following`` s the next turn is under way; its start is not looked at.
+    ``both`` (n, 3 or 6) are rates, and forces if they are looked at. At ``following`` s the
+    next turn is under way; its start is not looked at.
     """
     now = float(time[last])
     stop = int(np.searchsorted(time, min(now + LOOK, 0.5 * (now + following)), side="right"))

@@ -85,7 +85,7 @@ class Assembler:
         if len(time) == 0:
             return None
         time = self._ticks.counted_on(time)
-        time = self._told_apart(time, np.hstack((accel, gyro)))
+        time = self._told_apart(time, accel, gyro)
         temperature = self._measured(temperature, first)
         bad = self._not_finite(time, accel, gyro, temperature, first)
         late = self._not_increasing(time, bad, first)
@@ -114,16 +114,18 @@ class Assembler:
             notes=self._notes(),
         )
 
-    def _told_apart(self, time: FloatArray, values: FloatArray) -> FloatArray:
+    def _told_apart(self, time: FloatArray, accel: FloatArray, gyro: FloatArray) -> FloatArray:
         """Return times of which those that rounding made alike are within what it hides.
 
         A late host and stamps in whole milliseconds give two samples one stamp now and then. A row
         that is there twice has the same values, too, and is left alike.
         """
         same = np.diff(time, prepend=self._stamp) == 0
-        before, self._values, self._stamp = self._values, values[-1], float(time[-1])
+        before, self._stamp = self._values, float(time[-1])
+        self._values = np.concatenate((accel[-1], gyro[-1]))
         if not same.any():
             return time
+        values = np.hstack((accel, gyro))
         first = values[:1] if before is None else before[None]
         other = (np.diff(values, axis=0, prepend=first) != 0).any(axis=1)
         step = np.diff(time)

@@ -204,11 +204,8 @@ def _place_slipped(
     if not RAMP.keys() <= candidate.shape.keys():
         return plain
     paced = _place_turned(rows, candidate, whitener, y)
-    return (
-        plain
-        if value > log_bayes_factor(whitener.project(window_columns(rows, paced)), y)
-        else paced
-    )
+    other = log_bayes_factor(whitener.project(window_columns(rows, paced)), y)
+    return plain if value > other else paced
 
 
 def _share(

@@ -126,12 +126,13 @@ def diagnose_against(
         found = diagnose_recording(given, gravity=gravity, model=model)
         return replace(found, missing=(*found.missing, BY_ITSELF))
     alignment = align(real.time, real.gyro, simulated.time, simulated.gyro)
-    if follows_noise(real, RecordingTruth(simulated, gravity), alignment):
+    truth = RecordingTruth(simulated, gravity)
+    if follows_noise(real, truth, alignment):
         return undetermined(UNSIGNED, summary)
-    mat = mounted_far(real, RecordingTruth(simulated, gravity), alignment)
+    mat = mounted_far(real, truth, alignment)
     if mat is None and (numbers := laid(real, simulated, alignment)):
         return unfit(seen._replace(findings=(axes_beside(real, numbers), *seen.findings)), summary)
-    wrong = misread(real, RecordingTruth(simulated, gravity), alignment, other="simulation")
+    wrong = misread(real, truth, alignment, other="simulation")
     if wrong is not None:
         return unfit(seen._replace(findings=(wrong, *seen.findings)), summary)
     problem, skip = compare_simulation(

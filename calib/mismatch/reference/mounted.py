@@ -41,12 +41,7 @@ def mounting(
        decomposition", J. Astronaut. Sci. 36, 1988, p. 245.
     """
     seen = both(real, truth, alignment)
-    (gyro, rate), (accel, force) = seen
-    product = gyro.T @ rate / max(float(np.square(rate).sum()), 1e-12)
-    product += accel.T @ force / max(float(np.square(force).sum()), 1e-12)
-    # A turn that nothing tells of (heading, on a table) is none.
-    product += UNTURNED * np.linalg.norm(product) * np.eye(3)
-    mat = nearest_rotation(product)
+    mat = _rotation(seen)
     return mat, _left(seen, mat)
 
 
@@ -55,10 +50,21 @@ def mounted_far(real: Recording, truth: RecordingTruth, alignment: Alignment) ->
 
     A small one is an effect like others, to be told from what turns the axes of one triad alone.
     """
-    mat, left = mounting(real, truth, alignment)
-    if np.linalg.norm(rotvec_from_mat(mat)) < FAR or left > ALIKE:
+    seen = both(real, truth, alignment)
+    mat = _rotation(seen)
+    if np.linalg.norm(rotvec_from_mat(mat)) < FAR:
         return None
-    return mat if UNLIKE * left < _left(both(real, truth, alignment), np.eye(3)) else None
+    left = _left(seen, mat)
+    return mat if left <= ALIKE and UNLIKE * left < _left(seen, np.eye(3)) else None
+
+
+def _rotation(seen: _Signals) -> FloatArray:
+    (gyro, rate), (accel, force) = seen
+    product = gyro.T @ rate / max(float(np.square(rate).sum()), 1e-12)
+    product += accel.T @ force / max(float(np.square(force).sum()), 1e-12)
+    # A turn that nothing tells of (heading, on a table) is none.
+    product += UNTURNED * np.linalg.norm(product) * np.eye(3)
+    return nearest_rotation(product)
 
 
 def both(real: Recording, truth: RecordingTruth, alignment: Alignment) -> _Signals:

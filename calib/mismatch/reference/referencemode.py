@@ -325,11 +325,13 @@ def compared(
             )
         reference = settled(reference)
         alignment = align(real.time, real.gyro, reference.time, reference.gyro)
-        mat, error = mounting(real, RecordingTruth(reference, gravity), alignment)
-        opposite = RecordingTruth(replace(reference, accel=-reference.accel), gravity)
-        if error > ASTRAY and UNLIKE * mounting(real, opposite, alignment)[1] < error:
-            raise NoCommonMotionError(OPPOSITE)
-        _refuse_misread(real, RecordingTruth(reference, gravity), alignment)
+        whole = RecordingTruth(reference, gravity)
+        mat, error = mounting(real, whole, alignment)
+        if error > ASTRAY:
+            opposite = RecordingTruth(replace(reference, accel=-reference.accel), gravity)
+            if UNLIKE * mounting(real, opposite, alignment)[1] < error:
+                raise NoCommonMotionError(OPPOSITE)
+        _refuse_misread(real, whole, alignment)
         other = known_errors(reference, mat, gravity=gravity)
         white = white_noise(real, reference)
         truth = RecordingTruth(reference, gravity, known.spoilt)
