@@ -84,7 +84,7 @@ class Writer(ABC):
         if self._last is None:
             with self._failures_named():
                 self._start(batch)
-            self._last = batch  # it is open now, and must be closed even if this fails
+                self._last = batch  # it is open now, and must be closed even if this fails
         elif (batch.temperature is None) != (self._last.temperature is None):
             raise ValueError("`batch` must have a temperature exactly if the ones before it have")
         elif batch.time[0] <= self._last.time[-1]:
@@ -135,6 +135,11 @@ class Writer(ABC):
             self._target.unlink(missing_ok=True)
             why = os.strerror(error.errno) if error.errno else str(error)
             raise RecordingWriteError(f"{self.path} cannot be written: {why}") from error
+        except BaseException:
+            # A signal may come between the opening of the file and the note that it is open.
+            if self.atomic:
+                self._target.unlink(missing_ok=True)
+            raise
 
     def __enter__(self) -> Self:
         return self

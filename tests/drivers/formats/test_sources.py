@@ -172,6 +172,25 @@ def test_a_writer_that_fails_leaves_nothing_behind(tmp_path: Path, suffix: str) 
         assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.parametrize("suffix", [".csv", ".arrow", ".parquet", ".feather"])
+def test_what_interrupts_the_opening_of_a_file_leaves_nothing_behind(
+    tmp_path: Path, suffix: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A signal that came just then left an empty `.part`, one time in many."""
+    writer = open_writer(tmp_path / f"a{suffix}", atomic=True)
+    opened = writer._start
+
+    def interrupted(batch: Recording) -> None:
+        opened(batch)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(writer, "_start", interrupted)
+    with pytest.raises(KeyboardInterrupt), writer:
+        writer.append(a_recording())
+    assert not list(tmp_path.iterdir())
+    writer._abandon()  # what a process that ends would close
+
+
 def test_a_pipe_can_be_read(tmp_path: Path) -> None:
     write_recording(a_recording(), tmp_path / "a.csv")
     data, pipe = (tmp_path / "a.csv").read_bytes(), tmp_path / "pipe.csv"
