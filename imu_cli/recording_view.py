@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import _thread
 import signal
 import sys
 import threading
@@ -26,12 +27,14 @@ PERIOD = 0.25
 @contextmanager
 def stop_on_signals() -> Iterator[threading.Event]:
     """Turn Ctrl-C, SIGTERM and a closed terminal into an event; a second one interrupts at once."""
-    stop = threading.Event()
+    stop, asked = threading.Event(), threading.Event()  # nobody waits for the second
 
     def handle(number: int, frame: FrameType | None) -> None:
-        if stop.is_set():
+        if asked.is_set():
             raise KeyboardInterrupt
-        stop.set()
+        asked.set()
+        # Not from here: who waits for it in this very thread may hold its lock, for ever then.
+        _thread.start_new_thread(stop.set, ())
 
     before = {number: signal.signal(number, handle) for number in (signal.SIGINT, *_heeded())}
     try:
