@@ -515,7 +515,11 @@ def sized_term(
     ]
     typical = {p.name: p.typical for p in effect.parameters}
     if physical:
-        most = {p.name: min(LARGE * p.typical, p.most) for p in effect.parameters}
+        far = effect.limits([p.name for p in effect.parameters])[1]
+        most = {
+            p.name: min(LARGE * p.typical, own)
+            for p, own in zip(effect.parameters, far, strict=True)
+        }
         largest = {n: most[n] * rows.column(columns[n]) for n in names}
         names = [n for n in names if np.square(whitener.project(largest[n])).sum() >= power]
         if not names:

@@ -1,13 +1,14 @@
 """How well does the diagnosis name what a simulation or a reference does not have?
 
-As `concealed`, against a truth: the user's own simulation of the motion (without noise), motion
-capture (0.2 mm and 0.1 degrees of noise, a tenth of a second lost), another IMU on the same body
-(as noisy, mounted at an angle), or the commanded profile of a rate table with the sensor off its
-centre. Rates are drawn from `RATES` and are seldom alike; the clocks start apart, and the truth
-begins or ends before the recording or after it. Each effect has the asked non-centrality after
-baseline and alignment have absorbed theirs, beside the noise and the drift of both. So have
-disturbances that no catalogue has (``--parts outside``), which are those of `concealed`. With
-``--wide`` protocols, rates, the sensor's noise and that of the truth are far apart, too.
+As `concealed`, against a truth: the user's own simulation of the motion (a perfect sensor without
+noise, or one that is ``noisy`` and has errors of its own), motion capture (0.2 mm and 0.1 degrees
+of noise, a tenth of a second lost), another IMU on the same body (as noisy, mounted at an angle),
+or the commanded profile of a rate table with the sensor off its centre. Rates are drawn from
+`RATES` and are seldom alike; the clocks start apart, and the truth begins or ends before the
+recording or after it. Each effect has the asked non-centrality after baseline and alignment have
+absorbed theirs, beside the noise and the drift of both. So have disturbances that no catalogue has
+(``--parts outside``), which are those of `concealed`. With ``--wide`` protocols, rates, the
+sensor's noise and that of the truth are far apart, too.
 """
 
 from __future__ import annotations
@@ -67,6 +68,7 @@ from calib.statics import find_poses
 RATES = {
     "recording": (50.0, 100.0),
     "simulation": (40.0, 80.0, 200.0),
+    "noisy": (50.0, 80.0, 200.0),
     "capture": (60.0, 100.0, 120.0, 200.0),
     "imu": (50.0, 64.0, 100.0, 200.0),
     "profile": (20.0, 50.0, 100.0),
@@ -86,7 +88,8 @@ a noisy reference shows is beyond what is physical."""
 ALIGNED = ("clock_scale", "reference_misalignment")
 """What is fitted whatever is found, and competes with nothing."""
 
-MODES = ("simulation", "capture", "imu", "profile")
+MODES = ("simulation", "noisy", "capture", "imu", "profile")
+SIMULATED = ("simulation", "noisy")
 PARTS = ("single", "clean", "outside")
 OUTSIDE_POWER = 100.0
 """Non-centrality of a disturbance."""
@@ -150,13 +153,13 @@ def part_of(case: Case) -> str:
 
 def effects_of(mode: str) -> list[str]:
     """Return the effects that a truth shows: those of a recording alone, and its own."""
-    more = (*OUTSIDE_ONLY[: 3 if mode != "simulation" else 1], "accel_lever_arm")
+    more = (*OUTSIDE_ONLY[: 1 if mode in SIMULATED else 3], "accel_lever_arm")
     if mode in ("capture", "profile"):
         more += WITH_ORIENTATION
     if mode == "capture":
         more += CAPTURED
     hidden = [n for n in hidden_effects() if n not in WITH_ORIENTATION]
-    if mode in ("capture", "imu"):
+    if mode in ("noisy", "capture", "imu"):
         hidden.remove("bandwidth")
     return list(dict.fromkeys((*hidden, *more)))
 
@@ -325,11 +328,12 @@ def make_truth(
     early, late = rng.uniform(0.0, 2.5, 2)
     at = np.arange(early, motion.duration - late, 1.0 / rate)
     offset = {"time_offset": {"delay": -start}}
-    if mode in ("simulation", "imu"):
+    if mode in (*SIMULATED, "imu"):
         sampling = Sampling(clock_offset=start)
         noise = NoiseModel() if mode == "simulation" else bench.noise
-        other = simulate(motion, SensorModel(), noise, rng=rng, time=at, sampling=sampling)
-        if mode == "simulation":
+        sensor = random_sensor(rng) if mode == "noisy" else SensorModel()
+        other = simulate(motion, sensor, noise, rng=rng, time=at, sampling=sampling)
+        if mode in SIMULATED:
             return other, {}
         mat = mat_from_rotvec(MOUNTING)
         turned = replace(other, accel=other.accel @ mat, gyro=other.gyro @ mat)
@@ -367,7 +371,7 @@ def compared(
         arm = Term("accel_lever_arm", dict(zip(("rx", "ry", "rz"), ARM, strict=True)))
         middle = float(np.median(recording.temperature))
         model = SensorModel(terms=(arm,), reference_temperature=middle)
-    if mode == "simulation":
+    if mode in SIMULATED:
         assert isinstance(truth, Recording)
         problem, skip = compare_simulation(recording, truth, seen, gravity=GRAVITY)
     else:
@@ -377,8 +381,8 @@ def compared(
 
 
 def noise_of_both(mode: str, bench: Bench) -> NoiseModel:
-    """Return what the differences hold: the drift of another IMU adds to the sensor's own."""
-    return bench.noise.scaled(np.sqrt(2.0)) if mode == "imu" else bench.noise
+    """Return what the differences hold: the drift of another sensor adds to the sensor's own."""
+    return bench.noise.scaled(np.sqrt(2.0)) if mode in ("noisy", "imu") else bench.noise
 
 
 def with_setup(rows: Rows, expected: Mapping[str, object], slug: str) -> Rows:
@@ -434,7 +438,7 @@ def sized(
 
 def diagnosed(mode: str, recording: Recording, truth: Truth) -> Diagnosis:
     """Diagnose against a simulation, whose start time is its own, or a reference."""
-    if mode == "simulation":
+    if mode in SIMULATED:
         assert isinstance(truth, Recording)
         return diagnose_against(recording, truth, gravity=GRAVITY)
     return diagnose_reference(recording, truth, gravity=GRAVITY)

@@ -26,7 +26,7 @@ from calib.mismatch.reference.alignment import LEAST_OVERLAP, Alignment, align
 from calib.mismatch.reference.alike import check_apart
 from calib.mismatch.reference.axes import has_own_axes
 from calib.mismatch.reference.band import STILL, follows_noise, matched, too_few
-from calib.mismatch.reference.carried import OF_GYRO
+from calib.mismatch.reference.carried import OF_GYRO, simulated_errors
 from calib.mismatch.reference.comparison import ComparisonProblem
 from calib.mismatch.reference.laid import laid
 from calib.mismatch.reference.misread import misread
@@ -37,6 +37,7 @@ from calib.mismatch.reference.setupfindings import find_setups
 from calib.mismatch.reference.shaken import noise_beside
 from calib.mismatch.reference.truths import RecordingTruth
 from calib.mismatch.reference.twinned import UNSIGNED, diagnose_twin
+from calib.mismatch.reference.witnessed import white_noise
 from calib.mismatch.samples.resting import unsaid
 from calib.mismatch.samples.samples import Samples, axes_beside, look_at_samples, with_reading
 from calib.mismatch.samples.within import is_told, look_beside
@@ -140,7 +141,8 @@ def diagnose_against(
     )
     # When a simulation starts is nobody's fault; what its clock does to the motion is.
     few: tuple[str, ...] = ()
-    if problem.noisy and too_few(real, simulated):
+    way = np.eye(3) if mat is None else mat
+    if problem.noisy and too_few(real, truth, alignment, way):
         few = (
             f"a simulation at a higher rate: at {1.0 / simulated.interval:.3g} Hz it has too few "
             "samples for its motion, of which only the slow part was compared",
@@ -181,6 +183,7 @@ def compare_simulation(
     common = matched(
         real, truth, alignment, np.eye(3) if mat_sr is None else mat_sr, spoilt=seen.spoilt
     )
+    noisy = common.limited and not common.exact
     compare = partial(
         ComparisonProblem,
         common.real,
@@ -196,12 +199,18 @@ def compare_simulation(
         stuck=common.stuck,
         folded=common.folded,
         unknown=common.unknown,
+        white=white_noise(real, simulated) if noisy else None,
     )
     problem = compare()
     # In a frame that is not known it is the gyroscope that is turned against the accelerometer.
-    if mat_sr is None and has_own_axes(problem.rows()):
+    own_axes = mat_sr is None and has_own_axes(problem.rows())
+    if own_axes:
         problem = compare(own_axes=True)
-    noisy = common.limited and not common.exact
+    if problem.arm().any():
+        mat = np.eye(3) if mat_sr is None else mat_sr
+        errors = simulated_errors(simulated, mat, gravity=gravity)
+        if errors is not None:
+            problem = compare(own_axes=own_axes, other=errors)
     return problem, ((*_SELDOM_ALONE, "bandwidth") if noisy else _SELDOM_ALONE)
 
 
@@ -232,14 +241,15 @@ def conclude(
     *,
     setups: tuple[str, ...],
     clocks: FloatArray,
+    another: bool = False,
     noisy: tuple[Unexplained, ...] = (),
     skip: tuple[str, ...] = (),
     missing: tuple[str, ...] = (),
 ) -> Diagnosis:
     """Search, explain, and report alignments among ``setups`` as findings.
 
-    ``clocks`` are the standard errors of the clocks' offset (s) and pace, (2,), and ``noisy`` what
-    the samples at rest show.
+    ``clocks`` are the standard errors of the clocks' offset (s) and pace, (2,), ``another`` is
+    whether the truth is another IMU, and ``noisy`` what the samples at rest show.
     """
     if problem.judged is not None:
         skip += UNPLACED
@@ -250,7 +260,7 @@ def conclude(
     outcome, model = _in_samples(outcome, problem.setup.model, problem.thin)
     fit = outcome.fit(reference=True)
     findings, unexplained, (known, covariance) = explain(outcome, fit, names=problem.names)
-    if problem.gyroscopic:
+    if another:
         spread = problem.loose[-len(problem.setup.errors) :]
         findings, others = told_from_the_other(findings, problem.setup.errors, spread)
         missing += others
@@ -260,7 +270,7 @@ def conclude(
     findings = [*seen.findings, *found, *findings]
     left = problem.left()
     if left is not None:
-        noisy = (*noisy, *look_beside(*left, exact=not problem.noisy and not problem.gyroscopic))
+        noisy = (*noisy, *look_beside(*left, exact=not problem.noisy and not another))
     noisy = unsaid(noisy, findings, seen.unexplained)
     noisy = tuple(item for item in noisy if not is_told(item, [*seen.unexplained, *unexplained]))
     unexplained = [*seen.unexplained, *gathered(joined([*unexplained, *noisy]))]

@@ -320,9 +320,12 @@ def _at_rest(rate: FloatArray, interval: float) -> FloatArray:
     return np.asarray(np.median(np.concatenate([parts[k] for k in steadiest]), axis=0))
 
 
-def too_few(real: Recording, other: Recording) -> bool:
-    """Whether another recording has too few samples for its motion, beside this one's noise."""
-    return is_common(unfollowed(other, noise_of(real)), other.gyro)
+def too_few(real: Recording, truth: RecordingTruth, alignment: Alignment, mat: FloatArray) -> bool:
+    """Whether a truth has too few samples for its motion, beside both noises."""
+    other = truth.recording
+    exact = noise_beside_exact(real, truth, alignment, mat) is not None
+    own = None if exact else fastest_noise(other)
+    return is_common(unfollowed(other, noise_of(real), own), other.gyro)
 
 
 def limited(real: Recording, truth: RecordingTruth, bandwidth: float, spoilt: BoolArray) -> Matched:

@@ -1,4 +1,4 @@
-"""What another IMU gets wrong, as an arm carries it to the accelerometer.
+"""What another IMU, or a simulated one, gets wrong, as an arm carries it to the accelerometer.
 
 The other one's rate ``w`` is off by ``e = b + E w``, and its force is ``(I + K) f`` and a bias. Of
 what the two read only the difference shows, which is the sensor's own bias, scale factor error and
@@ -84,6 +84,9 @@ _LOWER = tuple(np.transpose(TRIANGLE))
 SEEN = 5e-3
 """m: an arm shorter than that carries less than anybody sees."""
 
+PERFECT, QUIET = 1e-4, 1e-5
+"""Share of gravity, and rad/s, by which a simulated sensor without errors is off in its rests."""
+
 
 def settled(other: Recording) -> Recording:
     """Return the recording of another IMU without what its gyroscope reads at rest.
@@ -123,6 +126,24 @@ def known_errors(
     share = 1.0 / (1.0 + sizes**2 / variance)
     spread = np.sqrt(_turned(share * sizes**2, np.square(mat_sr), squares=True))
     return _turned((1.0 - share) * found, mat_sr), spread
+
+
+def simulated_errors(
+    simulated: Recording, mat_sr: FloatArray, *, gravity: float
+) -> tuple[FloatArray, FloatArray] | None:
+    """Return what `known_errors` does, of a simulated sensor; None if it has none.
+
+    The signals of a simulation stay as they are: what its gyroscope reads at rest is an error.
+    """
+    poses = find_rests(simulated)
+    if len(poses.start):
+        norm = np.linalg.norm(poses.accel, axis=1)
+        if np.abs(norm - gravity).max() < PERFECT * gravity and np.abs(poses.gyro).max() < QUIET:
+            return None
+    errors, spread = known_errors(settled(simulated), mat_sr, gravity=gravity)
+    if len(poses.start):
+        errors[:3] = mat_sr @ np.median(poses.gyro, axis=0)
+    return errors, spread
 
 
 def _turned(errors: FloatArray, mat: FloatArray, *, squares: bool = False) -> FloatArray:

@@ -106,9 +106,10 @@ class ComparisonProblem:
         Samples that say nothing, as their truth is not known. They are no gap: what acts on whole
         signals takes them as they are.
     other : two (18,) arrays, optional
-        Of another IMU as the truth: its errors, and how far they may be off (`known_errors`).
+        Of another IMU as the truth, or of a simulated one beside an arm: its errors, and how far
+        they may be off (`known_errors`, `simulated_errors`).
     white : (2, 2) array, optional
-        Densities of the noise of both (`white_noise`).
+        Densities of the noise of both, where the truth is a sensor's as well (`white_noise`).
     own_axes : bool
         Whether the accelerometer may be turned against the frame of the truth, all nine numbers of
         its matrix being fitted.
@@ -177,7 +178,7 @@ class ComparisonProblem:
         self.rests = self.settled = np.zeros((0, 2), np.int64)
         if raw is not None:
             poses = find_rests(raw)
-            if truth.quat is not None and band and other is None:
+            if truth.quat is not None and band and white is None:
                 rests = np.stack((poses.start, poses.stop), axis=1)
                 self.densities = sensor_densities(raw, rests) or fast_densities(raw)
             edges = np.stack((raw.time[poses.start], raw.time[poses.stop - 1]), axis=1)
@@ -194,7 +195,7 @@ class ComparisonProblem:
             else gaussian(self.time, blur, real.interval)
         )
         recorded = [values_of(shaken)]
-        if other is not None:
+        if white is not None:
             recorded.append(values_of(truth.recording))
         self.coarse = np.any([resolution(v) >= noise_at_rest(v) for v in recorded], axis=0)
         level = start.gyro.bias if not len(self.rests) else np.median(poses.gyro, axis=0)
@@ -207,7 +208,7 @@ class ComparisonProblem:
         self.given = start.terms
         self.power_on = float(real.time[0])
         mat = np.eye(3) if mat_sr is None else mat_sr
-        self.gyroscopic, self.white = other is not None, white
+        self.white, self.carries = white, other is not None
         errors, own = (np.zeros(len(NAMES)), np.zeros(0)) if other is None else other
         self.setup = Setup(start, alignment, mat, errors)
         self.full_gyro = bool(start.gyro.misalignment.any())
@@ -235,8 +236,8 @@ class ComparisonProblem:
 
     @property
     def aligned(self) -> tuple[str, ...]:
-        """The nuisances in their order: alignment, and the errors of another IMU."""
-        return (*self.alignments, *(NAMES if self.gyroscopic else ()))
+        """The nuisances in their order: alignment, and the errors that an arm carries."""
+        return (*self.alignments, *(NAMES if self.carries else ()))
 
     def state(self) -> State:
         """Return the true state at the recording's times, in frame s."""
@@ -265,7 +266,7 @@ class ComparisonProblem:
             turning=None,
             vibration=self.vibration,
         )
-        if self.gyroscopic:
+        if self.carries:
             state = replace(state, force=true_force(state, arm_of(self.setup.model), errors))
         if self.judged is not None:
             # What it feels between rests nothing tells but the accelerometer itself.
@@ -532,9 +533,14 @@ class ComparisonProblem:
         self.known = self._known(*(own.density for own in colours))
 
     def _carried(self, state: State) -> list[Column]:
-        if not self.gyroscopic:
+        if not self.carries:
             return []
         return carried(state, arm_of(self.setup.model), self.setup.errors)
+
+    def arm(self) -> FloatArray:
+        """Return roughly by which arm (3,) the truth is off, m; 0 if it is short."""
+        state = self.state()
+        return arm_of(self.setup.model) + rough_arm(state, self.residual(state)[:, :3])
 
     def _nuisance(self, state: State, name: str) -> Mapping[str, FloatArray]:
         slug, parameter = name.split(".")
@@ -560,7 +566,7 @@ class ComparisonProblem:
         for name, size in zip(self.alignments, (5e-3, 1e-4, 0.02, 0.02, 0.02), strict=False):
             for channel, values in self._nuisance(state, name).items():
                 yield channel, size * values
-        if self.gyroscopic:
+        if self.carries:
             arm = arm_of(self.setup.model) + rough_arm(state, left[:, :3])
             if arm.any():
                 for size, column in zip(SIZES, carried(state, arm, self.setup.errors), strict=True):

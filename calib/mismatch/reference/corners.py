@@ -44,11 +44,19 @@ MOVES, HALF = 0.5, 0.5
 """rad/s from which on a motion is one, and the share of it that must be followed."""
 
 
-def unfollowed(recording: Recording, noise: FloatArray) -> BoolArray:
-    """Return the samples (n,) about which a spline errs beside noise (2,) of both triads."""
-    limits = 3.0 * np.square(FOLLOWED * noise)
+_ALONE = binom(2 * ORDER, ORDER) / 4.0**ORDER
+"""What the differences leave of white noise, of its variance."""
+
+
+def unfollowed(recording: Recording, noise: FloatArray, own: FloatArray | None = None) -> BoolArray:
+    """Return the samples (n,) about which a spline errs beside noise (2,) of both triads.
+
+    The recording has noise of its ``own`` (2,), or none.
+    """
+    own = np.zeros(2) if own is None else own
+    limits = 3.0 * (np.square(FOLLOWED * noise) + JUMP * _ALONE * np.square(own))
     each = zip((recording.accel, recording.gyro), limits, strict=True)
-    return np.asarray(np.any([_differences(own) > limit for own, limit in each], axis=0))
+    return np.asarray(np.any([_differences(x) > limit for x, limit in each], axis=0))
 
 
 def _differences(signals: FloatArray) -> FloatArray:
@@ -81,10 +89,8 @@ def shared_jumps(
         Samples over which the low-pass spreads a jump.
     """
     out = np.zeros(len(recording), bool)
-    # What the differences leave of white noise, of its variance.
-    alone = binom(2 * ORDER, ORDER) / 4.0**ORDER
     for k, signals in enumerate((recording.accel, recording.gyro)):
-        jumps = _differences(signals) > JUMP * 3.0 * alone * noise[k] ** 2
+        jumps = _differences(signals) > JUMP * 3.0 * _ALONE * noise[k] ** 2
         first, last = runs(jumps)
         if (last - first > LONG).any():
             continue

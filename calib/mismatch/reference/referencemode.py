@@ -285,6 +285,7 @@ def diagnose_reference(
         summary,
         setups=SETUPS,
         clocks=clocks,
+        another=isinstance(reference, Recording),
         noisy=noisy,
         skip=skip,
         missing=missing,

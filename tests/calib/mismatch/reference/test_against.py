@@ -14,6 +14,7 @@ from calib.mismatch import diagnose_against, diagnose_reference
 from calib.mismatch.reference.against import compare_simulation
 from calib.mismatch.reference.alignment import Alignment, align
 from calib.mismatch.reference.band import follows_noise
+from calib.mismatch.reference.carried import ARM
 from calib.mismatch.reference.comparison import ComparisonProblem
 from calib.mismatch.reference.truths import RecordingTruth
 from calib.mismatch.samples.samples import look_at_samples
@@ -608,3 +609,33 @@ def test_a_simulation_of_a_part_is_said_to_be_of_a_part():
     assert "compared" not in diagnose_against(recorded(), simulation(), gravity=GRAVITY).summary
     (said,) = [note for note in notes(found.to_json()) if note.startswith("Compared")]
     assert "of 32.7 s" in said
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("noise", [NoiseModel(), CONSUMER], ids=["exact", "noisy"])
+def test_an_arm_carries_the_errors_of_a_simulated_sensor(noise):
+    """Two sensors differ by what the arm makes of either's errors, which is no size of a sensor."""
+    rng = np.random.default_rng(7)
+    seen = make_motion("bench", rng=rng, duration=90.0, gravity=GRAVITY)
+    arm = dict(zip(("rx", "ry", "rz"), (0.04, -0.03, 0.02), strict=True))
+    real = simulate(seen, sensor(rng, Term(ARM, arm)), CONSUMER, rng=rng, rate=100.0)
+    other = simulate(seen, sensor(rng), noise, rng=rng, rate=200.0)
+    found = diagnose_against(real, other, gravity=GRAVITY)
+    assert [f.effect for f in found.findings] == [ARM]
+    assert found.verdict == "explained"
+    for name, q in found.findings[0].parameters.items():
+        assert q.value == pytest.approx(arm[name], abs=3.5 * q.sigma)
+
+
+@pytest.mark.parametrize("name", ["rate-table", "pendulum"])
+def test_noise_of_a_simulation_is_no_motion_of_axes_that_hardly_turn(name):
+    """The noise of a truth is in the differences and in the columns: that was a gain."""
+    rng = np.random.default_rng(3)
+    seen = make_motion(name, rng=rng, duration=60.0, gravity=GRAVITY)
+    real, other = (
+        simulate(seen, SensorModel(), CONSUMER, rng=rng, rate=rate) for rate in (100.0, 200.0)
+    )
+    found = diagnose_against(real, other, gravity=GRAVITY)
+    assert (found.findings, found.unexplained) == ((), ())
+    # Its samples are enough for its motion: what differs between them is noise.
+    assert not any("higher rate" in item for item in found.missing)

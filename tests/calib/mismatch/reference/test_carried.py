@@ -16,6 +16,7 @@ from calib.mismatch.reference.carried import (
     known_errors,
     rough_arm,
     settled,
+    simulated_errors,
     true_force,
 )
 from calib.mismatch.reference.comparison import ComparisonProblem
@@ -24,7 +25,7 @@ from calib.model import SensorModel, Triad
 from calib.rotation import mat_from_rotvec
 from calib.simulate import simulate
 from calib.simulation.bench import bench_protocol
-from calib.simulation.noise import CONSUMER
+from calib.simulation.noise import CONSUMER, NoiseModel
 
 ARM = np.array([0.2, -0.1, 0.05])
 
@@ -152,3 +153,24 @@ def test_what_its_own_rests_and_turns_tell_of_another_imu():
     assert np.linalg.norm(without - expected) > 0.01 * size
     assert np.linalg.norm(felt - expected) < 0.003 * size
     assert (sizes[3:] < 0.6 * SIZES[3:]).all()
+
+
+def test_what_a_simulated_sensor_gets_wrong_is_what_its_rests_and_turns_tell():
+    rng = np.random.default_rng(6)
+    motion = bench_protocol(rng, poses=14, first_pose=2.0, pose_duration=(2.0, 3.0))
+    gyro = Triad(np.array([0.01, -0.02, 0.005]), np.array([0.01, -0.015, 0.008]))
+    wrong = SensorModel(Triad(scale_factor_error=np.array([0.02, -0.01, 0.0])), gyro)
+    quiet = NoiseModel()
+    other = simulate(motion, wrong, quiet, rng=rng, rate=100.0)
+    found = simulated_errors(other, np.eye(3), gravity=9.80665)
+    assert found is not None
+    errors, spread = found
+    np.testing.assert_allclose(errors[:3], gyro.bias, atol=1e-6)
+    # E of the measured rate: S / (1 + S).
+    of_gyro = [3, 7, 11]
+    expected = gyro.scale_factor_error / (1.0 + gyro.scale_factor_error)
+    np.testing.assert_allclose(errors[of_gyro], expected, rtol=0.1, atol=5e-4)
+    np.testing.assert_allclose(errors[12:15], wrong.accel.scale_factor_error, rtol=0.1, atol=5e-4)
+    assert (spread[3:] < 0.01).all()
+    perfect = simulate(motion, SensorModel(), quiet, rng=rng, rate=100.0)
+    assert simulated_errors(perfect, np.eye(3), gravity=9.80665) is None
