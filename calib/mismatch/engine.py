@@ -41,6 +41,7 @@ from calib.mismatch.samples.losses import INCOMPLETE, leave_out_unwhole
 from calib.mismatch.samples.resting import look_at_rests, unsaid
 from calib.mismatch.samples.samples import BEYOND, COPIED, DISAGREES, PUSHED, lost_samples
 from calib.mismatch.samples.thin import Thinned, thin
+from calib.mismatch.search.determined import open_baseline, to_determine
 from calib.mismatch.search.explain import changes, explain, verdict
 from calib.mismatch.search.jolted import jolted
 from calib.mismatch.search.search import Outcome, search
@@ -78,8 +79,9 @@ SHOWS = {"accel": "means of its rests", "gyro": "its turns"}
 LEAST_TURNS = 3
 """Turns below which nothing that shows in motion alone is named."""
 
-LEAST_DIRECTIONS = 9
-"""Distinct directions of gravity below which the accelerometer's nine parameters are open."""
+LEAST_DIRECTIONS, POSES = 9, "enough poses"
+"""Distinct directions of gravity below which the rests leave the accelerometer's nine parameters
+open, and what is missing then."""
 
 
 def diagnose_recording(
@@ -178,7 +180,15 @@ def _diagnose(thinned: Thinned, *, gravity: float, model: SensorModel | None) ->
     outcome = search(problem, skip=skip)
     names = problem.twin.names
     directions = distinct_directions(poses.accel)
+    if outcome.undetermined:
+        missing += (to_determine(outcome.undetermined),)
     fit = outcome.fit(reference=False)
+    able = len(poses) > 3
+    if directions < LEAST_DIRECTIONS:
+        # On the faces of a cube the turns between them tell of the accelerometer's axes.
+        able = len(poses) >= LEAST_DIRECTIONS and not open_baseline(names, fit)
+        if able:
+            missing = tuple(item for item in missing if not item.startswith(POSES))
     found = {a.candidate.name for a in outcome.accepted}
     shown = problem.shown(np.sqrt(np.diag(fit.covariance)))
     further = {name: k for name, k in shown.items() if name.split(".")[0] not in found}
@@ -193,7 +203,7 @@ def _diagnose(thinned: Thinned, *, gravity: float, model: SensorModel | None) ->
         findings = [_by_sample(f, thinned.samples) if _is_rate(f.effect) else f for f in findings]
     lost = [lost_samples(recording, loss, grid.interval[loss.segment]) for loss in losses]
     findings = [*seen.findings, *lost, *findings]
-    noisy = unsaid(noisy, findings, seen.unexplained)
+    noisy = unsaid(noisy, findings, seen.unexplained, problem.given)
     if directions == 1 and _across_gravity(findings, poses):
         missing += (
             "another pose: in one, what the sensor lies on may lean where its accelerometer seems "
@@ -212,7 +222,7 @@ def _diagnose(thinned: Thinned, *, gravity: float, model: SensorModel | None) ->
         verdict=verdict(
             tuple(findings),
             tuple(unexplained),
-            able=directions >= LEAST_DIRECTIONS and len(poses) > 3,
+            able=able,
         ),
         findings=tuple(findings),
         unexplained=tuple(unexplained),
@@ -366,7 +376,7 @@ def _missing(recording: Recording, poses: Poses) -> tuple[str, ...]:
     directions = distinct_directions(poses.accel)
     if directions < LEAST_DIRECTIONS:
         out.append(
-            f"enough poses: it has {directions} distinct one{'s' if directions != 1 else ''}, and "
+            f"{POSES}: it has {directions} distinct one{'s' if directions != 1 else ''}, and "
             f"the accelerometer's scale and alignment need {LEAST_DIRECTIONS}"
         )
     if len(poses) < 4:

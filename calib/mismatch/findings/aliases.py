@@ -23,6 +23,10 @@ from calib.types import FloatArray
 CLEAR = 5.0
 """Standard errors from which a common scale factor is there, or axes would be seen to differ."""
 
+FAR, NEARLY = 0.05, 0.25
+"""Scale factor that no part leaves its factory with (data sheets allow 3 %), and how much of it the
+axes may differ by, as parts of one sensor do, for it to be one that they share."""
+
 DIFFERENT = float(chdtri(2, 0.01))
 """Chi-squared of the two differences of three axes that axes alike exceed in one of a hundred."""
 
@@ -41,8 +45,8 @@ class Alias:
     parameters : mapping
         Of the effect, if it were all of that.
     alike : bool
-        Whether the axes are clearly off and differ by no more than their standard errors: parts of
-        one sensor seldom are.
+        Whether the axes are clearly off and differ by no more than their standard errors, as parts
+        of one sensor seldom do, or are further off than any part, and differ by far less.
     needs : str
         What would tell.
     """
@@ -103,10 +107,9 @@ def find_aliases(
         common, sigma = float(variance * weight.sum(axis=0) @ shift), float(np.sqrt(variance))
         left = shift - common
         # What is clear of the worst axis is clear of all together.
-        alike = (
-            abs(common) > CLEAR * np.sqrt(np.diag(covariance)[index].max())
-            and float(left @ weight @ left) < DIFFERENT
-        )
+        clear = abs(common) > CLEAR * np.sqrt(np.diag(covariance)[index].max())
+        far = abs(common) > FAR and np.abs(left).max() < NEARLY * abs(common)
+        alike = clear and (far or float(left @ weight @ left) < DIFFERENT)
         unit = parameter_unit(f"{effect.slug}.{parameter.name}")
         out.append(
             Alias(

@@ -41,7 +41,7 @@ from calib.mismatch.reference.witnessed import white_noise
 from calib.mismatch.samples.resting import unsaid
 from calib.mismatch.samples.samples import Samples, axes_beside, look_at_samples, with_reading
 from calib.mismatch.samples.within import is_told, look_beside
-from calib.mismatch.search.estimate import Estimate
+from calib.mismatch.search.determined import open_baseline, to_determine
 from calib.mismatch.search.explain import changes, explain, verdict
 from calib.mismatch.search.search import Outcome, search
 from calib.model import SensorModel
@@ -51,9 +51,6 @@ from calib.statics import find_poses
 from calib.threads import one_thread
 from calib.timing import clock_errors, evened
 from calib.types import FloatArray
-
-_OPEN = {"bias": 0.1, "scale_factor_error": 0.02, "misalignment": 0.02}
-"""Standard errors (SI) of the baseline beyond which a recording cannot tell much."""
 
 NOWHERE = "positions in the reference"
 """What shows those."""
@@ -271,20 +268,21 @@ def conclude(
     left = problem.left()
     if left is not None:
         noisy = (*noisy, *look_beside(*left, exact=not problem.noisy and not another))
-    noisy = unsaid(noisy, findings, seen.unexplained)
+    noisy = unsaid(noisy, findings, seen.unexplained, problem.given)
     noisy = tuple(item for item in noisy if not is_told(item, [*seen.unexplained, *unexplained]))
     unexplained = [*seen.unexplained, *gathered(joined([*unexplained, *noisy]))]
     slugs = {f.effect for f in findings}
     keep = [i for i, n in enumerate(known) if n in problem.names or n.split(".")[0] in slugs]
     known, covariance = tuple(known[i] for i in keep), covariance[np.ix_(keep, keep)]
-    open_ = _open(problem.names, fit)
+    open_ = open_baseline(problem.names, fit)
     if problem.judged is not None:
         # What it lacks for one sensor is no lack for the other.
         poses = [n for n in open_ if n.startswith("accel.")]
         open_ = [n for n in open_ if n not in poses]
         missing += _unplaced(problem, poses)
-    if open_:
-        missing += (f"motion that determines {', '.join(open_)}",)
+    for names in (open_, outcome.undetermined):
+        if names:
+            missing += (to_determine(names),)
     change, likelihood = changes(outcome)
     alignment = problem.setup.alignment
     common, (first, last) = len(problem.time) * problem.interval, problem.time[[0, -1]].tolist()
@@ -376,11 +374,6 @@ def _unplaced(problem: ComparisonProblem, poses: list[str]) -> tuple[str, ...]:
     if not (rest and poses):
         return (positions,)
     return positions, f"rests in poses that determine {', '.join(poses)}"
-
-
-def _open(names: tuple[str, ...], fit: Estimate) -> list[str]:
-    sigma = np.sqrt(np.diag(fit.covariance))
-    return [n for n, s in zip(names, sigma, strict=False) if s == 0 or s > _OPEN[n.split(".")[1]]]
 
 
 def undetermined(missing: str, summary: Mapping[str, object]) -> Diagnosis:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+from calib.effects.base import Term
 from calib.mismatch.findings.diagnosis import Finding, Unexplained
 from calib.mismatch.samples.samples import SPIKES
 from calib.mismatch.samples.spectrum import LINE, LOUDER_THERE, look_at_spectrum
@@ -44,16 +45,19 @@ def unsaid(
     noisy: Sequence[Unexplained],
     findings: Sequence[Finding],
     said: Sequence[Unexplained] = (),
+    known: Sequence[Term] = (),
 ) -> tuple[Unexplained, ...]:
     """Return what is odd about samples at rest that findings are not the cause of.
 
-    What shook the sensor is the cause of louder noise, too. Samples on both sides of a step of a
+    What shook the sensor is the cause of louder noise, too, also where what that does is ``known``
+    from a calibration. Samples on both sides of a step of a
     bias have a spectrum, and a variance, of their own. Of a channel whose spikes were `said`, those
     that hardly stand out, or in turns alone, are no second thing.
     """
     out = []
     spiky = {c for item in said if item.follows == SPIKES for c in item.channels}
-    shaken = any(f.effect.endswith(_SHAKEN) for f in findings)
+    causes = [f.effect for f in findings] + [term.effect for term in known]
+    shaken = any(effect.endswith(_SHAKEN) for effect in causes)
     for item in noisy:
         if shaken and item.follows == LOUDER_THERE:
             continue

@@ -41,13 +41,13 @@ class Choice(NamedTuple):
     """The explanation that is taken, and the log e-value that anything is left.
 
     That counts only what may be the cause: what was passed over says nothing of how rare it is.
-    ``behind`` is physics that is plain, but has by ``lead`` less log evidence than the rivals.
+    ``behind`` is physics that is plain, each with by how much less log evidence it has than the
+    rivals: the best on the channels of the candidate, and the best on others.
     """
 
     candidate: Candidate
     worth: float
-    behind: Candidate | None = None
-    lead: float = 0.0
+    behind: tuple[tuple[Candidate, float], ...] = ()
 
 
 def choose(rows: Rows, ranking: Ranking, accepted: list[Accepted]) -> Choice | None:
@@ -90,12 +90,14 @@ def choose(rows: Rows, ranking: Ranking, accepted: list[Accepted]) -> Choice | N
     alike = {g: v for g, v in groups.items() if set(best[g].channels) & set(chosen.channels)}
     if logsumexp(list(alike.values())) < np.log(CLAIM):
         return None
-    plain = [g for g, v in alike.items() if best[g].physical and v > PLAIN]
-    if chosen.physical or not plain:
+    if chosen.physical:
         return Choice(chosen, ranking.total)
-    behind = max(plain, key=alike.__getitem__)
-    lead = logsumexp([v for g, v in groups.items() if not best[g].physical]) - groups[behind]
-    return Choice(chosen, ranking.total, best[behind], float(lead))
+    rivals = float(logsumexp([v for g, v in groups.items() if not best[g].physical]))
+    # Rests that may lean as they like close any turn: the cause can be on other channels as well.
+    plain = {g for g, v in groups.items() if best[g].physical and v > PLAIN}
+    sides = (plain & set(alike), plain - set(alike))
+    behind = [max(some, key=groups.__getitem__) for some in sides if some]
+    return Choice(chosen, ranking.total, tuple((best[g], rivals - groups[g]) for g in behind))
 
 
 def _left_of(

@@ -154,7 +154,7 @@ def estimate(
     reference: bool,
 ) -> Estimate:
     """Fit baseline, nuisances and all findings jointly, over all shapes that the rows allow."""
-    best, covariance = _fit(rows, accepted, levels, contrast)
+    best, covariance = solved(rows, accepted, levels, contrast)
     total, shapes, of_form = covariance.copy(), {}, {}
     beside: dict[tuple[int, str], FloatArray] = {}
     reach = 3.0 * np.sqrt(np.diag(covariance))
@@ -185,7 +185,7 @@ def estimate(
                 if other is None:
                     continue
                 there = (*accepted[:i], other, *accepted[i + 1 :])
-                step, own = _fit(rows, there, levels, contrast)
+                step, own = solved(rows, there, levels, contrast)
                 shift = step - best
                 total += weight * (own - covariance + np.outer(shift, shift))
                 along += weight * apart * shift
@@ -244,7 +244,7 @@ def _together(
     sum over segments of ``(g_k' r_k)²``; if rows erred apart, it were ``g' g``. What few segments
     tell of may look smaller so than it is: it counts where it is larger. What is known beforehand
     errs as it says. Residuals are those of all columns fitted at once: what is put aside moves the
-    others by what `_fit` adds, and that is no noise.
+    others by what `solved` adds, and that is no noise.
 
     References
     ----------
@@ -285,7 +285,7 @@ def wider(spread: FloatArray) -> FloatArray:
     return 0.5 * (low + high)
 
 
-def _fit(
+def solved(
     rows: Rows, accepted: tuple[Accepted, ...], levels: FloatArray, contrast: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return the least-squares step of all columns, of any rank, and its covariance."""

@@ -132,7 +132,7 @@ def rank(
     for name in leading(best, {g: groups[g] for g in running}):
         if groups[name] <= np.log(CLAIM) - SHORT:
             continue
-        leaders = _with_fullest(stack, evidence, best[name])
+        leaders = with_fullest(stack, evidence, best[name])
         if not leaders[-1].shape and again(leaders[-1], accepted):
             continue  # all of it is fitted: no drift makes it show
         most = -np.inf
@@ -158,7 +158,7 @@ def rank(
     return replace(ranking, pair=_pair(scores, hidden))
 
 
-def _with_fullest(stack: Stack, evidence: FloatArray, leader: Candidate) -> list[Candidate]:
+def with_fullest(stack: Stack, evidence: FloatArray, leader: Candidate) -> list[Candidate]:
     """Return the leader of a group, and the best that has all of its effect's parameters.
 
     Levels that are those of no candidate, or of one axis alone, take what other axes show for

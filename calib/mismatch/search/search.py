@@ -19,8 +19,9 @@ from calib.mismatch.noise.noise import Levels, estimate_levels, expected_levels,
 from calib.mismatch.rows.rows import Rows
 from calib.mismatch.search.accepted import Accepted, accept, contrast_noise, fitted, joined, lasting
 from calib.mismatch.search.choice import LEAST, Choice, choose, is_part, possible
+from calib.mismatch.search.determined import determined
 from calib.mismatch.search.estimate import Estimate, estimate, settle
-from calib.mismatch.search.ranking import Ranking, make_stack, rank
+from calib.mismatch.search.ranking import Ranking, make_stack, rank, with_fullest
 from calib.mismatch.search.refit import Problem, Refit, put_back, refit, unmoved
 from calib.mismatch.search.resettled import resettled
 from calib.mismatch.search.twins import MIMICKED, turns_about_up, twins
@@ -66,6 +67,8 @@ class Outcome:
     total: float
     tried: frozenset[str]
     """Effects that the rows could show."""
+    undetermined: tuple[str, ...] = ()
+    """Parameters of what was found that the rows leave open."""
 
     def fit(self, *, reference: bool) -> Estimate:
         """Fit everything jointly."""
@@ -130,8 +133,9 @@ def search(problem: Problem, *, skip: tuple[str, ...] = ()) -> Outcome:
     ]
     rows, accepted = resettled(problem, rows, accepted, levels, contrast)
     rows, accepted = settle(rows, accepted, levels, contrast, reference=problem.reference)
+    accepted, undetermined = determined(rows, accepted, levels, contrast)
     tried = frozenset(c.name for c in stack.physics.values())
-    return Outcome(rows, tuple(accepted), levels, contrast, ranking.total, tried)
+    return Outcome(rows, tuple(accepted), levels, contrast, ranking.total, tried, undetermined)
 
 
 def _fit_with(
@@ -166,17 +170,23 @@ def _bent(
     Where rows go as columns promise it leaves what they lead by. What moves the twin so far that
     rows are bent is behind them for that alone: a bias that steps by a degree a second, in a turn,
     leaves the square of it in all turns, of which a fluctuation takes up more than a step does.
+    Nor do axes that lie a degree off go as promised; rests that lean as they like close any turn.
+    What other physics takes up then is left by that, and not by what was tried.
     """
-    if chosen.behind is None or chosen.lead <= LED:
-        return None
     place = problem.place()
-    fit = _fit_with(problem, rows, ranking, accepted, chosen.behind, chosen.worth)
-    if not fit.straight:
-        stack = make_stack(fit.rows, skip=skip, reference=problem.reference)
-        left = rank(fit.rows, stack, fit.accepted, fit.levels, every=ranking.every).total
-        if chosen.lead - max(left, 0.0) > LED:
-            return fit
-    problem.go_back(place)
+    for leader, lead in chosen.behind:
+        if lead <= LED:
+            continue
+        fullest = with_fullest(ranking.stack, ranking.evidence, leader)[-1]
+        candidate = leader if fullest.shape else fullest
+        fit = _fit_with(problem, rows, ranking, accepted, candidate, chosen.worth)
+        if not fit.straight:
+            stack = make_stack(fit.rows, skip=skip, reference=problem.reference)
+            after = rank(fit.rows, stack, fit.accepted, fit.levels, every=ranking.every)
+            rivals = [v for g, v in after.groups.items() if not after.best[g].physical]
+            if lead - max(float(logsumexp(rivals)), 0.0) > LED:
+                return fit
+        problem.go_back(place)
     return None
 
 

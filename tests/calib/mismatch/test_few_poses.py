@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -10,10 +12,11 @@ from calib.effects.base import Term
 from calib.mismatch import Diagnosis, diagnose_recording
 from calib.mismatch.engine import _in_motion
 from calib.mismatch.samples.spectrum import LOUDER_THERE
-from calib.model import SensorModel
+from calib.model import SensorModel, Triad
 from calib.recording import Recording
 from calib.simulate import simulate
 from calib.simulation.bench import bench_protocol
+from calib.simulation.library import make_motion
 from calib.simulation.noise import CONSUMER
 
 from .bench import GRAVITY, recording
@@ -69,3 +72,35 @@ def test_two_turns_leave_the_gyroscope_open() -> None:
 def test_one_sample_is_undetermined() -> None:
     one = Recording(np.zeros(1), np.array([[0.0, 0.0, 9.8]]), np.zeros((1, 3)), "device")
     assert diagnose_recording(one, gravity=GRAVITY).verdict == "undetermined"
+
+
+def test_on_the_faces_of_a_cube_turns_tell_of_the_axes_too() -> None:
+    """Six directions of gravity leave nine parameters open, but for the turns between them."""
+    rng = np.random.default_rng(2)
+    motion = make_motion("rate-table", rng=rng, duration=120.0, gravity=GRAVITY)
+    axes = Triad(rng.normal(0, 0.1, 3), rng.normal(0, 0.01, 3))
+    real = simulate(motion, SensorModel(axes), CONSUMER, rng=rng, rate=50.0)
+    found = diagnose_recording(real, gravity=GRAVITY)
+    assert found.verdict == "consistent"
+    assert not any(text.startswith("enough poses") for text in found.missing)
+
+
+@pytest.mark.long
+def test_rests_that_lean_as_they_like_are_no_rival_of_axes_that_lie_askew() -> None:
+    """In rests of minutes a fluctuation closes any turn; axes a degree askew do not go straight."""
+    rng = np.random.default_rng(4)
+    motion = bench_protocol(rng, poses=26, pose_duration=(12.0, 125.0), turn_duration=(1.2, 1.8))
+    askew = dict(
+        zip(("mxy", "mxz", "myx", "myz", "mzx", "mzy"), rng.normal(0, 0.009, 6), strict=True)
+    )
+    model = SensorModel(
+        Triad(rng.normal(0, 0.1, 3)),
+        Triad(rng.normal(0, 0.01, 3)),
+        (Term("gyro_misalignment", askew),),
+    )
+    noise = replace(CONSUMER, gyro_noise_density=3e-4)
+    found = diagnose_recording(simulate(motion, model, noise, rng=rng, rate=50.0), gravity=GRAVITY)
+    assert [f.effect for f in found.findings] == ["gyro_misalignment"]
+    assert found.unexplained == ()
+    for name, q in found.findings[0].parameters.items():
+        assert q.value == pytest.approx(askew[name], abs=3.5 * q.sigma)

@@ -63,3 +63,12 @@ def test_a_calibration_is_where_scale_factors_are_counted_from() -> None:
     assert found.alike
     assert error.sigma is not None
     assert abs(error.value - (9.75 - GRAVITY)) < 3.5 * error.sigma
+
+
+def test_what_no_part_is_off_by_is_in_common_though_axes_differ_as_those_of_parts_do() -> None:
+    scale = np.array([-0.13, -0.14, -0.125])
+    found = aliases(replace(PLAIN, accel=Triad(scale_factor_error=scale)))["gravity_magnitude"]
+    assert found.alike
+    few = 0.02 * scale / 0.13
+    found = aliases(replace(PLAIN, accel=Triad(scale_factor_error=few)))["gravity_magnitude"]
+    assert not found.alike

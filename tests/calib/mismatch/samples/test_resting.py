@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from calib.effects.base import Term
 from calib.mismatch.findings.diagnosis import Unexplained
 from calib.mismatch.samples.resting import look_at_rests, unsaid
 from calib.mismatch.samples.spectrum import LINE as A_LINE
@@ -25,6 +26,8 @@ def found(effect, channels, **moments):
 def test_what_shakes_a_sensor_is_the_cause_of_louder_noise_and_of_no_line():
     shaken = found("accel_vibration_rectification", ("accel.z",))
     assert unsaid((LOUD, LINE), [shaken]) == (LINE,)
+    known = [Term("gyro_vibration_rectification", {"kx": 1e-3})]
+    assert unsaid((LOUD, LINE), [], known=known) == (LINE,)
     assert unsaid((LOUD, LINE), [found("accel_warm_up", ("accel.x",))]) == (LOUD, LINE)
 
 

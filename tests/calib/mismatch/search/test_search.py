@@ -99,18 +99,19 @@ def g_sensitive(size):
 def test_a_model_goes_back_to_where_it_stood(monkeypatch):
     self_mode, rows, ranking, own = g_sensitive(3e-3)
     monkeypatch.setattr("calib.mismatch.search.search.rank", lambda *_, **__: ranking)
-    led = Choice(own, 100.0, own, 10.0)
-    assert _bent(self_mode, rows, ranking, [], led._replace(lead=4.0), skip=()) is None
+    led = Choice(own, 100.0, ((own, 10.0),))
+    short = led._replace(behind=((own, 4.0),))
+    assert _bent(self_mode, rows, ranking, [], short, skip=()) is None
     # Here as much is left as there was, and that is more than any lead.
     assert _bent(self_mode, rows, ranking, [], led, skip=()) is None
     np.testing.assert_array_equal(self_mode.rows().residual, rows.residual)
-    led = led._replace(lead=ranking.total + 10.0)
+    led = led._replace(behind=((own, ranking.total + 10.0),))
     assert _bent(self_mode, rows, ranking, [], led, skip=()) is not None
     assert np.abs(self_mode.rows().residual).sum() < np.abs(rows.residual).sum()
 
 
 def test_where_rows_are_straight_a_rival_that_leads_is_the_answer():
     self_mode, rows, ranking, own = g_sensitive(1e-4)
-    led = Choice(own, 100.0, own, ranking.total + 100.0)
+    led = Choice(own, 100.0, ((own, ranking.total + 100.0),))
     assert _bent(self_mode, rows, ranking, [], led, skip=()) is None
     np.testing.assert_array_equal(self_mode.rows().residual, rows.residual)

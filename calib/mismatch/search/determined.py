@@ -1,0 +1,104 @@
+"""Which parameters of what was found a recording determines, and which it leaves open.
+
+A sensor that never turned about z shows nothing of how its x axis lies to that: what a finding has
+of it is what noise, and the priors, leave there. In a model it would be put on streams that turn.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from calib.effects import get_effect
+from calib.mismatch.hypotheses.factors import LARGE
+from calib.mismatch.rows.rows import Rows
+from calib.mismatch.search.accepted import Accepted
+from calib.mismatch.search.estimate import Estimate, solved
+from calib.types import FloatArray
+
+LOOSE = 3.0
+"""Standard error, times the typical size, from which on a parameter is open: parts have less."""
+
+OPEN = {"bias": 0.1, "scale_factor_error": 0.02, "misalignment": 0.02}
+"""Standard errors (SI) of the baseline beyond which a recording cannot tell much."""
+
+CLEAR = 3.0
+"""Standard errors from which on it is there however large they are, unless it is hardly physical:
+of a motion that hardly shows it, noise of a truth does."""
+
+
+def determined(
+    rows: Rows, accepted: list[Accepted], levels: FloatArray, contrast: FloatArray
+) -> tuple[list[Accepted], tuple[str, ...]]:
+    """Return findings without the parameters that are open, and the names of these.
+
+    One after another: of two that only go together the other one may be determined then. The rows
+    have the part of every finding in them, as `settle` returns them. What is there or not, or
+    refines others, stays, and so does the last parameter of a finding.
+    """
+    accepted = list(accepted)
+    gone: list[str] = []
+    while True:
+        step, covariance = solved(rows, tuple(accepted), levels, contrast)
+        sigma = np.sqrt(np.diag(covariance))
+        at = rows.baseline.shape[1] + rows.nuisance.shape[1]
+        worst: tuple[float, int, int] = (LOOSE, 0, 0)
+        for i, a in enumerate(accepted):
+            own = slice(at, at + len(a.values))
+            at = own.stop
+            if not _droppable(a):
+                continue
+            refining = {p.name for p in get_effect(a.candidate.name).parameters if p.refining}
+            for k, name in enumerate(a.candidate.parameters):
+                size, error = abs(step[own][k]), float(sigma[own][k])
+                loose = size < CLEAR * error or size > LARGE
+                if error > worst[0] and loose and name not in refining:
+                    worst = (error, i, k)
+        if worst[0] <= LOOSE:
+            return accepted, tuple(gone)
+        _, i, k = worst
+        gone.append(f"{accepted[i].candidate.name}.{accepted[i].candidate.parameters[k]}")
+        accepted[i] = _without(accepted[i], k)
+
+
+def open_baseline(names: Sequence[str], fit: Estimate) -> list[str]:
+    """Return which of the baseline's parameters, that come first in a fit, it says too little of.
+
+    Of some a motion says nothing at all: their variance is 0.
+    """
+    sigma = np.sqrt(np.diag(fit.covariance))
+    return [n for n, s in zip(names, sigma, strict=False) if s == 0 or s > OPEN[n.split(".")[1]]]
+
+
+def to_determine(names: Sequence[str]) -> str:
+    """Return what is missing where parameters of these names are open."""
+    return f"motion that determines {', '.join(names)}"
+
+
+def _droppable(a: Accepted) -> bool:
+    """Whether a finding has parameters each of which is a size of its own."""
+    if not a.candidate.physical or a.candidate.present or len(a.candidate.parameters) < 2:
+        return False
+    return get_effect(a.candidate.name).kind == "sensor"
+
+
+def _without(a: Accepted, which: int) -> Accepted:
+    keep = [k for k in range(len(a.values)) if k != which]
+    effect = get_effect(a.candidate.name)
+    names = tuple(a.candidate.parameters[k] for k in keep)
+    channels = [c for p in effect.parameters if p.name in names for c in p.channels]
+    candidate = replace(
+        a.candidate,
+        index=np.arange(len(keep)),
+        parameters=names,
+        channels=tuple(dict.fromkeys(channels)),
+    )
+    return replace(
+        a,
+        candidate=candidate,
+        columns=a.columns[:, keep],
+        typical=a.typical[keep],
+        values=a.values[keep],
+    )
