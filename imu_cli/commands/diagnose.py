@@ -80,7 +80,7 @@ def diagnose(
     as the truth; with --reference what moved with the sensor. Every verdict ends with exit code 0.
     """
     from calib.mismatch import diagnose_against, diagnose_reference
-    from drivers.calibration_file import load_calibration, save_calibration
+    from drivers.calibration_file import check_can_write, load_calibration, save_calibration
     from drivers.formats import read_recording
     from drivers.reference_file import read_reference
     from imu_cli.diagnosis_view import diagnosis_lines
@@ -90,6 +90,7 @@ def diagnose(
     for made, option in ((output, "--output"), (report, "--report")):
         if made is not None:
             refuse_source(made, sources, hint=option)
+            check_can_write(made)
     local = choose_gravity(gravity, latitude, height)
     if against is not None and reference is not None:
         raise typer.BadParameter(

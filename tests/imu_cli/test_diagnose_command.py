@@ -193,3 +193,14 @@ def test_a_profile_of_what_it_is_not_compared_with_is_refused(log: Path) -> None
     result = CliRunner().invoke(app, ["diagnose", str(log), "--other-profile", "mpu9150"])
     assert result.exit_code == 2
     assert "--against" in result.output
+
+
+@pytest.mark.parametrize("option", ["--output", "--report"])
+def test_where_nothing_can_be_written_is_said_before_the_recording_is_read(
+    tmp_path: Path, option: str
+) -> None:
+    args = ["diagnose", str(tmp_path / "none.csv"), option, str(tmp_path / "no" / "made")]
+    result = CliRunner().invoke(app, args)
+    assert result.exit_code == 10
+    assert "cannot write it: No such file or directory" in " ".join(result.stderr.split())
+    assert os.listdir(tmp_path) == []
