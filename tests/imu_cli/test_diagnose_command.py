@@ -49,6 +49,7 @@ def test_json_is_alone_on_stdout_and_the_model_is_written(
     said, model = diagnosed
     document = json.loads(said)
     assert document["format"] == "imu-cal/diagnosis"
+    assert document["files"] == {"recording": "log.arrow"}
     assert document["verdict"] == "explained"
     assert document["findings"][0]["effect"] == "gyro_misalignment"
     terms = load_calibration(model).model.terms
