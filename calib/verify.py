@@ -221,6 +221,7 @@ def _compare_anew(calibration: Calibration, left: Calibration | None) -> Compari
     """Compare with what the corrected recording says by itself: no bias, scale or angle left."""
     if left is None:
         return None
+    calibration = _aligned(calibration)
     model = SensorModel(
         _compose(calibration.model.accel, left.model.accel),
         _compose(calibration.model.gyro, left.model.gyro),
@@ -235,6 +236,38 @@ def _compare_anew(calibration: Calibration, left: Calibration | None) -> Compari
         undetermined=tuple(n for n in calibration.undetermined if n in left.values),
     )
     return compare(known, replace(left, model=model))
+
+
+def _aligned(calibration: Calibration) -> Calibration:
+    """Return the calibration with its misalignment in the triad, if `diagnose` made it a term.
+
+    ``M w`` is the same in either place.
+    """
+    slug, group = "gyro_misalignment", "gyro.misalignment."
+    named = (*calibration.names, *calibration.undetermined)
+    terms = [term for term in calibration.model.terms if term.effect == slug]
+    if not terms or any(name.startswith(group) for name in named):
+        return calibration
+    values = calibration.model.gyro.parameters("gyro")
+    moved = {
+        f"{group}{name[1:]}": values[f"{group}{name[1:]}"] + value
+        for name, value in terms[0].parameters.items()
+    }
+    model = replace(
+        calibration.model,
+        gyro=calibration.model.gyro.with_parameters(moved),
+        terms=tuple(term for term in calibration.model.terms if term.effect != slug),
+    )
+
+    def renamed(names: tuple[str, ...]) -> tuple[str, ...]:
+        return tuple(name.replace(f"{slug}.m", group) for name in names)
+
+    return replace(
+        calibration,
+        model=model,
+        names=renamed(calibration.names),
+        undetermined=renamed(calibration.undetermined),
+    )
 
 
 def _compose(known: Triad, left: Triad) -> Triad:

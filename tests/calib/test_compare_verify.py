@@ -229,6 +229,11 @@ def test_turns_are_tested_without_the_residuals_of_a_fit(
     ):
         answer = verify(replace(found, model=wrong), new)
         assert [check.name for check in answer.failed] == ["turns"]
+    # The last one has its misalignment turned: each angle has changed by twice of what it is.
+    assert answer.comparison is not None
+    for item in answer.comparison.changed[:4]:
+        assert item.name.startswith("gyro.misalignment.")
+        assert item.difference == pytest.approx(-2 * item.first, rel=0.1)
 
 
 def test_a_wrong_term_does_not_excuse_itself(known: tuple[SensorModel, Calibration]) -> None:
