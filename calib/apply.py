@@ -21,8 +21,12 @@ from calib.types import BoolArray, FloatArray
 
 @dataclass
 class Coverage:
-    """Which part of what was corrected lay outside the calibrated temperature range."""
+    """Which part of what was corrected lay outside the calibrated temperature range, or had none.
 
+    ``start`` is the time of the first sample, s.
+    """
+
+    start: float | None = None
     samples: int = 0
     outside: int = 0
     without_temperature: int = 0
@@ -146,14 +150,49 @@ class Corrector:
     def _cover(self, block: Block) -> None:
         cover, span = self.coverage, self.calibration.temperature
         cover.samples += len(block)
-        if block.temperature is None:
+        if len(block) and cover.start is None:
+            cover.start = float(block.time[0])
+        values = block.temperature
+        values = None if values is None else values[np.isfinite(values)]
+        if values is None or not len(values):
             cover.without_temperature += len(block)
-        elif span is not None and len(block):
-            values = block.temperature
+        elif span is not None:
             low, high = float(values.min()), float(values.max())
             cover.low, cover.high = min(cover.low, low), max(cover.high, high)
             if low < span.low or high > span.high:
                 cover.outside += int(np.count_nonzero((values < span.low) | (values > span.high)))
+
+
+@dataclass(frozen=True)
+class NotApplied:
+    """A part of a calibration that a recording was not corrected for, and why."""
+
+    effect: str
+    reason: str
+
+
+def not_applied(calibration: Calibration, coverage: Coverage) -> tuple[NotApplied, ...]:
+    """Return what of a calibration was not applied: events, and terms whose input was missing."""
+    out = []
+    for event in calibration.events:
+        spans = ", ".join(f"{a:.2f} to {b:.2f} s" for a, b in event.intervals)
+        reason = f"at {spans} it is an event of the recording that was calibrated"
+        out.append(NotApplied(event.effect, reason))
+    for term in calibration.model.terms:
+        reads = get_effect(term.effect).reads
+        count, of = coverage.without_temperature, coverage.samples
+        if "mat_ns" in reads:
+            out.append(NotApplied(term.effect, "it needs the orientation, which nobody knows here"))
+        elif "temperature" in reads and count:
+            where = "the recording has" if count == of else f"{count} of {of} samples have"
+            out.append(NotApplied(term.effect, f"{where} no temperature"))
+    return tuple(out)
+
+
+def from_power_on(calibration: Calibration) -> tuple[str, ...]:
+    """Return the terms that count the time since the sensor was switched on."""
+    terms = calibration.model.terms
+    return tuple(term.effect for term in terms if get_effect(term.effect).from_power_on)
 
 
 def reads_temperature(calibration: Calibration) -> bool:

@@ -21,6 +21,7 @@ from calib.calibration import (
 )
 from calib.errors import InsufficientMotionError
 from calib.fit import Exclusion, Fit
+from calib.gravity import EARTH
 from calib.measured import measured
 from calib.model import PARAMETER_UNITS, SensorModel, Triad
 from calib.poses import Poses
@@ -89,9 +90,10 @@ def calibrate(
         If a method is unknown, or an option that it needs is missing.
     """
     gravity = gravity if isinstance(gravity, Gravity) else Gravity(gravity, "given")
-    if not 9.7 < gravity.value < 9.9:
+    if not EARTH[0] < gravity.value < EARTH[1]:
         raise ValueError(
-            f"`gravity` must be between 9.7 and 9.9 m/s², as on Earth, got {gravity.value:g}"
+            f"`gravity` must be between {EARTH[0]} and {EARTH[1]} m/s², as on Earth, got "
+            f"{gravity.value:g}"
         )
     _choose(accel_solvers(), "accel_method", accel_method)
     solve_gyro = _choose(gyro_solvers(), "gyro_method", gyro_method).solve

@@ -35,6 +35,7 @@ from calib.effects.base import Term
 from calib.errors import CalibrationFileError
 from calib.json_node import Node
 from calib.model import SensorModel, Triad
+from calib.plausible import check_plausible
 from calib.types import FloatArray
 
 FORMAT = "imu-cal/calibration"
@@ -143,7 +144,7 @@ def from_document(document: object) -> Calibration:
     ------
     CalibrationFileError
         If it is another format, of another major version, lacks a key, has another unit than
-        expected, or contradicts itself; the message names the key.
+        expected, contradicts itself, or is of no sensor on Earth; the message names the key.
     """
     node = Node(document, "")
     if node.get("format") != FORMAT:
@@ -153,11 +154,13 @@ def from_document(document: object) -> Calibration:
         )
     version = _check_version(node.text("version"))
     try:
-        return _read(node, version)
+        calibration = _read(node, version)
     except CalibrationFileError:
         raise
     except ValueError as error:  # what the classes check when they are made
         raise CalibrationFileError(f"the calibration contradicts itself: {error}") from error
+    check_plausible(calibration)
+    return calibration
 
 
 def _check_version(version: str) -> str:
@@ -208,7 +211,7 @@ def _read(node: Node, version: str) -> Calibration:
         names,
         covariance,
         tuple(undetermined),
-        Gravity(gravity.quantity("m/s²"), gravity.text("source"), gravity.number("sigma")),
+        Gravity(gravity.quantity("m/s²"), gravity.text("source"), gravity.least("sigma", 0.0)),
         accel=read_summary(node.optional("accel")),
         gyro=read_summary(node.optional("gyro")),
         temperature=None
@@ -232,6 +235,8 @@ def _read_parameter(
     except ValueError as error:
         raise CalibrationFileError(f"{node.path}: {error}") from error
     values[name] = node.quantity(unit)
+    if node.get("sigma") is not None:
+        node.least("sigma", 0.0)
     if node.get("status") == "undetermined":
         undetermined.append(name)
     return values[name]

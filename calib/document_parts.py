@@ -66,7 +66,7 @@ def read_summary(node: Node | None) -> TriadSummary | None:
         int(node.number("degrees_of_freedom")),
         float("inf") if condition is None else node.number("condition_number"),
         tuple(
-            Exclusion(item.pair("interval"), item.number("weight"), item.text("reason"))
+            Exclusion(item.pair("interval"), item.least("weight", 0.0), item.text("reason"))
             for item in node.items("excluded")
         ),
         node.texts("advice"),
@@ -91,11 +91,14 @@ def read_noise(node: Node | None) -> Noise | None:
     accel, gyro = node.child("accel"), node.child("gyro")
     accel.unit("m/s²/√Hz")
     gyro.unit("rad/s/√Hz")
-    return Noise(
-        node.child("rate").quantity("Hz"),
-        accel.array("noise_density", (3,)),
-        gyro.array("noise_density", (3,)),
-    )
+    rate = node.child("rate").quantity("Hz")
+    densities = [item.array("noise_density", (3,)) for item in (accel, gyro)]
+    if rate <= 0 or min(values.min() for values in densities) < 0:
+        raise CalibrationFileError(
+            f"{node.path} has a rate of {rate:g} Hz and densities of {densities[0].tolist()} and "
+            f"{densities[1].tolist()}, expected a rate above 0 and densities of 0 or more"
+        )
+    return Noise(rate, *densities)
 
 
 def write_poses(poses: PoseTable | None) -> dict[str, Any] | None:
@@ -152,9 +155,12 @@ def read_housing(node: Node | None) -> Housing | None:
     mat_hs = node.child("mat_hs").array("values", (3, 3))
     if not np.allclose(mat_hs @ mat_hs.T, np.eye(3), atol=1e-9) or np.linalg.det(mat_hs) < 0:
         raise CalibrationFileError(f"{node.path}.mat_hs is no rotation matrix: {mat_hs.tolist()}")
+    sigma = node.child("sigma").array("values", (3,))
+    if sigma.min() < 0:
+        raise CalibrationFileError(f"{node.path}.sigma must be 0 or more, found {sigma.tolist()}")
     return Housing(
         mat_hs,
-        node.child("sigma").array("values", (3,)),
+        sigma,
         node.child("residual_rms").quantity("rad"),
         int(node.number("poses")),
     )
@@ -166,7 +172,7 @@ def read_event(node: Node) -> Event:
     parameters = {}
     for name in content.mapping():
         item = content.child(name)
-        sigma = None if item.get("sigma") is None else item.number("sigma")
+        sigma = None if item.get("sigma") is None else item.least("sigma", 0.0)
         parameters[name] = Quantity(item.number("value"), sigma, item.text("unit"))
     intervals = node.array("intervals", (None, 2))
     return Event(

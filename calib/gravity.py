@@ -7,6 +7,10 @@ import numpy as np
 STANDARD_GRAVITY = 9.80665
 """m/s², by definition (3rd General Conference on Weights and Measures, 1901)."""
 
+EARTH = (9.7, 9.9)
+"""m/s²; the least and the most that gravity is on Earth, with room: 9.764 on the highest mountains
+of the tropics, 9.834 at sea level in the Arctic."""
+
 ANOMALY = 3e-4
 """m/s²: what local gravity differs from the normal formula by, root mean square over the Earth: a
 free-air anomaly of about 30 mGal."""

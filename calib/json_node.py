@@ -62,6 +62,13 @@ class Node:
             raise node._error("a finite number", value)
         return float(value)
 
+    def least(self, key: str, low: float) -> float:
+        """Return a number that is not below `low`."""
+        value = self.number(key)
+        if value < low:
+            raise self.child(key)._error(f"{low:g} or more", value)
+        return value
+
     def unit(self, expected: str) -> None:
         unit = self.text("unit")
         if unit != expected:

@@ -17,63 +17,23 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import chdtrc
 
-from calib.allowance import beyond, thermal, wander
+from calib.allowance import beyond
 from calib.apply import correct_recording
 from calib.calibrate import calibrate, usable_turns
 from calib.calibration import Calibration
-from calib.closure import TurnSteps, closure_residual, horizontal_basis, propagate
+from calib.checks import Check, NotTested, gravity_check, rest_check, turn_check
 from calib.compare import SIGNIFICANCE, Comparison, compare, device_mismatch
-from calib.directions import pose_directions
 from calib.errors import InsufficientMotionError, NotConvergedError
 from calib.fit import Exclusion
 from calib.measured import measured
 from calib.model import SensorModel, Triad
 from calib.poses import Poses, average_poses
-from calib.recording import AXES, Recording
-from calib.solvers.quadric import COLUMNS, NAMES, ROWS
+from calib.recording import Recording
 from calib.statics import find_poses
 from calib.turns import Turns, find_turns
 from calib.types import FloatArray, IntArray
 from calib.units import check_units
-
-UNCALIBRATED = {
-    "accel.bias": 0.5,
-    "accel.scale_factor_error": 0.03,
-    "accel.misalignment": 0.02,
-    "gyro.bias": np.radians(20.0),
-    "gyro.scale_factor_error": 0.03,
-    "gyro.misalignment": 0.02,
-}
-"""Standard deviation of a parameter that nothing is known of: what a consumer part promises
-(MPU-6050 product specification rev. 3.4, sections 6.1 and 6.2: 50 mg, 3 %, 2 %, 20 °/s)."""
-
-CERTAIN = 0.1
-"""rad; turns whose angle the calibration predicts less certainly than this say nothing."""
-
-
-@dataclass(frozen=True)
-class Check:
-    """One kind of equation: residuals, what is expected of them, and how likely they are.
-
-    ``rms`` and ``expected`` are in ``unit``; ``worst`` is the interval (s) of the largest residual.
-    """
-
-    name: str
-    what: str
-    count: int
-    rms: float
-    expected: float
-    unit: str
-    chi_square: float
-    degrees_of_freedom: int
-    worst: tuple[float, float]
-
-    @property
-    def p_value(self) -> float:
-        """How often an unchanged device would leave as much."""
-        return float(chdtrc(self.degrees_of_freedom, self.chi_square))
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +41,8 @@ class Verification:
     """What a new recording says of a calibration.
 
     ``comparison`` has the parameters that the new recording determines by itself, against the
-    calibration's; None if it determines none. ``remarks`` qualify the answer.
+    calibration's; None if it determines none. ``remarks`` qualify the answer, and ``not_tested`` is
+    what it does not speak of.
     """
 
     checks: tuple[Check, ...]
@@ -89,6 +50,7 @@ class Verification:
     identity: str
     remarks: tuple[str, ...]
     significance: float
+    not_tested: tuple[NotTested, ...] = ()
 
     @property
     def failed(self) -> tuple[Check, ...]:
@@ -98,7 +60,7 @@ class Verification:
 
     @property
     def right(self) -> bool:
-        """True if no check failed."""
+        """True if no check failed; of what is in ``not_tested`` that says nothing."""
         return not self.failed
 
 
@@ -119,7 +81,7 @@ def verify(
     UnitError
         If the recording's values do not have the unit that was declared.
     InsufficientMotionError
-        If the recording has no static pose.
+        If the recording has no static pose, or none that agrees with the others.
     """
     if not 0 < significance < 1:
         raise ValueError(f"`significance` must be between 0 and 1, got {significance}")
@@ -137,13 +99,26 @@ def verify(
     good, steady = _at_rest(anew, still)
     usable, left_out = usable_turns(recording, find_turns(recording, poses))
     usable = usable.select(_sound(anew, usable, steady))
-    checks = [
-        _gravity_check(calibration, still.select(good)),
-        _rest_check(calibration, still.select(steady)),
-        _turn_check(calibration, corrected, still, usable),
-    ]
+    answers = (
+        gravity_check(calibration, still.select(good)),
+        rest_check(calibration, still.select(steady)),
+        turn_check(
+            calibration,
+            recording,
+            corrected,
+            still,
+            usable,
+            left=_left_over(calibration, recording, anew),
+        ),
+    )
+    checks = tuple(item for item in answers if isinstance(item, Check))
+    if not checks:
+        raise InsufficientMotionError(
+            f"none of {len(still)} static poses can be used; lay the sensor down for 3 s or more, "
+            "best in several poses"
+        )
     return Verification(
-        tuple(check for check in checks if check is not None),
+        checks,
         _compare_anew(calibration, anew),
         device_mismatch(calibration.provenance.device, recording.device),
         (
@@ -151,18 +126,41 @@ def verify(
             *_left_out(anew, left_out),
         ),
         significance,
+        tuple(item for item in answers if isinstance(item, NotTested)),
     )
 
 
-def _fit_anew(calibration: Calibration, corrected: Recording, still: Poses) -> Calibration | None:
-    """Calibrate the corrected recording by itself; None if it is too little, or too odd, for that.
+def _fit_anew(
+    calibration: Calibration, recording: Recording, still: Poses | None
+) -> Calibration | None:
+    """Calibrate a recording by itself; None if it is too little, or too odd, for that.
 
     The checks say what is odd.
     """
     try:
-        return calibrate(corrected, gravity=calibration.gravity, poses=still)
+        return calibrate(recording, gravity=calibration.gravity, poses=still)
     except (InsufficientMotionError, NotConvergedError):
         return None
+
+
+def _left_over(calibration: Calibration, recording: Recording, anew: Calibration | None) -> float:
+    """Return the variance that turns have beside noise, rad²: what the fit of them left over.
+
+    A model that `diagnose` wrote, or a hand, does not say. Then it is what a fit to the new
+    recording leaves, with the model's terms or without them, whichever is less: terms that are
+    wrong would else excuse themselves.
+    """
+    if calibration.gyro is not None:
+        return calibration.gyro.residual_rms**2
+    fits = [anew]
+    if calibration.model.terms:
+        fits.append(_fit_anew(calibration, recording, None))
+    found = []
+    for fit in fits:
+        if fit is not None and fit.gyro is not None and fit.gyro.degrees_of_freedom > 0:
+            used = fit.gyro.residuals[fit.gyro.used]
+            found.append(float(np.sum(used**2)) / fit.gyro.degrees_of_freedom)
+    return min(found, default=0.0)
 
 
 def _at_rest(anew: Calibration | None, still: Poses) -> tuple[IntArray, IntArray]:
@@ -219,151 +217,11 @@ def _remarks(
     return tuple(remarks)
 
 
-def _gravity_check(calibration: Calibration, still: Poses) -> Check | None:
-    """Judge ``|a| = g`` over the poses."""
-    if not len(still):
-        return None
-    outside = beyond(calibration, still)
-    size = np.linalg.norm(still.accel, axis=1)
-    residual = size - calibration.gravity.value
-    up = still.accel / size[:, None]
-    noise = np.einsum("ki,kij,kj->k", up, still.accel_covariance, up)
-    left = 0.0
-    if calibration.accel is not None and calibration.accel.degrees_of_freedom > 0:
-        used = int(calibration.accel.used.sum())
-        left = calibration.accel.residual_rms**2 * used / calibration.accel.degrees_of_freedom
-    inverse = np.asarray(np.linalg.inv(calibration.model.accel.matrix))
-    # d|f| = -u.T K (db + dT f) for f = K (a - b), u its direction.
-    normal = up @ inverse
-    design = -np.hstack([normal, normal[:, ROWS] * still.accel[:, COLUMNS]])
-    total = np.diag(noise + left) + _spread(calibration, NAMES, design, outside)
-    return _check(
-        "gravity", "|a| - g in each pose", residual[:, None], total, "m/s²", still.interval
-    )
-
-
-def _rest_check(calibration: Calibration, still: Poses) -> Check | None:
-    """Judge that the mean rate at rest is zero."""
-    if not len(still):
-        return None
-    outside = beyond(calibration, still)
-    names = tuple(f"gyro.bias.{axis}" for axis in AXES)
-    design = np.tile(np.linalg.inv(calibration.model.gyro.matrix), (len(still), 1))
-    total = _spread(calibration, names, design, np.repeat(outside, 3))
-    each = np.diag([wander(calibration)[name] ** 2 for name in names])
-    for i, noise in enumerate(still.gyro_covariance):
-        part = slice(3 * i, 3 * i + 3)
-        total[part, part] += noise + each
-    return _check("rest", "rate in each pose", still.gyro, total, "rad/s", still.interval)
-
-
-def _turn_check(
-    calibration: Calibration, corrected: Recording, still: Poses, turns: Turns
-) -> Check | None:
-    """Judge that turns carry gravity from pose to pose, with today's bias taken off."""
-    if not len(turns) or calibration.gyro is None:
-        return None
-    steps = TurnSteps.of(corrected, turns)
-    directions = pose_directions(still, Triad())
-    basis = horizontal_basis(directions.up[turns.before])
-    bias = 0.5 * (still.gyro[turns.before] + still.gyro[turns.after])
-    as_told = propagate(steps, np.eye(3), bias).mat
-
-    def closure(mat: FloatArray, up: FloatArray) -> FloatArray:
-        predicted = np.einsum("mij,mj->mi", mat, up[turns.after])
-        error = closure_residual(up[turns.before], predicted)
-        return np.asarray(np.einsum("mea,ma->me", basis, error).ravel())
-
-    residual = closure(as_told, directions.up)
-    turned = tuple(n for n in Triad().parameters("gyro") if ".bias." not in n)
-    step = 1e-5
-    design = np.empty((len(residual), len(NAMES) + len(turned)))
-    for k, name in enumerate((*NAMES, *turned)):
-        moved = Triad().with_parameters({name: step})
-        if name in turned:
-            changed = closure(propagate(steps, moved.matrix, bias).mat, directions.up)
-        else:
-            changed = closure(as_told, pose_directions(still, moved).up)
-        design[:, k] = (changed - residual) / step
-    covariance = _covariance(calibration, (*NAMES, *turned))
-    common = design @ covariance @ design.T
-    left = calibration.gyro.residual_rms**2
-    rate = 0.5 * (still.gyro_covariance[turns.before] + still.gyro_covariance[turns.after])
-    drift = np.trace(rate, axis1=1, axis2=2) / 3 * steps.duration**2
-    pose = np.trace(directions.covariance, axis1=1, axis2=2) / 2
-    own = drift + left + pose[turns.before] + pose[turns.after]
-    total = common + np.diag(np.repeat(own, 2))
-    certain = np.diag(total).reshape(-1, 2).max(axis=1) < CERTAIN**2
-    if not certain.any():
-        return None
-    rows = np.repeat(certain, 2)
-    return _check(
-        "turns",
-        "gravity after each turn",
-        residual[rows].reshape(-1, 2),
-        total[np.ix_(rows, rows)],
-        "rad",
-        turns.interval[certain],
-    )
-
-
-def _check(
-    name: str,
-    what: str,
-    residual: FloatArray,
-    covariance: FloatArray,
-    unit: str,
-    interval: FloatArray,
-) -> Check:
-    flat = residual.ravel()
-    square = float(flat @ np.linalg.solve(covariance, flat))
-    worst = int(np.argmax(np.linalg.norm(residual, axis=1)))
-    return Check(
-        name,
-        what,
-        len(residual),
-        float(np.sqrt(np.mean(flat**2))),
-        float(np.sqrt(np.mean(np.diag(covariance)))),
-        unit,
-        square,
-        len(flat),
-        (float(interval[worst, 0]), float(interval[worst, 1])),
-    )
-
-
-def _spread(
-    calibration: Calibration, names: tuple[str, ...], design: FloatArray, outside: FloatArray
-) -> FloatArray:
-    """Return the covariance of residuals ``design @ parameters`` of an unchanged device.
-
-    ``outside`` (K, one for each row) moves the parameters by their coefficients of temperature.
-    """
-    moves, coefficients = wander(calibration), thermal(calibration)
-    alike = _covariance(calibration, names)
-    alike += np.diag([moves.get(name, 0.0) ** 2 for name in names])
-    warmed = design * outside[:, None]
-    apart = np.diag([coefficients.get(name, 0.0) ** 2 for name in names])
-    return np.asarray(design @ alike @ design.T + warmed @ apart @ warmed.T, np.float64)
-
-
-def _covariance(calibration: Calibration, names: tuple[str, ...]) -> FloatArray:
-    """Return the covariance of some parameters.
-
-    What is not determined is uncertain by what a consumer part promises.
-    """
-    open_ = set(calibration.undetermined)
-    prior = [UNCALIBRATED[name.rpartition(".")[0]] if name in open_ else 0.0 for name in names]
-    out: FloatArray = np.diag(np.square(prior))
-    known = [k for k, name in enumerate(names) if name in calibration.names]
-    index = [calibration.names.index(names[k]) for k in known]
-    out[np.ix_(known, known)] += calibration.covariance[np.ix_(index, index)]
-    return out
-
-
 def _compare_anew(calibration: Calibration, left: Calibration | None) -> Comparison | None:
     """Compare with what the corrected recording says by itself: no bias, scale or angle left."""
     if left is None:
         return None
+    calibration = _aligned(calibration)
     model = SensorModel(
         _compose(calibration.model.accel, left.model.accel),
         _compose(calibration.model.gyro, left.model.gyro),
@@ -378,6 +236,38 @@ def _compare_anew(calibration: Calibration, left: Calibration | None) -> Compari
         undetermined=tuple(n for n in calibration.undetermined if n in left.values),
     )
     return compare(known, replace(left, model=model))
+
+
+def _aligned(calibration: Calibration) -> Calibration:
+    """Return the calibration with its misalignment in the triad, if `diagnose` made it a term.
+
+    ``M w`` is the same in either place.
+    """
+    slug, group = "gyro_misalignment", "gyro.misalignment."
+    named = (*calibration.names, *calibration.undetermined)
+    terms = [term for term in calibration.model.terms if term.effect == slug]
+    if not terms or any(name.startswith(group) for name in named):
+        return calibration
+    values = calibration.model.gyro.parameters("gyro")
+    moved = {
+        f"{group}{name[1:]}": values[f"{group}{name[1:]}"] + value
+        for name, value in terms[0].parameters.items()
+    }
+    model = replace(
+        calibration.model,
+        gyro=calibration.model.gyro.with_parameters(moved),
+        terms=tuple(term for term in calibration.model.terms if term.effect != slug),
+    )
+
+    def renamed(names: tuple[str, ...]) -> tuple[str, ...]:
+        return tuple(name.replace(f"{slug}.m", group) for name in names)
+
+    return replace(
+        calibration,
+        model=model,
+        names=renamed(calibration.names),
+        undetermined=renamed(calibration.undetermined),
+    )
 
 
 def _compose(known: Triad, left: Triad) -> Triad:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import hashlib
 import json
 import os
@@ -78,6 +79,24 @@ def check_can_save(calibration: Calibration, path: Path) -> None:
             save_calibration(calibration, Path(folder) / path.name)
     except (CalibrationFileError, OSError) as error:
         raise CalibrationFileError(f"{path}: a trial to write beside it failed: {error}") from error
+
+
+def check_can_write(path: Path) -> None:
+    """Raise what writing a file there would raise, before work of which it is the result.
+
+    Raises
+    ------
+    CalibrationFileError
+        If there is no such folder, or nothing can be written in it; nothing is left behind.
+    """
+    path = path.resolve()
+    try:
+        if path.is_dir():
+            raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+        with tempfile.TemporaryFile(dir=path.parent):
+            pass
+    except OSError as error:
+        raise CalibrationFileError(f"{path}: cannot write it: {error.strerror}") from error
 
 
 def write_atomic(path: Path, text: str) -> None:

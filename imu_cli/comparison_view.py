@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from calib.checks import Check
 from calib.compare import Comparison, Difference
-from calib.verify import Check, Verification
+from calib.verify import Verification
 from imu_cli.calibration_view import EVERYDAY, NUMBER, plus_minus, residual_text
 from imu_cli.output import styled
 
@@ -62,7 +63,27 @@ def check_lines(verification: Verification) -> list[str | Text]:
         if failed:
             low, high = check.worst
             lines.append(f"             the most at {low:.2f} to {high:.2f} s")
+    lines += [
+        styled(f"{item.name:<9}", ("not tested", "yellow"), f": {item.reason}")
+        for item in verification.not_tested
+    ]
     return lines
+
+
+def answer_line(verification: Verification) -> Text:
+    """Return the answer in one line; of what was not tested it does not say that it is right."""
+    if not verification.right:
+        return styled(
+            ("the calibration is NOT right for this device today", "red"), ": calibrate again"
+        )
+    if not verification.not_tested:
+        return styled(("the calibration is right for this recording", "green"))
+    tested = " and ".join(check.name for check in verification.checks)
+    left = " and ".join(item.name for item in verification.not_tested)
+    return styled(
+        (f"the calibration is right for this recording as to {tested}", "green"),
+        f"; {left}: not tested",
+    )
 
 
 def comparison_document(comparison: Comparison) -> dict[str, Any]:
@@ -120,6 +141,9 @@ def verification_document(verification: Verification) -> dict[str, Any]:
                 "worst": list(check.worst),
             }
             for check in verification.checks
+        ],
+        "not_tested": [
+            {"name": item.name, "reason": item.reason} for item in verification.not_tested
         ],
         "comparison": None if comparison is None else comparison_document(comparison),
     }

@@ -74,14 +74,15 @@ def replayed(url: str) -> list[Path]:
 def choose_gravity(gravity: float | None, latitude: float | None, height: float | None) -> Gravity:
     """Return local gravity from ``--gravity``, or from ``--latitude`` (°) and ``--height`` (m)."""
     from calib.calibration import Gravity
-    from calib.gravity import ANOMALY, STANDARD_GRAVITY, normal_gravity
+    from calib.gravity import ANOMALY, EARTH, STANDARD_GRAVITY, normal_gravity
 
     if gravity is not None:
         if latitude is not None or height is not None:
             raise typer.BadParameter("give --gravity, or --latitude and --height, not both")
-        if not 9.7 < gravity < 9.9:
+        if not EARTH[0] < gravity < EARTH[1]:
             raise typer.BadParameter(
-                f"expected m/s² between 9.7 and 9.9, got {gravity:g}", param_hint="--gravity"
+                f"expected m/s² between {EARTH[0]} and {EARTH[1]}, got {gravity:g}",
+                param_hint="--gravity",
             )
         return Gravity(gravity, "given")
     if latitude is None:

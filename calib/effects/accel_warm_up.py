@@ -39,6 +39,7 @@ class AccelWarmUp(Effect):
     )
     absorbed_by = ("accel.bias", "accel.scale_factor_error")
     rivals = ("accel_bias_temperature", "accel_temperature_rate", "accel_bias_step")
+    from_power_on = True
 
     def columns(self, state: State, shape: Mapping[str, float]) -> dict[str, Column]:
         """Return the exponential of the time since power-on, on each axis."""

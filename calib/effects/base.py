@@ -298,6 +298,8 @@ class Effect(ABC):
     sensor: they are there together, or not at all."""
     from_moment: bool = False
     """Whether its one shape is a moment, from which on it acts as it would from the start."""
+    from_power_on: bool = False
+    """Whether it counts the time since the sensor was switched on."""
     reads: tuple[str, ...] = ()
     """Fields of `State` beyond the signals without which it has no columns."""
 

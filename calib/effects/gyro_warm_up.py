@@ -32,6 +32,7 @@ class GyroWarmUp(Effect):
     )
     absorbed_by = ("gyro.bias",)
     rivals = ("gyro_bias_temperature", "gyro_temperature_rate", "gyro_bias_step")
+    from_power_on = True
 
     def columns(self, state: State, shape: Mapping[str, float]) -> dict[str, Column]:
         """Return the exponential of the time since power-on, on each axis."""

@@ -10,6 +10,8 @@ import typer
 from imu_cli.options import DropInvalidOption, ImuOption, ProfileOption, refuse_source
 
 if TYPE_CHECKING:
+    from collections.abc import Collection
+
     from calib.apply import Coverage
     from calib.calibration import Calibration
 
@@ -43,7 +45,7 @@ def apply(
     from imu_cli.calibration_input import load
 
     known = load(calibration)
-    _say_what_is_not_applied(known)
+    _say_what_is_undetermined(known)
     if [str(path) for path in log] == ["-"]:
         if json or profile is not None or imu is not None or str(out or "-") != "-":
             raise typer.BadParameter(
@@ -57,6 +59,9 @@ def apply(
         raise typer.BadParameter("name the recording to write", param_hint="--output")
     refuse_source(out, log)
     refuse_source(out, [calibration], what="calibration")
+    from dataclasses import asdict
+
+    from calib.apply import from_power_on, not_applied
     from drivers.apply_file import apply_file
     from drivers.calibration_file import name_of
 
@@ -70,6 +75,7 @@ def apply(
         drop_invalid=drop_invalid,
         check_device=lambda text: output.warn(f"another device? {text}"),
     )
+    _say_what_is_not_applied(known, coverage)
     _say_coverage(known, coverage)
     if json:
         output.print_json(
@@ -80,19 +86,26 @@ def apply(
                 "samples": coverage.samples,
                 "outside_temperature_range": coverage.outside,
                 "without_temperature": coverage.without_temperature,
-                "not_applied": [event.effect for event in known.events],
+                "not_applied": [asdict(item) for item in not_applied(known, coverage)],
+                "warm_up_from": coverage.start if from_power_on(known) else None,
             }
         )
     else:
         output.print_lines(f"{coverage.samples} samples corrected, written to {out}")
+        if from_power_on(known) and coverage.start is not None:
+            output.print_lines(f"note: {_warm_up(known, f', at {coverage.start:.2f} s')}")
 
 
 def _filter(known: Calibration) -> None:
     import sys
 
+    from calib.apply import Coverage, from_power_on
     from drivers.text_filter import CsvFilter
     from imu_cli import output
 
+    if from_power_on(known):
+        output.warn(_warm_up(known, ""))
+    told = _say_what_is_not_applied(known, Coverage())
     said = 0
 
     def complain(text: str) -> None:
@@ -105,28 +118,49 @@ def _filter(known: Calibration) -> None:
     source: Any = sys.stdin.buffer
     while data := source.read1(1 << 20):
         output.write_bytes(stream.feed(data))
+        if stream.corrector is not None:
+            told |= _say_what_is_not_applied(known, stream.corrector.coverage, told)
     output.write_bytes(stream.finish())
     if stream.corrector is not None:
+        _say_what_is_not_applied(known, stream.corrector.coverage, told)
         _say_coverage(known, stream.corrector.coverage)
     if stream.damaged:
         output.warn(f"{stream.damaged} damaged lines were left out of {stream.lines} good ones")
         raise typer.Exit(DAMAGED)
 
 
-def _say_what_is_not_applied(known: Calibration) -> None:
+def _say_what_is_undetermined(known: Calibration) -> None:
     from imu_cli import output
 
-    for event in known.events:
-        spans = ", ".join(f"{a:.2f} to {b:.2f} s" for a, b in event.intervals)
-        output.warn(
-            f"{event.effect} at {spans} is an event of the recording that was calibrated: not "
-            "applied here"
-        )
     if known.undetermined:
         output.warn(
             f"{len(known.undetermined)} parameters are undetermined and taken as 0; "
             "`imu-cal show` names them"
         )
+
+
+def _say_what_is_not_applied(
+    known: Calibration, coverage: Coverage, told: Collection[str] = ()
+) -> set[str]:
+    """Say it, but not again of what was told; return the effects that were said now."""
+    from calib.apply import not_applied
+    from imu_cli import output
+
+    found = [item for item in not_applied(known, coverage) if item.effect not in told]
+    for item in found:
+        output.warn(f"{item.effect} is not applied: {item.reason}")
+    return {item.effect for item in found}
+
+
+def _warm_up(known: Calibration, at: str) -> str:
+    from calib.apply import from_power_on
+
+    names = from_power_on(known)
+    return (
+        f"{' and '.join(names)} {'is' if len(names) == 1 else 'are'} counted from the first "
+        f"sample{at}, as if the sensor had been switched on then; if it was warm already, set the "
+        "values of k in a copy of the calibration to 0"
+    )
 
 
 def _say_coverage(known: Calibration, coverage: Coverage) -> None:

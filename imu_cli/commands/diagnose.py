@@ -80,7 +80,12 @@ def diagnose(
     as the truth; with --reference what moved with the sensor. Every verdict ends with exit code 0.
     """
     from calib.mismatch import diagnose_against, diagnose_reference
-    from drivers.calibration_file import load_calibration, save_calibration
+    from drivers.calibration_file import (
+        check_can_write,
+        load_calibration,
+        name_of,
+        save_calibration,
+    )
     from drivers.formats import read_recording
     from drivers.reference_file import read_reference
     from imu_cli.diagnosis_view import diagnosis_lines
@@ -90,6 +95,7 @@ def diagnose(
     for made, option in ((output, "--output"), (report, "--report")):
         if made is not None:
             refuse_source(made, sources, hint=option)
+            check_can_write(made)
     local = choose_gravity(gravity, latitude, height)
     if against is not None and reference is not None:
         raise typer.BadParameter(
@@ -126,7 +132,16 @@ def diagnose(
         found = found.beside(known, real)
     if output is not None and found.names:
         save_calibration(_signed(found.calibration(real, gravity=local), recording), output)
-    document = found.to_json()
+    files = (
+        ("recording", recording),
+        ("calibration", calibration),
+        ("simulation", against),
+        ("reference", reference),
+    )
+    document = {
+        **found.to_json(),
+        "files": {what: name_of(path) for what, path in files if path is not None},
+    }
     if report is not None:
         from drivers.calibration_file import write_atomic
         from imu_cli.report.diagnosis import diagnosis_report

@@ -57,12 +57,6 @@ def verify(
                 view.difference_table(comparison.changed, comparison.changed),
             )
         output.print_lines(*(f"note: {remark}" for remark in answer.remarks))
-        output.print_lines(
-            output.styled(("the calibration is right for this recording", "green"))
-            if answer.right
-            else output.styled(
-                ("the calibration is NOT right for this device today", "red"), ": calibrate again"
-            )
-        )
+        output.print_lines(view.answer_line(answer))
     if not answer.right:
         raise typer.Exit(NOT_RIGHT)

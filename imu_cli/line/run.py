@@ -325,6 +325,7 @@ def _verify(
     result = verify(left, read_recording(path))
     work.unverified = False
     entry["right"] = result.right
+    entry["not_tested"] = [item.name for item in result.not_tested]
     for item in result.checks:
         work.checks.append(
             Check(

@@ -59,6 +59,7 @@ def diagnosis_report(document: Mapping[str, Any]) -> Report:
         facts=_facts(document),
         blocks=tuple(blocks),
         document=document,
+        files=tuple((document.get("files") or {}).items()),
     )
 
 
@@ -149,18 +150,19 @@ def _evidence(number: int, effect: str, evidence: Mapping[str, Any]) -> Plot:
     unit, factor = people_unit(evidence["unit"])
     x_name, x_factor = people_unit(evidence["x_unit"])
     series = []
-    for item in evidence["series"]:
-        x = np.asarray(item["x"], np.float64) * x_factor
-        for label in ("before", "after"):
+    for label in ("before", "after"):  # what is left is drawn over what was there
+        for k, item in enumerate(evidence["series"]):
+            x = np.asarray(item["x"], np.float64) * x_factor
             y = np.asarray(item[label], np.float64) * factor
-            series.append(Series(f"{item['channel']} {label}", x, y))
+            colour = 0 if label == "before" else k + 1
+            series.append(Series(f"{item['channel']} {label}", x, y, colour=colour, shape=k))
     x_unit = f", {x_name}" if x_name else ""
     return Plot(
         f"{number}. {effect}: residual against {evidence['follows']}",
         f"{evidence['follows']}{x_unit}",
         f"residual, {unit}",
         tuple(series),
-        note="Before: under the model without the effect. After: with it.",
+        note="Before (grey): under the model without the effect. After: with it.",
     )
 
 

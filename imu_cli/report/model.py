@@ -11,13 +11,19 @@ from calib.types import FloatArray
 
 @dataclass(frozen=True, eq=False)
 class Series:
-    """Points (n,) of one colour; ``text`` is what a hover shows beside the numbers."""
+    """Points (n,) of one colour; ``text`` is what a hover shows beside the numbers.
+
+    ``colour`` and ``shape`` count through those of the page; the colour is that of its place if
+    None.
+    """
 
     name: str
     x: FloatArray
     y: FloatArray
     kind: Literal["line", "points", "bars"] = "points"
     text: Sequence[str] = ()
+    colour: int | None = None
+    shape: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +88,7 @@ class Report:
     """A report: the verdict comes first.
 
     ``tone`` colours the verdict: ``good``, ``partial`` or ``bad``. ``facts`` are the headline
-    numbers, ``document`` is the JSON that the page was made from.
+    numbers, ``files`` the names of what it was made from, ``document`` its JSON.
     """
 
     title: str
@@ -92,3 +98,4 @@ class Report:
     blocks: tuple[Block, ...]
     certificate: tuple[tuple[str, str], ...] = ()
     document: object = field(default=None)
+    files: tuple[tuple[str, str], ...] = ()

@@ -12,15 +12,24 @@ import numpy as np
 import plotly.graph_objects as go
 import plotly.io
 
-from imu_cli.report.model import HeatMap, Paragraph, Plot, Report, Sphere, Table
+from imu_cli.report.model import HeatMap, Paragraph, Plot, Report, Series, Sphere, Table
 
-COLOURS = ("#8a8f98", "#0b6bcb", "#c2410c", "#15803d", "#7c3aed", "#b91c1c")
+COLOURS = ("#8a8f98", "#0b6bcb", "#c2410c", "#15803d", "#7c3aed", "#b91c1c", "#0f766e")
+"""Of series by their place, the first one for what was before."""
+SHAPES = (
+    ("circle", "o"),
+    ("diamond", "D"),
+    ("square", "s"),
+    ("triangle-up", "^"),
+    ("cross", "P"),
+    ("x", "X"),
+)
+"""Of points, as Plotly and as Matplotlib call them."""
 _LAYOUT: dict[str, Any] = {
     "template": "plotly_white",
     "font": {"family": "system-ui, sans-serif", "size": 13},
     "margin": {"l": 64, "r": 16, "t": 16, "b": 48},
     "height": 340,
-    "colorway": list(COLOURS),
     "legend": {"orientation": "h", "y": 1.08},
 }
 
@@ -57,6 +66,11 @@ def _kind(block: object) -> str:
     return "paragraph" if isinstance(block, Paragraph) else "chart"
 
 
+def colour_of(series: Series, place: int) -> str:
+    """Return the colour of a series: its own, or that of its place among the others."""
+    return COLOURS[(place if series.colour is None else series.colour) % len(COLOURS)]
+
+
 @singledispatch
 def draw(chart: object) -> Any:
     """Return the Plotly figure of a chart."""
@@ -66,14 +80,22 @@ def draw(chart: object) -> Any:
 @draw.register
 def _(chart: Plot) -> Any:
     figure = go.Figure()
-    for series in chart.series:
+    for place, series in enumerate(chart.series):
         common = {"x": series.x, "y": series.y, "name": series.name}
+        colour = colour_of(series, place)
         text = list(series.text) or None
         if series.kind == "bars":
-            figure.add_bar(**common, hovertext=text)
+            figure.add_bar(**common, hovertext=text, marker={"color": colour})
         else:
             mode = "lines" if series.kind == "line" else "markers"
-            figure.add_scatter(**common, mode=mode, hovertext=text, marker={"size": 5})
+            symbol = SHAPES[series.shape % len(SHAPES)][0]
+            figure.add_scatter(
+                **common,
+                mode=mode,
+                hovertext=text,
+                line={"color": colour},
+                marker={"size": 5, "color": colour, "symbol": symbol},
+            )
     for start, stop in chart.shaded:
         figure.add_vrect(x0=start, x1=stop, fillcolor="#94a3b8", opacity=0.18, line_width=0)
     figure.update_layout(**_LAYOUT, xaxis_title=chart.x_label, yaxis_title=chart.y_label)

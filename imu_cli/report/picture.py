@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from imu_cli.report.model import Chart, HeatMap, Plot, Report, Sphere
-from imu_cli.report.page import COLOURS
+from imu_cli.report.page import COLOURS, SHAPES, colour_of
 
 SUFFIXES = (".png", ".svg")
 
@@ -53,14 +53,15 @@ def _(chart: Plot, figure: Figure, place: Any) -> None:
     bars = [series for series in chart.series if series.kind == "bars"]
     width = 0.8 / max(1, len(bars))
     for k, series in enumerate(chart.series):
-        colour = COLOURS[k % len(COLOURS)]
+        colour = colour_of(series, k)
         if series.kind == "bars":
             shift = (bars.index(series) - (len(bars) - 1) / 2) * width
             axes.bar(series.x + shift, series.y, width, label=series.name, color=colour)
         elif series.kind == "line":
             axes.plot(series.x, series.y, lw=0.7, label=series.name, color=colour)
         else:
-            axes.plot(series.x, series.y, ".", ms=4, label=series.name, color=colour)
+            shape = SHAPES[series.shape % len(SHAPES)][1]
+            axes.plot(series.x, series.y, shape, ms=2.5, label=series.name, color=colour)
     for start, stop in chart.shaded:
         axes.axvspan(start, stop, color="#94a3b8", alpha=0.18, lw=0)
     axes.set(title=chart.title, xlabel=chart.x_label, ylabel=chart.y_label)

@@ -28,7 +28,9 @@ from calib.document import BASELINE, from_document, to_document
 from calib.effects.base import State, Term
 from calib.errors import CalibrationFileError
 from calib.fit import Exclusion
+from calib.gravity import EARTH
 from calib.model import SensorModel, Triad
+from calib.plausible import BIAS, TEMPERATURE
 from calib.recording import DeviceInfo
 from calib.rotation import mat_from_rotvec
 
@@ -197,6 +199,74 @@ def test_a_damaged_document_is_refused_with_the_place(
     with pytest.raises(CalibrationFileError) as caught:
         from_document(damage(path, value))
     assert message in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "message"),
+    [
+        *((("gravity/value"), g, "as on Earth") for g in (-9.8, 0, 1, 98.0, 9.7, 9.9)),
+        ("gravity/sigma", -1e-4, "`gravity.sigma` must be 0 or more"),
+        ("parameters/accel.bias.x/value", 1e30, "`parameters.accel.bias` has 1e+30 m/s²"),
+        ("parameters/accel.bias.x/value", -101.0, "expected 100 at most"),
+        ("parameters/gyro.bias.y/value", 11.0, "expected 10 at most"),
+        ("parameters/gyro.bias.y/sigma", -1e-5, "must be 0 or more"),
+        ("parameters/accel.scale_factor_error.x/value", -1.0, "read 0 of 1 in some direction"),
+        ("parameters/gyro.scale_factor_error.z/value", -0.95, "relative (0.01 is 1 %)"),
+        ("parameters/gyro.scale_factor_error.z/value", 16384.0, "expected 0.1 to 10"),
+        ("parameters/gyro.misalignment.xy/value", 1e30, "expected 0.1 to 10"),
+        ("terms/0/parameters/gxx/value", 1e3, "`gxx` of gyro_g_sensitivity is 1000"),
+        ("terms/0/parameters/gxx/sigma", -1e-9, "must be 0 or more"),
+        ("reference_temperature/value", 1e3, "`reference_temperature` is 1000 °C"),
+        ("temperature_range/low", -300.0, "`temperature_range.low` is -300 °C"),
+        ("temperature_range/low", 40.0, "expected the lower one first"),
+        ("noise/rate/value", 0.0, "expected a rate above 0"),
+        ("noise/gyro/noise_density", [1e-4, -1e-4, 1e-4], "densities of 0 or more"),
+        ("housing/sigma/values", [1e-4, -1e-4, 1e-4], "must be 0 or more"),
+        ("events/0/parameters/step/sigma", -0.1, "must be 0 or more"),
+        ("accel/excluded/0/weight", -1.0, "must be 0 or more"),
+    ],
+)
+def test_a_calibration_of_no_sensor_on_earth_is_refused(
+    path: str, value: object, message: str
+) -> None:
+    document = damage(path, value)
+    with pytest.raises(CalibrationFileError) as caught:
+        from_document(document)
+    assert message in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("path", "value"),
+    [
+        ("gravity/value", 9.764),
+        ("gravity/value", 9.834),
+        ("parameters/accel.bias.x/value", 20.0),
+        ("parameters/accel.scale_factor_error.x/value", -2.0),
+        ("parameters/accel.scale_factor_error.x/value", 7.0),
+        ("parameters/gyro.misalignment.xy/value", 0.5),
+    ],
+)
+def test_a_bad_sensor_on_earth_is_read(path: str, value: object) -> None:
+    document = damage(path, value)
+    from_document(document)
+    jsonschema.validate(document, SCHEMA)
+
+
+@pytest.mark.parametrize(
+    ("path", "value"),
+    [
+        *(("gravity/value", edge) for edge in EARTH),
+        *((f"parameters/{t}.bias.x/value", s * 1.001 * BIAS[t][0]) for t in BIAS for s in (-1, 1)),
+        *(("reference_temperature/value", 1.001 * edge) for edge in TEMPERATURE),
+        *(("temperature_range/high", 1.001 * edge) for edge in TEMPERATURE),
+    ],
+)
+def test_the_schema_has_the_bounds_of_the_reader(path: str, value: object) -> None:
+    document = damage(path, value)
+    with pytest.raises(CalibrationFileError):
+        from_document(document)
+    with pytest.raises(jsonschema.ValidationError):
+        jsonschema.validate(document, SCHEMA)
 
 
 @pytest.mark.parametrize("content", [None, [], "text", 3, {}])

@@ -188,3 +188,97 @@ def test_gravity_and_what_one_alone_determines(known: tuple[SensorModel, Calibra
     )
     assert compare(here, part).only_first == (here.names[-1],)
     assert compare(part, here).only_second == (here.names[-1],)
+
+
+def as_diagnosed(calibration: Calibration) -> Calibration:
+    """Return a calibration as `diagnose` writes it: misalignment is a term, no residuals."""
+    pairs = [a + b for a in "xyz" for b in "xyz" if a != b]
+    values = calibration.model.gyro.parameters("gyro")
+    aligned = calibration.model.gyro.with_parameters({f"gyro.misalignment.{p}": 0.0 for p in pairs})
+    term = Term("gyro_misalignment", {f"m{p}": values[f"gyro.misalignment.{p}"] for p in pairs})
+    names = tuple(
+        name.replace("gyro.misalignment.", "gyro_misalignment.m") for name in calibration.names
+    )
+    model = replace(calibration.model, gyro=aligned, terms=(term,))
+    return replace(
+        calibration, model=model, names=names, accel=None, gyro=None, poses=None, noise=None
+    )
+
+
+def test_turns_are_tested_without_the_residuals_of_a_fit(
+    known: tuple[SensorModel, Calibration],
+) -> None:
+    model, calibration = known
+    found = as_diagnosed(calibration)
+    for seed, poses in enumerate([2, 4, 8, 16, 24]):
+        answer = verify(found, record(model, np.random.default_rng(seed), poses))
+        assert answer.right, (poses, answer.failed)
+        assert [check.name for check in answer.checks] == ["gravity", "rest", "turns"]
+        assert not answer.not_tested
+    new = record(model, np.random.default_rng(5), 12)
+    scaled = found.model.gyro.with_parameters(
+        {
+            f"gyro.scale_factor_error.{a}": v + 0.03
+            for a, v in zip("xyz", found.model.gyro.scale_factor_error, strict=True)
+        }
+    )
+    turned = {name: -value for name, value in found.model.terms[0].parameters.items()}
+    for wrong in (
+        replace(found.model, gyro=scaled),
+        replace(found.model, terms=(Term("gyro_misalignment", turned),)),
+    ):
+        answer = verify(replace(found, model=wrong), new)
+        assert [check.name for check in answer.failed] == ["turns"]
+    # The last one has its misalignment turned: each angle has changed by twice of what it is.
+    assert answer.comparison is not None
+    for item in answer.comparison.changed[:4]:
+        assert item.name.startswith("gyro.misalignment.")
+        assert item.difference == pytest.approx(-2 * item.first, rel=0.1)
+
+
+def test_a_wrong_term_does_not_excuse_itself(known: tuple[SensorModel, Calibration]) -> None:
+    model, calibration = known
+    found = as_diagnosed(calibration)
+    asymmetry = Term("gyro_scale_asymmetry", {"kx": 0.01, "ky": -0.008, "kz": 0.01})
+    wrong = replace(found, model=replace(found.model, terms=(*found.model.terms, asymmetry)))
+    answer = verify(wrong, record(model, np.random.default_rng(6), 16))
+    assert "turns" in {check.name for check in answer.failed}
+
+
+def test_a_term_that_is_hardly_known_lets_turns_scatter(
+    known: tuple[SensorModel, Calibration],
+) -> None:
+    model, calibration = known
+    found = as_diagnosed(calibration)
+    new = record(model, np.random.default_rng(5), 8)
+    open_ = tuple(name for name in found.names if name.startswith("gyro_misalignment."))
+    kept = [k for k, name in enumerate(found.names) if name not in open_]
+    vague = replace(
+        found,
+        names=tuple(found.names[k] for k in kept),
+        covariance=found.covariance[np.ix_(kept, kept)],
+        undetermined=(*found.undetermined, *open_),
+    )
+    sure, unsure = (
+        next(c for c in verify(item, new).checks if c.name == "turns") for item in (found, vague)
+    )
+    assert unsure.expected > 10 * sure.expected
+
+
+def test_what_is_not_tested_is_said(known: tuple[SensorModel, Calibration]) -> None:
+    model, calibration = known
+    answer = verify(calibration, record(model, np.random.default_rng(3), poses=1))
+    assert [(item.name, item.reason) for item in answer.not_tested] == [
+        ("turns", "the recording has no turn between two rests that can be used")
+    ]
+    vague = tuple(n for n in calibration.names if n.startswith("gyro.scale_factor_error."))
+    kept = [k for k, name in enumerate(calibration.names) if name not in vague]
+    unsure = replace(
+        calibration,
+        names=tuple(calibration.names[k] for k in kept),
+        covariance=1e6 * calibration.covariance[np.ix_(kept, kept)],
+        undetermined=vague,
+    )
+    answer = verify(unsure, record(model, np.random.default_rng(3), poses=2))
+    assert [item.name for item in answer.not_tested] == ["turns"]
+    assert "does not tell the angle" in answer.not_tested[0].reason

@@ -12,7 +12,7 @@ from calib.calibration import Calibration, Gravity, Provenance
 from calib.document import to_document
 from calib.errors import CalibrationFileError
 from calib.model import SensorModel, Triad
-from drivers.calibration_file import load_calibration, save_calibration
+from drivers.calibration_file import check_can_write, load_calibration, save_calibration
 
 
 def example(note: str = "") -> Calibration:
@@ -110,3 +110,13 @@ def test_missing_file_folder_and_place_that_is_not_there(tmp_path: Path) -> None
             load_calibration(path)
     with pytest.raises(CalibrationFileError, match="cannot write it"):
         save_calibration(example(), tmp_path / "no" / "a.json")
+
+
+def test_where_nothing_can_be_written_is_known_before(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("", encoding="utf-8")
+    for path in (tmp_path / "no" / "a.json", tmp_path / "file" / "a.json", tmp_path):
+        with pytest.raises(CalibrationFileError, match="cannot write it"):
+            check_can_write(path)
+    check_can_write(tmp_path / "a.json")
+    check_can_write(tmp_path / "file")
+    assert os.listdir(tmp_path) == ["file"]

@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,9 +12,10 @@ import pytest
 from typer.testing import CliRunner
 
 from calib.calibration import Calibration, Event, Gravity, TemperatureRange
+from calib.effects.base import Term
 from calib.model import SensorModel, Triad
 from calib.recording import DeviceInfo, Recording
-from drivers.calibration_file import save_calibration
+from drivers.calibration_file import load_calibration, save_calibration
 from drivers.formats import read_recording, write_recording
 from imu_cli.app import app
 
@@ -66,7 +68,7 @@ def test_a_file_is_corrected_whole(cal: Path, tmp_path: Path, suffix: str) -> No
     code, said, warned = run(cal, source, "-o", out)
     assert code == 0
     assert "1000 samples" in said
-    assert "gyro_bias_step at 3.00 to 4.00 s" in warned
+    assert "gyro_bias_step is not applied: at 3.00 to 4.00 s it is an event" in warned
     corrected = read_recording(out)
     np.testing.assert_allclose(corrected.accel, ACCEL.correct(measured.accel), atol=1e-12)
     np.testing.assert_allclose(corrected.gyro, GYRO.correct(measured.gyro), atol=1e-12)
@@ -86,7 +88,64 @@ def test_outside_the_temperature_range_it_warns_and_goes_on(cal: Path, tmp_path:
     assert "1000 of 1000 samples are outside" in " ".join(warned.split())
     answer = json.loads(said)
     assert answer["outside_temperature_range"] == 1000
-    assert answer["not_applied"] == ["gyro_bias_step"]
+    assert [item["effect"] for item in answer["not_applied"]] == ["gyro_bias_step"]
+    assert answer["warm_up_from"] is None
+
+
+def with_terms(cal: Path, *terms: Term) -> Path:
+    known = load_calibration(cal)
+    path = cal.with_name("terms.cal.json")
+    save_calibration(replace(known, model=replace(known.model, terms=terms), events=()), path)
+    return path
+
+
+TEMPERATURE = Term("gyro_bias_temperature", {"kx": 1e-3})
+WARM_UP = Term("gyro_warm_up", {"kx": 1e-3, "tau": 60.0})
+
+
+def test_a_term_of_temperature_is_not_applied_without_one_and_that_is_said(
+    cal: Path, tmp_path: Path
+) -> None:
+    terms = with_terms(cal, TEMPERATURE)
+    write_recording(replace(recording(), temperature=None), tmp_path / "a.arrow")
+    code, said, warned = run(terms, tmp_path / "a.arrow", "-o", tmp_path / "b.arrow", "--json")
+    assert code == 0
+    assert "gyro_bias_temperature is not applied: the recording has no temperature" in warned
+    assert json.loads(said)["not_applied"] == [
+        {"effect": "gyro_bias_temperature", "reason": "the recording has no temperature"}
+    ]
+    write_recording(recording(), tmp_path / "c.arrow")
+    code, said, warned = run(terms, tmp_path / "c.arrow", "-o", tmp_path / "b.arrow", "--json")
+    assert json.loads(said)["not_applied"] == []
+    assert "not applied" not in warned
+
+
+def test_a_stream_without_temperature_is_told_so_once_and_events_before(cal: Path) -> None:
+    known = load_calibration(cal)
+    save_calibration(replace(known, model=replace(known.model, terms=(TEMPERATURE,))), cal)
+    header = HEADER.replace(",temperature", "")
+    result = CliRunner().invoke(app, ["apply", str(cal), "-"], input=header + "0,1,2,3,4,5,6\n")
+    warned = " ".join(result.stderr.split())
+    assert result.exit_code == 0
+    assert warned.count("gyro_bias_temperature is not applied: the recording has no temp") == 1
+    assert warned.count("gyro_bias_step is not applied") == 1
+    nan = HEADER + "0,1,2,3,4,5,6,25\n" + "0.01,1,2,3,4,5,6,nan\n"
+    result = CliRunner().invoke(app, ["apply", str(cal), "-"], input=nan)
+    assert "is not applied: " not in result.stderr.replace("gyro_bias_step is not applied: ", "")
+
+
+def test_from_when_a_warm_up_is_counted_is_said(cal: Path, tmp_path: Path) -> None:
+    terms = with_terms(cal, WARM_UP)
+    late = replace(recording(), time=recording().time + 12.5)
+    write_recording(late, tmp_path / "a.arrow")
+    said = run(terms, tmp_path / "a.arrow", "-o", tmp_path / "b.arrow")[1]
+    assert "gyro_warm_up is counted from the first sample, at 12.50 s" in said
+    said = run(terms, tmp_path / "a.arrow", "-o", tmp_path / "b.arrow", "--json")[1]
+    assert json.loads(said)["warm_up_from"] == 12.5
+    result = CliRunner().invoke(
+        app, ["apply", str(terms), "-"], input=HEADER + "0,1,2,3,4,5,6,25\n"
+    )
+    assert "gyro_warm_up is counted from the first sample," in " ".join(result.stderr.split())
 
 
 @pytest.mark.parametrize(

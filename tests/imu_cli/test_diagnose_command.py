@@ -49,6 +49,7 @@ def test_json_is_alone_on_stdout_and_the_model_is_written(
     said, model = diagnosed
     document = json.loads(said)
     assert document["format"] == "imu-cal/diagnosis"
+    assert document["files"] == {"recording": "log.arrow"}
     assert document["verdict"] == "explained"
     assert document["findings"][0]["effect"] == "gyro_misalignment"
     terms = load_calibration(model).model.terms
@@ -193,3 +194,14 @@ def test_a_profile_of_what_it_is_not_compared_with_is_refused(log: Path) -> None
     result = CliRunner().invoke(app, ["diagnose", str(log), "--other-profile", "mpu9150"])
     assert result.exit_code == 2
     assert "--against" in result.output
+
+
+@pytest.mark.parametrize("option", ["--output", "--report"])
+def test_where_nothing_can_be_written_is_said_before_the_recording_is_read(
+    tmp_path: Path, option: str
+) -> None:
+    args = ["diagnose", str(tmp_path / "none.csv"), option, str(tmp_path / "no" / "made")]
+    result = CliRunner().invoke(app, args)
+    assert result.exit_code == 10
+    assert "cannot write it: No such file or directory" in " ".join(result.stderr.split())
+    assert os.listdir(tmp_path) == []

@@ -137,3 +137,20 @@ def test_one_pose_only_is_enough_to_begin(cal: Path) -> None:
     }
     assert code == (0 if answer["right"] else 6)
     assert np.isfinite([check["p_value"] for check in answer["checks"]]).all()
+    assert [item["name"] for item in answer["not_tested"]] == ["turns"]
+    said = run("verify", cal, FIXTURES / "bad" / "one_pose.csv")[1]
+    assert "turns    not tested: the recording has no turn" in said
+    assert "as to gravity and rest; turns: not tested" in said
+
+
+def test_a_model_that_diagnose_wrote_is_tested_over_turns(tmp_path: Path) -> None:
+    assert run("diagnose", BENCH, "-o", tmp_path / "found.json")[0] == 0
+    code, said, _ = run("verify", tmp_path / "found.json", BENCH, "--json")
+    answer = json.loads(said)
+    assert code == 0
+    assert [check["name"] for check in answer["checks"]] == ["gravity", "rest", "turns"]
+    assert answer["not_tested"] == []
+    shifted(tmp_path / "found.json", tmp_path / "b.json", "gyro.scale_factor_error.x", 0.01)
+    code, said, _ = run("verify", tmp_path / "b.json", BENCH, "--json")
+    assert code == 6
+    assert [c["name"] for c in json.loads(said)["checks"] if not c["right"]] == ["turns"]

@@ -22,7 +22,8 @@ from drivers.calibration_file import save_calibration
 from drivers.formats import write_recording
 from imu_cli.report.contents import calibration_report
 from imu_cli.report.diagnosis import diagnosis_report
-from imu_cli.report.page import render_page
+from imu_cli.report.model import Plot
+from imu_cli.report.page import COLOURS, draw, render_page
 from imu_cli.report.picture import write_picture
 from imu_cli.report.source import load_report
 from imu_cli.report.units import people_unit, with_error
@@ -138,6 +139,33 @@ def test_text_of_a_document_is_escaped() -> None:
     page = render_page(diagnosis_report(DIAGNOSIS))
     assert "<b>specific force</b>" not in page.split('id="document"')[0]
     assert "residual against specific force x" in page
+
+
+def test_the_page_names_the_files_in_its_head() -> None:
+    files = {"recording": "walk<1>.csv", "calibration": "bench.cal.json"}
+    page = render_page(diagnosis_report({**DIAGNOSIS, "files": files}))
+    head = re.search(r"<header>.*?</header>", page, flags=re.DOTALL)
+    assert head is not None
+    assert "recording: <b>walk&lt;1&gt;.csv</b>" in head[0]
+    assert "calibration: <b>bench.cal.json</b>" in head[0]
+    assert "<title>Diagnosis of walk&lt;1&gt;.csv · imu-cal</title>" in page
+
+
+def test_before_is_grey_in_all_channels_and_after_has_a_colour_for_each() -> None:
+    finding = DIAGNOSIS["findings"][0]  # type: ignore[index]
+    one = finding["evidence"]["series"][0]
+    several = [{**one, "channel": f"{t}.{a}"} for t in ("accel", "gyro") for a in "xyz"]
+    evidence = {**finding["evidence"], "series": several}
+    report = diagnosis_report({**DIAGNOSIS, "findings": [{**finding, "evidence": evidence}]})
+    plot = next(block for block in report.blocks if isinstance(block, Plot))
+    drawn = {trace.name: trace.marker for trace in draw(plot).data}
+    assert len(drawn) == 12
+    before = [drawn[f"{item['channel']} before"] for item in several]
+    after = [drawn[f"{item['channel']} after"] for item in several]
+    assert {marker.color for marker in before} == {COLOURS[0]}
+    assert len({marker.color for marker in after} - {COLOURS[0]}) == 6
+    assert [m.symbol for m in before] == [m.symbol for m in after]
+    assert len({marker.symbol for marker in before}) == 6
 
 
 def test_the_budget_is_the_root_of_squares(calibration: Calibration) -> None:
