@@ -6,9 +6,12 @@ Every number stands beside its unit. The published schema is ``schemas/calibrati
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import asdict
 from importlib import resources
 from typing import Any
+
+import numpy as np
 
 from calib.calibration import (
     VERSION,
@@ -177,10 +180,11 @@ def _check_version(version: str) -> str:
 
 def _read(node: Node, version: str) -> Calibration:
     values: dict[str, float] = {}
+    sigmas: dict[str, float] = {}
     undetermined: list[str] = []
     parameters = node.child("parameters")
     for name in BASELINE:
-        _read_parameter(parameters.child(name), name, values, undetermined)
+        _read_parameter(parameters.child(name), name, values, sigmas, undetermined)
     terms = []
     for item in node.items("terms"):
         slug = item.text("effect")
@@ -192,7 +196,7 @@ def _read(node: Node, version: str) -> Calibration:
         own: dict[str, float] = {}
         for name in content.mapping():
             full = f"{slug}.{name}"
-            own[name] = _read_parameter(content.child(name), full, values, undetermined)
+            own[name] = _read_parameter(content.child(name), full, values, sigmas, undetermined)
         terms.append(Term(slug, own))
     reference = node.child("reference_temperature").quantity("°C")
     triads = {
@@ -201,7 +205,7 @@ def _read(node: Node, version: str) -> Calibration:
         )
         for triad in ("accel", "gyro")
     }
-    names, covariance = _read_covariance(node.child("covariance"))
+    names, covariance = _with_alone(*_read_covariance(node.child("covariance")), sigmas)
     gravity = node.child("gravity")
     temperature = node.optional("temperature_range")
     if temperature is not None:
@@ -228,18 +232,35 @@ def _read(node: Node, version: str) -> Calibration:
 
 
 def _read_parameter(
-    node: Node, name: str, values: dict[str, float], undetermined: list[str]
+    node: Node,
+    name: str,
+    values: dict[str, float],
+    sigmas: dict[str, float],
+    undetermined: list[str],
 ) -> float:
     try:
         unit = parameter_unit(name)
     except ValueError as error:
         raise CalibrationFileError(f"{node.path}: {error}") from error
     values[name] = node.quantity(unit)
-    if node.get("sigma") is not None:
-        node.least("sigma", 0.0)
     if node.get("status") == "undetermined":
         undetermined.append(name)
+    elif node.get("sigma") is not None:
+        sigmas[name] = node.least("sigma", 0.0)
     return values[name]
+
+
+def _with_alone(
+    names: tuple[str, ...], covariance: FloatArray, sigmas: Mapping[str, float]
+) -> tuple[tuple[str, ...], FloatArray]:
+    """Return the covariance with what has a standard error, but was typed in without a row there.
+
+    How it goes with others nobody said.
+    """
+    alone = [name for name in sigmas if name not in names]
+    both = np.diag([0.0] * len(names) + [sigmas[name] ** 2 for name in alone])
+    both[: len(names), : len(names)] = covariance
+    return (*names, *alone), both
 
 
 def _read_covariance(node: Node) -> tuple[tuple[str, ...], FloatArray]:

@@ -284,3 +284,21 @@ def test_a_covariance_that_is_none_is_refused() -> None:
     document["covariance"]["values"][0][1] += 1.0
     with pytest.raises(CalibrationFileError, match="symmetric"):
         from_document(document)
+
+
+def test_standard_errors_that_were_typed_in_count_though_no_covariance_has_them() -> None:
+    document = to_document(example())
+    whole = from_document(document)
+    kept = [i for i, n in enumerate(document["covariance"]["names"]) if n.startswith("accel")]
+    own = document["covariance"]
+    document["covariance"] = {
+        "names": [own["names"][i] for i in kept],
+        "units": [own["units"][i] for i in kept],
+        "values": [[own["values"][i][j] for j in kept] for i in kept],
+    }
+    read = from_document(document)
+    assert set(read.names) == set(whole.names)
+    assert read.sigmas == pytest.approx(whole.sigmas)
+    alone = [i for i, n in enumerate(read.names) if not n.startswith("accel")]
+    others = np.delete(np.delete(read.covariance, kept, 0), kept, 1) if alone else read.covariance
+    np.testing.assert_array_equal(others, np.diag(np.diag(others)))

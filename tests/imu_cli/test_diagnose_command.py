@@ -88,6 +88,30 @@ def test_what_has_moved_since_a_calibration_is_no_effect_and_is_said(
 
 
 @pytest.mark.long
+def test_what_a_calibration_states_without_standard_errors_can_have_moved_too(
+    log: Path, diagnosed: tuple[str, Path], tmp_path: Path
+) -> None:
+    _, known = diagnosed
+    document = json.loads(known.read_text())
+    document["covariance"] = {"names": [], "units": [], "values": []}
+    for own in document["parameters"].values():
+        own["sigma"] = None
+    for term in document["terms"]:
+        for own in term["parameters"].values():
+            own["sigma"] = None
+    stated = tmp_path / "stated.json"
+    stated.write_text(json.dumps(document))
+    same = CliRunner().invoke(app, ["diagnose", str(log), "--calibration", str(stated)])
+    assert same.stdout.startswith("Consistent:")
+    document["parameters"]["gyro.bias.x"]["value"] += 0.03
+    stated.write_text(json.dumps(document))
+    found = CliRunner().invoke(app, ["diagnose", str(log), "--calibration", str(stated), "--json"])
+    (moved,) = json.loads(found.stdout)["moved"]
+    assert moved["parameter"] == "gyro.bias.x"
+    assert moved["shift"] == pytest.approx(-0.03, abs=5e-4)
+
+
+@pytest.mark.long
 def test_the_screen_says_what_where_and_how_sure(log: Path) -> None:
     result = CliRunner().invoke(app, ["diagnose", str(log)], env={"COLUMNS": "40"})
     assert result.exit_code == 0

@@ -204,10 +204,15 @@ class Diagnosis:
         """Return the diagnosis with what has moved since the calibration that the twin is under.
 
         The twin is fitted to the recording, so that what moved is no effect, and leaves nothing.
+        What a calibration states without any standard error is as it says.
         """
         if not self.names:
             return self
         now = self.calibration(recording, gravity=known.gravity)
+        if not known.names:
+            there = known.values.keys() - set(known.undetermined)
+            stated = tuple(name for name in now.names if name in there)
+            known = replace(known, names=stated, covariance=np.zeros((len(stated),) * 2))
         return replace(self, moved=compare(known, now).changed)
 
     def calibration(self, recording: Recording, *, gravity: Gravity) -> Calibration:
