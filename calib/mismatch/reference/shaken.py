@@ -9,11 +9,12 @@ import numpy as np
 from calib.faults import values_of
 from calib.mismatch.findings.diagnosis import Interval, Unexplained
 from calib.mismatch.reference.alignment import Alignment
+from calib.mismatch.reference.band import noise_of
 from calib.mismatch.reference.truths import DEGREE
 from calib.mismatch.samples.resting import look_at_rests
-from calib.mismatch.samples.spectrum import LOUDER_THERE
+from calib.mismatch.samples.spectrum import LOUDER_THERE, lines_of
 from calib.poses import Poses
-from calib.recording import TRIADS, Recording
+from calib.recording import CHANNELS, TRIADS, Recording
 from calib.types import FloatArray
 
 MOVES = 2.0
@@ -32,6 +33,13 @@ shows is a sum: a low-pass of 15 Hz is one, at what a hand trembles with."""
 PART, PARTS = 500, 60
 """Samples of a rest that are fitted at once, and how many such parts at most: a day is not."""
 
+TAKEN = 0.1
+"""Power of the motion that was taken off at a frequency, relative to what is left there, from which
+on noise of its truth is in that."""
+
+SILENT = 0.1
+"""Noise of a truth, relative to the recording's, that does not show beside it."""
+
 HARDLY = 0.05
 """Share of the power of a channel at rest below which what a truth explains of it is left in: where
 counts are coarse, to take it off would blur them."""
@@ -46,9 +54,13 @@ def noise_beside(
     no samples of their own: what shakes all axes of an accelerometer may then be motion. Channels
     of ``heard`` that have no noise are made `audible` before.
     """
+    before = heard
     if truth is not None:
         heard, poses = _without_motion(heard, poses, truth, alignment)
     noisy = look_at_rests(heard, poses)
+    if truth is not None and heard is not before and _is_noisy(truth, before):
+        noisy = tuple(_without_rest(item, before, heard, poses) for item in noisy)
+        noisy = tuple(item for item in noisy if item.follows)
     if not noisy:
         return ()
     if truth is None:
@@ -100,6 +112,49 @@ def _without_motion(
             values[part] -= motion(part) @ shares - level
     known = replace(poses, start=start, stop=stop).select(stop - start >= FEWEST)
     return replace(heard, accel=values[:, :3], gyro=values[:, 3:]), known
+
+
+def _is_noisy(truth: Recording, recording: Recording) -> bool:
+    return bool((noise_of(truth) > SILENT * noise_of(recording)).any())
+
+
+def _without_rest(
+    item: Unexplained, before: Recording, heard: Recording, poses: Poses
+) -> Unexplained:
+    """Return an item without lines at frequencies of the motion that was taken off.
+
+    With that came noise of the truth, of the motion's frequencies: it stands out of the noise that
+    there was, as lines do.
+    """
+    index = [CHANNELS.index(channel) for channel in item.channels]
+    left = values_of(heard)[:, index]
+    taken = values_of(before)[:, index] - left
+
+    def power(values: FloatArray, frequency: float) -> FloatArray:
+        total = np.zeros(len(index))
+        for a, b in zip(poses.start, poses.stop, strict=True):
+            for first in range(a, b - PART // 2, PART):
+                part = slice(first, min(first + PART, b))
+                turn = np.exp(-2j * np.pi * frequency * heard.time[part])
+                turn *= np.hanning(len(turn))
+                own = values[part] - values[part].mean(axis=0)
+                total += np.square(np.abs(turn @ own))
+        return total
+
+    kept, shown = [], np.zeros(len(index), bool)
+    lines = lines_of(item)
+    for line, frequency in lines.items():
+        here = power(left, frequency)
+        if power(taken, frequency).sum() > TAKEN * here.sum():
+            continue
+        kept.append(line)
+        beside = power(left, 0.9 * frequency) + power(left, 1.1 * frequency)
+        shown |= here >= here.max() if (here < beside).all() else here > beside
+    if len(kept) == len(lines):
+        return item
+    words = [part for part in item.follows.split(", ") if part in kept or part not in lines]
+    channels = tuple(c for c, there in zip(item.channels, shown, strict=True) if there)
+    return replace(item, follows=", ".join(words), channels=channels or item.channels)
 
 
 def _without_line(values: FloatArray) -> FloatArray:

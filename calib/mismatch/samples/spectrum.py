@@ -256,6 +256,12 @@ def _lines(
     return [Unexplained((channel,), (where,), f"{LINE}{frequency:.3g} Hz", float(p[k]))]
 
 
+def lines_of(item: Unexplained) -> dict[str, float]:
+    """Return the lines that an item is made of, in words and in Hz."""
+    words = [part for part in item.follows.split(", ") if part.startswith(LINE)]
+    return {part: float(part[len(LINE) :].split()[0]) for part in words}
+
+
 def _peak(power: FloatArray, k: int) -> float:
     """Return where a line is, in bins, of which bin `k` has the most of the power.
 

@@ -128,3 +128,22 @@ def test_what_shakes_all_axes_is_motion_though_one_is_loud_from_a_rest_before() 
     said = noise_beside(shaken, find_poses(shaken), None, same)
     assert LOUDER_THERE in {item.follows for item in said}
     assert {item.channels for item in said} == {("accel.x",)}
+
+
+def test_a_tremor_that_noise_of_the_truth_hides_part_of_is_no_line_and_a_hum_is_one() -> None:
+    rng = np.random.default_rng(12)
+    motion = bench_protocol(rng, poses=24, hold_tremor=0.1, gravity=GRAVITY)
+    real, truth = (
+        simulate(motion, SensorModel(), CONSUMER, rng=rng, rate=rate) for rate in (200.0, 100.0)
+    )
+    same, poses = Alignment(0.0, 0.0, 0.0), find_poses(real)
+    assert not noise_beside(real, poses, truth, same)
+    hum = 1.5 * SIGMA * np.sin(2.0 * np.pi * 21.0 * real.time)
+    (found,) = noise_beside(
+        replace(real, gyro=real.gyro + np.stack((0 * hum, hum, 0 * hum), axis=1)),
+        poses,
+        truth,
+        same,
+    )
+    assert found.follows == "a line at 21 Hz"
+    assert found.channels == ("gyro.y",)
