@@ -144,7 +144,9 @@ def test_what_ends_a_conversion_leaves_no_half_of_a_file(tmp_path: Path, number:
     log, out = tmp_path / "log.arrow", tmp_path / "log.csv"
     write_recording(many, log)
     with subprocess.Popen(
-        [sys.executable, "-m", "imu_cli", "convert", str(log), "-o", str(out)]
+        [sys.executable, "-m", "imu_cli", "convert", str(log), "-o", str(out)],
+        # Whoever runs the tests may ignore it, as nohup does, and so would the command.
+        preexec_fn=lambda: signal.signal(number, signal.SIG_DFL),
     ) as made:
         while made.poll() is None and not list(tmp_path.glob("*.part")):
             sleep(0.01)
