@@ -29,6 +29,7 @@ TEMPERATURE = (-100.0, 300.0)
 
 BEYOND = 10.0
 """Times its physical limits (`Effect.limits`) that a parameter of a further term may be."""
+
 UNLIMITED = 1e6
 """Times its typical size that one may be which has no such limit."""
 

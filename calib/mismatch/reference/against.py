@@ -280,9 +280,8 @@ def conclude(
         poses = [n for n in open_ if n.startswith("accel.")]
         open_ = [n for n in open_ if n not in poses]
         missing += _unplaced(problem, poses)
-    for names in (open_, outcome.undetermined):
-        if names:
-            missing += (to_determine(names),)
+    if open_:
+        missing += (to_determine(open_),)
     change, likelihood = changes(outcome)
     alignment = problem.setup.alignment
     common, (first, last) = len(problem.time) * problem.interval, problem.time[[0, -1]].tolist()
