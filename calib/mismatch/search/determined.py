@@ -12,7 +12,6 @@ from dataclasses import replace
 import numpy as np
 
 from calib.effects import get_effect
-from calib.mismatch.hypotheses.factors import LARGE
 from calib.mismatch.rows.rows import Rows
 from calib.mismatch.search.accepted import Accepted
 from calib.mismatch.search.estimate import Estimate, solved
@@ -25,8 +24,7 @@ OPEN = {"bias": 0.1, "scale_factor_error": 0.02, "misalignment": 0.02}
 """Standard errors (SI) of the baseline beyond which a recording cannot tell much."""
 
 CLEAR = 3.0
-"""Standard errors from which on it is there however large they are, unless it is hardly physical:
-of a motion that hardly shows it, noise of a truth does."""
+"""Standard errors from which on it is there, however large they are."""
 
 
 def determined(
@@ -53,8 +51,7 @@ def determined(
             refining = {p.name for p in get_effect(a.candidate.name).parameters if p.refining}
             for k, name in enumerate(a.candidate.parameters):
                 size, error = abs(step[own][k]), float(sigma[own][k])
-                loose = size < CLEAR * error or size > LARGE
-                if error > worst[0] and loose and name not in refining:
+                if error > worst[0] and size < CLEAR * error and name not in refining:
                     worst = (error, i, k)
         if worst[0] <= LOOSE:
             return accepted, tuple(gone)
