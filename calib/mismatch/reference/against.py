@@ -177,9 +177,8 @@ def compare_simulation(
     if alignment is None:
         alignment = align(real.time, real.gyro, simulated.time, simulated.gyro)
     truth = RecordingTruth(simulated, gravity)
-    common = matched(
-        real, truth, alignment, np.eye(3) if mat_sr is None else mat_sr, spoilt=seen.spoilt
-    )
+    mat = np.eye(3) if mat_sr is None else mat_sr
+    common = matched(real, truth, alignment, mat, spoilt=seen.spoilt)
     noisy = common.limited and not common.exact
     compare = partial(
         ComparisonProblem,
@@ -204,7 +203,6 @@ def compare_simulation(
     if own_axes:
         problem = compare(own_axes=True)
     if problem.arm().any():
-        mat = np.eye(3) if mat_sr is None else mat_sr
         errors = simulated_errors(simulated, mat, gravity=gravity)
         if errors is not None:
             problem = compare(own_axes=own_axes, other=errors)

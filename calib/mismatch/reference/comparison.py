@@ -540,7 +540,10 @@ class ComparisonProblem:
     def arm(self) -> FloatArray:
         """Return roughly by which arm (3,) the truth is off, m; 0 if it is short."""
         state = self.state()
-        return arm_of(self.setup.model) + rough_arm(state, self.residual(state)[:, :3])
+        return self._arm(state, self.residual(state))
+
+    def _arm(self, state: State, left: FloatArray) -> FloatArray:
+        return arm_of(self.setup.model) + rough_arm(state, left[:, :3])
 
     def _nuisance(self, state: State, name: str) -> Mapping[str, FloatArray]:
         slug, parameter = name.split(".")
@@ -567,7 +570,7 @@ class ComparisonProblem:
             for channel, values in self._nuisance(state, name).items():
                 yield channel, size * values
         if self.carries:
-            arm = arm_of(self.setup.model) + rough_arm(state, left[:, :3])
+            arm = self._arm(state, left)
             if arm.any():
                 for size, column in zip(SIZES, carried(state, arm, self.setup.errors), strict=True):
                     for channel, values in column.items():

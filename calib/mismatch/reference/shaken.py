@@ -126,6 +126,9 @@ def _without_rest(
     With that came noise of the truth, of the motion's frequencies: it stands out of the noise that
     there was, as lines do.
     """
+    lines = lines_of(item)
+    if not lines:
+        return item
     index = [CHANNELS.index(channel) for channel in item.channels]
     left = values_of(heard)[:, index]
     taken = values_of(before)[:, index] - left
@@ -142,7 +145,6 @@ def _without_rest(
         return total
 
     kept, shown = [], np.zeros(len(index), bool)
-    lines = lines_of(item)
     for line, frequency in lines.items():
         here = power(left, frequency)
         if power(taken, frequency).sum() > TAKEN * here.sum():

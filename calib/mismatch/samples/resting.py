@@ -50,9 +50,9 @@ def unsaid(
     """Return what is odd about samples at rest that findings are not the cause of.
 
     What shook the sensor is the cause of louder noise, too, also where what that does is ``known``
-    from a calibration. Samples on both sides of a step of a
-    bias have a spectrum, and a variance, of their own. Of a channel whose spikes were `said`, those
-    that hardly stand out, or in turns alone, are no second thing.
+    from a calibration. Samples on both sides of a step of a bias have a spectrum, and a variance,
+    of their own. Of a channel whose spikes were `said`, those that hardly stand out, or in turns
+    alone, are no second thing.
     """
     out = []
     spiky = {c for item in said if item.follows == SPIKES for c in item.channels}

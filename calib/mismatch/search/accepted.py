@@ -62,13 +62,7 @@ def joined(
     both = {*old.candidate.parameters, *new.candidate.parameters}
     chosen = [p for p in effect.parameters if p.name in both]
     names = tuple(p.name for p in chosen)
-    candidate = replace(
-        old.candidate,
-        index=np.arange(len(names)),
-        parameters=names,
-        channels=tuple(dict.fromkeys(c for p in chosen for c in p.channels)),
-        shape=shape,
-    )
+    candidate = replace(with_parameters(old.candidate, names), shape=shape)
     columns = candidate_columns(rows, candidate, shape, reference=reference)
     if columns is None:
         return [*accepted, new]
@@ -81,6 +75,17 @@ def joined(
         values=np.array([values.get(n, 0.0) for n in names]),
     )
     return [*(a for a in accepted if a is not old), merged]
+
+
+def with_parameters(candidate: Candidate, names: tuple[str, ...]) -> Candidate:
+    """Return a candidate with these parameters of its effect, on the channels that they touch."""
+    parameters = [p for p in get_effect(candidate.name).parameters if p.name in names]
+    return replace(
+        candidate,
+        index=np.arange(len(names)),
+        parameters=names,
+        channels=tuple(dict.fromkeys(c for p in parameters for c in p.channels)),
+    )
 
 
 def lasting(candidate: Candidate) -> bool:

@@ -13,7 +13,7 @@ import numpy as np
 
 from calib.effects import get_effect
 from calib.mismatch.rows.rows import Rows
-from calib.mismatch.search.accepted import Accepted
+from calib.mismatch.search.accepted import Accepted, with_parameters
 from calib.mismatch.search.estimate import Estimate, solved
 from calib.types import FloatArray
 
@@ -83,18 +83,10 @@ def _droppable(a: Accepted) -> bool:
 
 def _without(a: Accepted, which: int) -> Accepted:
     keep = [k for k in range(len(a.values)) if k != which]
-    effect = get_effect(a.candidate.name)
     names = tuple(a.candidate.parameters[k] for k in keep)
-    channels = [c for p in effect.parameters if p.name in names for c in p.channels]
-    candidate = replace(
-        a.candidate,
-        index=np.arange(len(keep)),
-        parameters=names,
-        channels=tuple(dict.fromkeys(channels)),
-    )
     return replace(
         a,
-        candidate=candidate,
+        candidate=with_parameters(a.candidate, names),
         columns=a.columns[:, keep],
         typical=a.typical[keep],
         values=a.values[keep],
