@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -38,6 +38,7 @@ def diagnosis_report(document: Mapping[str, Any]) -> Report:
         blocks += _finding(number, finding)
     if document["unexplained"]:
         blocks.append(_unexplained(document["unexplained"]))
+        blocks += _where(document["unexplained"])
     for alias in document.get("aliases", ()):
         if alias["alike"]:
             blocks.append(Paragraph("What cannot be known", (alias_sentence(alias),)))
@@ -135,7 +136,14 @@ def _finding(number: int, finding: Mapping[str, Any]) -> list[Block]:
         )
     )
     if finding.get("evidence"):
-        blocks.append(_evidence(number, finding["effect"], finding["evidence"]))
+        title = f"{number}. {finding['effect']}"
+        blocks.append(
+            _evidence(
+                title,
+                finding["evidence"],
+                "Before (grey): under the model without the effect. After: with it.",
+            )
+        )
     return blocks
 
 
@@ -146,7 +154,9 @@ def _absorbed(item: Any) -> str:
     return f"{item['parameter']} by {item['shift'] * factor:+.3g} {unit}"
 
 
-def _evidence(number: int, effect: str, evidence: Mapping[str, Any]) -> Plot:
+def _evidence(
+    title: str, evidence: Mapping[str, Any], note: str, shaded: Iterable[Sequence[float]] = ()
+) -> Plot:
     unit, factor = people_unit(evidence["unit"])
     x_name, x_factor = people_unit(evidence["x_unit"])
     series = []
@@ -158,11 +168,12 @@ def _evidence(number: int, effect: str, evidence: Mapping[str, Any]) -> Plot:
             series.append(Series(f"{item['channel']} {label}", x, y, colour=colour, shape=k))
     x_unit = f", {x_name}" if x_name else ""
     return Plot(
-        f"{number}. {effect}: residual against {evidence['follows']}",
+        f"{title}: residual against {evidence['follows']}",
         f"{evidence['follows']}{x_unit}",
         f"residual, {unit}",
         tuple(series),
-        note="Before (grey): under the model without the effect. After: with it.",
+        shaded=tuple((float(a) * x_factor, float(b) * x_factor) for a, b in shaded),
+        note=note,
     )
 
 
@@ -177,6 +188,23 @@ def _unexplained(items: list[Mapping[str, Any]]) -> Table:
         for item in items
     )
     return Table("Unexplained", ("channels", "when", "follows", "p"), rows, (3,))
+
+
+def _where(items: list[Mapping[str, Any]]) -> list[Block]:
+    """Return a plot of each item that rows show."""
+    out: list[Block] = []
+    for item in items:
+        evidence = item.get("evidence")
+        if evidence is None:
+            continue
+        in_time = evidence["follows"] == "time"
+        shaded = item["intervals"] if in_time else ()
+        note = (
+            "Before (grey): what is unexplained is in it. After: with what it looks like taken off."
+        )
+        title = f"Unexplained on {', '.join(item['channels'])}"
+        out.append(_evidence(title, evidence, note, shaded))
+    return out
 
 
 def _residuals(fit: Mapping[str, Any]) -> Table:

@@ -133,6 +133,7 @@ class Unexplained:
     follows: str
     p_value: float
     rivals: tuple[Rival, ...] = ()
+    evidence: Evidence | None = field(default=None, compare=False)
 
     def to_json(self) -> dict[str, Any]:
         """Return it as JSON."""
@@ -142,6 +143,7 @@ class Unexplained:
             "follows": self.follows,
             "p_value": self.p_value,
             "rivals": [{"effect": r.effect, "odds": r.odds} for r in self.rivals],
+            "evidence": None if self.evidence is None else self.evidence.to_json(),
         }
 
 

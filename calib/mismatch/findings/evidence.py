@@ -1,4 +1,7 @@
-"""The plot that convinced: residual against what a finding follows, before and after."""
+"""The plot that convinced: residual against what a finding follows, before and after.
+
+So does what is unexplained: where it is in time, or against what it follows.
+"""
 
 from __future__ import annotations
 
@@ -8,13 +11,15 @@ from typing import Any
 
 import numpy as np
 
-from calib.effects.base import Effect
 from calib.mismatch.rows.rows import Kind, Rows
 from calib.recording import CHANNELS
 from calib.types import BoolArray, FloatArray
 
 MOST_SERIES = 3
 MOST_POINTS = 1500
+
+SEEN = 0.1
+"""Scatter that goes from rests, in parts of what is left, from which one sees it there."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,17 +59,30 @@ class Evidence:
         }
 
 
+TIME = "time"
+
+
 def gather(
-    rows: Rows, effect: Effect, predicted: FloatArray, before: FloatArray, after: FloatArray
+    rows: Rows,
+    follows: str,
+    predicted: FloatArray,
+    before: FloatArray,
+    after: FloatArray,
+    *,
+    on: tuple[str, ...] = (),
 ) -> Evidence | None:
-    """Return what to plot of a finding; None if no row shows it.
+    """Return what to plot of what follows something; None if no row shows it.
 
     Parameters
     ----------
+    follows : str
+        As an effect has it; `TIME` for what has a place in time.
     predicted : (m,) array
-        What the effect adds to each row.
+        What it adds to each row.
     before, after : (m,) arrays
         Residuals of the fits without and with it.
+    on : tuple of str
+        Channels that are plotted at rest, if it is `SEEN` there, instead of what shows it best.
     """
     groups = _groups(rows)
     # How much of each group's scatter the effect takes away, in parts of what is left.
@@ -75,11 +93,13 @@ def gather(
     }
     if not gain:
         return None
+    if max((gain[name] for name in on if name in gain), default=0.0) > SEEN:
+        gain = {name: value for name, value in gain.items() if name in on}
     best = max(gain, key=lambda name: gain[name])
     unit = groups[best][1]
     alike = [n for n in gain if groups[n][1] == unit and gain[n] > 0.1 * gain[best]]
     alike = sorted(alike, key=lambda n: -gain[n])[:MOST_SERIES]
-    label, x_unit, x = _abscissa(rows, effect, predicted, unit, at_rest=best in CHANNELS)
+    label, x_unit, x = _abscissa(rows, follows, predicted, unit, at_rest=best in CHANNELS)
     series = []
     for name in alike:
         own = np.flatnonzero(groups[name][0])[:MOST_POINTS]
@@ -110,22 +130,22 @@ def _groups(rows: Rows) -> Mapping[str, tuple[BoolArray, str]]:
 
 
 def _abscissa(
-    rows: Rows, effect: Effect, predicted: FloatArray, unit: str, *, at_rest: bool
+    rows: Rows, follows: str, predicted: FloatArray, unit: str, *, at_rest: bool
 ) -> tuple[str, str, FloatArray]:
-    """Return label, unit and values (m,) of what the finding follows, for each row."""
+    """Return label, unit and values (m,) of what is followed, for each row."""
     state = rows.state
-    if effect.follows.startswith("time") and effect.follows != "time since the last turn":
-        return "time", "s", rows.interval.mean(axis=1)[rows.segment]
+    if follows.startswith(TIME) and follows != "time since the last turn":
+        return TIME, "s", rows.interval.mean(axis=1)[rows.segment]
     known: dict[str, tuple[str, FloatArray | None]] = {
         "temperature": ("°C", state.temperature),
         "rate of temperature": ("K/s", state.temperature_rate),
         "time since the last turn": ("s", state.since_turn),
     }
-    if at_rest and effect.follows in known:
-        x_unit, values = known[effect.follows]
+    if at_rest and follows in known:
+        x_unit, values = known[follows]
         if values is not None:
-            return effect.follows, x_unit, _means(rows, np.nan_to_num(values, posinf=0.0))
-    return f"what the term predicts ({effect.follows})", unit, predicted
+            return follows, x_unit, _means(rows, np.nan_to_num(values, posinf=0.0))
+    return f"what it predicts ({follows})", unit, predicted
 
 
 def _means(rows: Rows, values: FloatArray) -> FloatArray:

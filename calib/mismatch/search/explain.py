@@ -21,12 +21,13 @@ from calib.mismatch.findings.diagnosis import (
     Unexplained,
     Verdict,
 )
-from calib.mismatch.findings.evidence import gather
+from calib.mismatch.findings.evidence import TIME, gather
 from calib.mismatch.findings.heldout import HeldOut, LeftOut, held_out, leave_out, pose_levels
 from calib.mismatch.hypotheses.families import is_moment
 from calib.mismatch.hypotheses.places import joined
+from calib.mismatch.hypotheses.rivals import FROM_START
 from calib.mismatch.hypotheses.slipped import angle_of
-from calib.mismatch.hypotheses.windows import touched
+from calib.mismatch.hypotheses.windows import THROUGHOUT, touched
 from calib.mismatch.noise.noise import make_whitener
 from calib.mismatch.rows.rows import Kind, Rows
 from calib.mismatch.search.accepted import UNLIKE, Accepted, fitted
@@ -91,7 +92,7 @@ def explain(
     for i, a in enumerate(accepted):
         rivals = _rivals(a)
         if i in again:
-            left = _unexplained(rows, a, ())
+            left = _unexplained(outcome, fit, i, ())
             unexplained.append(replace(left, intervals=(again[i],), follows=THERE))
             continue
         heat = a.candidate.name.replace("_warm_up", "_bias_temperature")
@@ -102,7 +103,7 @@ def explain(
         if i in first_rests or i in of_filters:
             continue
         if not a.candidate.physical:
-            unexplained.append(_unexplained(rows, a, rivals))
+            unexplained.append(_unexplained(outcome, fit, i, rivals))
             continue
         part = slice(fit.at[i], fit.at[i + 1])
         values = fit.step[part] * a.typical
@@ -118,7 +119,7 @@ def explain(
             (name,) = a.candidate.parameters
             if not 0.5 < parameters[name].value < 1.5:
                 # It is there or not: what fits by half, or the other way round, is something else.
-                left = _unexplained(rows, a, rivals)
+                left = _unexplained(outcome, fit, i, rivals)
                 unexplained.append(replace(left, follows=effect.follows))
                 continue
             parameters[name] = Quantity(1.0, None, parameters[name].unit)
@@ -137,7 +138,7 @@ def explain(
         absorbed, proof, before = _proof(outcome, fit, i, names, after)
         predicted = a.columns @ fit.step[part]
         if _only_levels(outcome, i, proof):
-            of_poses.append(_unexplained(rows, a, ()))
+            of_poses.append(_unexplained(outcome, fit, i, ()))
             continue
         reason = ""
         if effect.kind == "event" and proof.gain <= 0:
@@ -151,14 +152,14 @@ def explain(
             moment = a.candidate.shape["moment"]
             turn = rows.interval[np.searchsorted(rows.interval[:, 0], moment, side="right") - 1]
             where = ((float(turn[0]), float(turn[1])),)
-            left = _unexplained(rows, a, rivals)
+            left = _unexplained(outcome, fit, i, rivals)
             unexplained.append(replace(left, intervals=where, follows="this one turn"))
             continue
         parameters = {n: counted(q) if q.unit == "samples" else q for n, q in parameters.items()}
         if useless and effect.kind != "event":
             unexplained.append(
                 replace(
-                    _unexplained(rows, a, rivals),
+                    _unexplained(outcome, fit, i, rivals),
                     follows=f"{effect.follows}, but not on held-out data",
                 )
             )
@@ -166,7 +167,7 @@ def explain(
         if few > UNSURE and any_number > SOMETHING:
             continue
         if few > UNSURE:
-            left = _unexplained(rows, a, rivals)
+            left = _unexplained(outcome, fit, i, rivals)
             unexplained.append(replace(left, follows=f"{effect.follows}, but in few windows only"))
             continue
         findings.append(
@@ -185,7 +186,7 @@ def explain(
                 rivals=rivals,
                 to_separate=to_separate(effect, rivals),
                 sentence=sentence,
-                evidence=gather(rows, effect, predicted, before, fit.left),
+                evidence=gather(rows, effect.follows, predicted, before, fit.left),
             )
         )
         if effect.kind == "sensor":
@@ -272,7 +273,7 @@ def _only_levels(outcome: Outcome, which: int, proof: HeldOut) -> bool:
     levels = pose_levels(outcome.rows, own.candidate.channels)
     if not levels.shape[1]:
         return False
-    others = fitted(outcome.rows, [a for i, a in enumerate(outcome.accepted) if i != which])
+    others = fitted(outcome.rows, _others(outcome, which))
     beside = held_out(
         outcome.rows,
         np.hstack((others, levels)),
@@ -329,16 +330,24 @@ def _rivals(a: Accepted) -> tuple[Rival, ...]:
     return tuple(sorted(found, key=lambda r: -r.odds))
 
 
-def _unexplained(rows: Rows, a: Accepted, rivals: tuple[Rival, ...]) -> Unexplained:
+def _unexplained(
+    outcome: Outcome, fit: Estimate, which: int, rivals: tuple[Rival, ...]
+) -> Unexplained:
+    rows, a = outcome.rows, outcome.accepted[which]
     c = a.candidate
     whole = (float(rows.interval[0, 0]), float(rows.interval[-1, 1]))
     angle = angle_of(c)
+    follows = get_effect(c.name).follows if c.physical else c.name
+    in_time = c.interval is not None or TIME in follows or follows in (THROUGHOUT, FROM_START)
+    predicted = a.columns @ fit.step[fit.at[which] : fit.at[which + 1]]
+    before, x = _fit_without(outcome, which)[0], TIME if in_time else follows
     return Unexplained(
         channels=touched(c),
         intervals=(c.interval or whole,),
         follows=c.name if angle is None else f"{c.name}, by {np.degrees(angle):.2g}°",
         p_value=chance(a.e_value),
         rivals=rivals,
+        evidence=gather(rows, x, predicted, before, fit.left, on=touched(c)),
     )
 
 
@@ -375,18 +384,13 @@ def _proof(
 
     ``after`` is what the fit of all findings says of blocks that are left out of it.
     """
-    own = outcome.accepted[which]
-    rows = outcome.rows.judging(own.candidate.name) if own.candidate.physical else outcome.rows
-    others = [a for i, a in enumerate(outcome.accepted) if i != which]
-    mean = fitted(rows, others)
-    residual = rows.residual
-    unit, scale = scaled(mean)
-    whitener = make_whitener(rows, outcome.levels, outcome.contrast, mean[:, :0])
-    without, determined = _least_squares(whitener.whiten(unit), whitener.whiten(residual))
+    own, rows = outcome.accepted[which], _judging(outcome, which)
+    mean = fitted(rows, _others(outcome, which))
+    left, without, determined = _fit_without(outcome, which)
     sigma = np.sqrt(np.diag(fit.covariance))
     absorbed = []
     for j, name in enumerate(names):
-        shift = float(without[j] / scale[j] - fit.step[j])
+        shift = float(without[j] - fit.step[j])
         if determined[j] and sigma[j] > 0 and abs(shift) > sigma[j]:
             absorbed.append(Absorbed(name, shift, parameter_unit(name), abs(shift) / sigma[j]))
     absorbed.sort(key=lambda item: -item.standard_errors)
@@ -394,14 +398,32 @@ def _proof(
         rows,
         mean,
         own.columns,
-        residual,
+        rows.residual,
         levels=outcome.levels,
         contrast=outcome.contrast,
         channels=own.candidate.channels,
         after=after() if rows is outcome.rows else None,
     )
-    left = residual - unit @ without
     return tuple(absorbed[:8]), proof, left
+
+
+def _judging(outcome: Outcome, which: int) -> Rows:
+    """Return the rows that judge one finding."""
+    own = outcome.accepted[which].candidate
+    return outcome.rows.judging(own.name) if own.physical else outcome.rows
+
+
+def _others(outcome: Outcome, which: int) -> list[Accepted]:
+    return [a for i, a in enumerate(outcome.accepted) if i != which]
+
+
+def _fit_without(outcome: Outcome, which: int) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Return what is left without one finding, the coefficients, and which are determined."""
+    rows = _judging(outcome, which)
+    unit, scale = scaled(fitted(rows, _others(outcome, which)))
+    whitener = make_whitener(rows, outcome.levels, outcome.contrast, unit[:, :0])
+    without, determined = _least_squares(whitener.whiten(unit), whitener.whiten(rows.residual))
+    return rows.residual - unit @ without, without / scale, determined
 
 
 def _least_squares(design: FloatArray, y: FloatArray) -> tuple[FloatArray, BoolArray]:

@@ -1,20 +1,22 @@
 """One short bench recording for the tests of the diagnosis."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache
 
 import numpy as np
 
-from calib.effects.base import Term
+from calib.effects.base import State, Term
 from calib.mismatch.noise.coupling import drift_in_contrasts
 from calib.mismatch.noise.noise import covariance
 from calib.mismatch.rows.grid import Grid, make_grid
 from calib.mismatch.rows.rows import Rows
 from calib.mismatch.twin.selfmode import SelfProblem
 from calib.model import SensorModel, Triad
-from calib.recording import Recording
+from calib.recording import CHANNELS, Recording
 from calib.simulate import simulate
 from calib.simulation.bench import bench_protocol
+from calib.simulation.kinematics import Motion
 from calib.simulation.noise import CONSUMER, NoiseModel
 from calib.statics import find_poses
 from calib.types import FloatArray
@@ -51,6 +53,25 @@ def recording(
         temperature=CONSUMER.temperature,
     )
     return simulate(motion, model, NoiseModel() if without_noise else noise, rng=rng, rate=rate)
+
+
+def with_added(real: Recording, signals: Mapping[str, FloatArray]) -> Recording:
+    both = np.hstack((real.accel, real.gyro))
+    for channel, values in signals.items():
+        both[:, CHANNELS.index(channel)] += values
+    return Recording(real.time, both[:, :3], both[:, 3:], "device", temperature=real.temperature)
+
+
+@cache
+def motion(poses: int) -> Motion:
+    """Return the motion of `recording(seed=8)`."""
+    rng = np.random.default_rng(8)
+    return bench_protocol(rng, poses=poses, first_pose=2.0, pose_duration=(3.0, 4.0))
+
+
+def motion_of(real: Recording) -> State:
+    """Return the true state of a `recording(seed=8)`, in all samples."""
+    return motion(len(find_poses(real))).state(real.time)
 
 
 @cache

@@ -168,6 +168,26 @@ def test_before_is_grey_in_all_channels_and_after_has_a_colour_for_each() -> Non
     assert len({marker.symbol for marker in before}) == 6
 
 
+def test_what_is_unexplained_is_drawn_with_its_window_shaded() -> None:
+    item = DIAGNOSIS["unexplained"][0]  # type: ignore[index]
+    assert not any(
+        isinstance(b, Plot) for b in diagnosis_report({**DIAGNOSIS, "findings": []}).blocks
+    )
+    series = [{"channel": "accel.y", "x": [1.0, 5.0], "before": [0.0, 1.0], "after": [0.0, 0.1]}]
+    evidence = {"follows": "time", "x_unit": "s", "unit": "m/s²", "series": series}
+
+    def plot(**changes: object) -> Plot:
+        left = {**item, "evidence": {**evidence, **changes}}
+        report = diagnosis_report({**DIAGNOSIS, "findings": [], "unexplained": [left]})
+        (drawn,) = (block for block in report.blocks if isinstance(block, Plot))
+        return drawn
+
+    assert plot().shaded == ((3.0, 9.0),)
+    assert "accel.y" in plot().title
+    assert len(draw(plot()).layout.shapes) == 1
+    assert plot(follows="temperature", x_unit="°C").shaded == ()
+
+
 def test_the_budget_is_the_root_of_squares(calibration: Calibration) -> None:
     for item in uncertainty_budget(calibration):
         parts = [item.type_a, *item.type_b.values()]

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from functools import cache
+from collections.abc import Callable
 
 import numpy as np
 import pytest
 
 from calib.effects import get_effect
-from calib.effects.base import State, Term
+from calib.effects.base import Term
 from calib.mismatch import diagnose_recording
 from calib.mismatch.hypotheses.candidates import GAIN, GAIN_IN_TIME, Candidate
 from calib.mismatch.hypotheses.rivals import FADED, FADING, FROM_START, RIVAL
@@ -24,12 +23,10 @@ from calib.mismatch.hypotheses.windows import (
 )
 from calib.mismatch.search.ranking import make_stack
 from calib.recording import CHANNELS, Recording
-from calib.simulation.bench import bench_protocol
-from calib.simulation.kinematics import Motion
 from calib.statics import find_poses
 from calib.types import FloatArray
 
-from ..bench import GRAVITY, problem, recording
+from ..bench import GRAVITY, motion_of, problem, recording, with_added
 
 
 def rivals(stack: Stack, name: str) -> list[Candidate]:
@@ -39,13 +36,6 @@ def rivals(stack: Stack, name: str) -> list[Candidate]:
 def overlap(one: tuple[float, float], other: tuple[float, float]) -> float:
     common = min(one[1], other[1]) - max(one[0], other[0])
     return max(common, 0.0) / (max(one[1], other[1]) - min(one[0], other[0]))
-
-
-def with_added(real: Recording, signals: Mapping[str, FloatArray]) -> Recording:
-    both = np.hstack((real.accel, real.gyro))
-    for channel, values in signals.items():
-        both[:, CHANNELS.index(channel)] += values
-    return Recording(real.time, both[:, :3], both[:, 3:], "device", temperature=real.temperature)
 
 
 def test_rivals_share_one_prior_and_a_window_is_the_same_column_wherever_it_comes_from():
@@ -199,18 +189,6 @@ def test_jumps_in_a_window_are_unexplained_in_that_window(channel, size):
     assert len(found.unexplained) == 1
     assert found.unexplained[0].channels == (channel,)
     assert overlap(found.unexplained[0].intervals[0], (start, stop)) > 0.5
-
-
-@cache
-def motion(poses: int) -> Motion:
-    """Return the motion of `recording(seed=8)`."""
-    rng = np.random.default_rng(8)
-    return bench_protocol(rng, poses=poses, first_pose=2.0, pose_duration=(3.0, 4.0))
-
-
-def motion_of(real: Recording) -> State:
-    """Return the true state of a `recording(seed=8)`, in all samples."""
-    return motion(len(find_poses(real))).state(real.time)
 
 
 def before(real: Recording) -> FloatArray:

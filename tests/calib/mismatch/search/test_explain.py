@@ -7,6 +7,7 @@ import pytest
 
 from calib.calibration import Quantity
 from calib.effects import get_effect
+from calib.mismatch import diagnose_recording
 from calib.mismatch.findings.diagnosis import Rival
 from calib.mismatch.hypotheses.candidates import Candidate
 from calib.mismatch.search.accepted import Accepted, accept
@@ -25,7 +26,7 @@ from calib.mismatch.search.ranking import make_stack
 from calib.mismatch.search.search import SHOWN
 from calib.mismatch.search.twins import HEADING
 
-from ..bench import problem
+from ..bench import GRAVITY, motion_of, problem, recording, with_added
 from .stacked import candidate
 
 
@@ -135,3 +136,31 @@ def test_of_a_step_that_later_wandering_took_over_nothing_is_said():
     assert not _is_taken_over(fit(5.0), [step, wanders], 0)
     assert not _is_taken_over(fit(0.5), [step, elsewhere], 0)
     assert not _is_taken_over(fit(0.5), [wanders, step], 1)
+
+
+@pytest.mark.long
+def test_a_plot_shows_what_is_unexplained_where_it_is_or_against_what_it_follows():
+    real = recording(seed=8)
+    start, stop = 0.3 * real.time[-1], 0.6 * real.time[-1]
+    inside = (real.time > start) & (real.time < stop)
+    found = diagnose_recording(with_added(real, {"gyro.z": 2e-3 * inside}), gravity=GRAVITY)
+    (left,) = found.unexplained
+    assert left.evidence is not None
+    assert (left.evidence.follows, left.evidence.x_unit) == ("time", "s")
+    (own,) = (s for s in left.evidence.series if s.channel == "gyro.z")
+    here = (own.x > start + 5) & (own.x < stop - 5)
+    far = (own.x < start - 5) | (own.x > stop + 5)
+    # The bias is fitted without it too, and so lies between.
+    apart = own.before[here].mean() - own.before[far].mean()
+    assert apart == pytest.approx(2e-3, rel=0.2)
+    assert abs(own.after[here].mean() - own.after[far].mean()) < 0.1 * apart
+    assert left.to_json()["evidence"]["unit"] == "rad/s"
+    state = motion_of(real)
+    assert state.mat_ns is not None
+    heading = np.einsum("nij,i,j->n", state.mat_ns, [0.8, 0.6, 0.0], [0.6, 0.0, 0.8])
+    found = diagnose_recording(with_added(real, {"gyro.z": 0.002 * heading}), gravity=GRAVITY)
+    (left,) = found.unexplained
+    assert left.evidence is not None
+    assert left.evidence.follows == "what it predicts (orientation)"
+    (own,) = (s for s in left.evidence.series if s.channel == "gyro.z")
+    assert np.corrcoef(own.x, own.before)[0, 1] > 0.9
