@@ -33,6 +33,9 @@ if TYPE_CHECKING:
 QUATERNION = ("qw", "qx", "qy", "qz")
 POSITION = ("x", "y", "z")
 TABLE = ("angle", "angle_deg", "rate", "rate_dps")
+FORCE = {"ax", "accel_x"}
+"""A file that has one of these is the log of an IMU, whatever else is in it."""
+HDF5 = b"\x89HDF\r\n\x1a\n"
 
 
 def read_reference(
@@ -99,19 +102,45 @@ def _read(
         if not path.exists():
             raise RecordingNotFoundError(f"{path}: there is no such reference")
         return read_recording(path, imu=imu, profile=profile, drop_invalid=drop_invalid)
-    with path.open("rb") as file:
-        head = file.read(4096)
-    if head.startswith(b"\x89HDF\r\n\x1a\n"):
+    head = _head(path)
+    if head.startswith(HDF5):
         captured = _hdf5(path)
         if captured is not None:
             return captured
-    else:
-        names = _header(head)
-        if "time" in names and set(QUATERNION) <= set(names):
-            return _captured(path, _columns(path, names))
-        if "time" in names and set(TABLE) & set(names) and not {"ax", "accel_x"} & set(names):
-            return _table(path, _columns(path, names))
+    names = _header(head)
+    if _has_orientations(names):
+        return _captured(path, _columns(path, names))
+    if _has_angles(names):
+        return _table(path, _columns(path, names))
     return read_recording(path, imu=imu, drop_invalid=drop_invalid)
+
+
+def refuse_reference(path: Path) -> None:
+    """Refuse a text file that says how a body moved where what an IMU felt is expected.
+
+    Raises
+    ------
+    RecordingFormatError
+    """
+    names = _header(_head(path)) if path.is_file() else []
+    if (_has_orientations(names) or _has_angles(names)) and not FORCE & set(names):
+        raise RecordingFormatError(
+            f"{path}: it says how a body moved, expected what an IMU measured; give motion capture "
+            f"or a table's profile as a reference (diagnose RECORDING --reference {path.name})"
+        )
+
+
+def _head(path: Path) -> bytes:
+    with path.open("rb") as file:
+        return file.read(4096)
+
+
+def _has_orientations(names: list[str]) -> bool:
+    return "time" in names and set(QUATERNION) <= set(names)
+
+
+def _has_angles(names: list[str]) -> bool:
+    return "time" in names and bool(set(TABLE) & set(names)) and not FORCE & set(names)
 
 
 def _header(head: bytes) -> list[str]:

@@ -87,7 +87,7 @@ def diagnose(
         save_calibration,
     )
     from drivers.formats import read_recording
-    from drivers.reference_file import read_reference
+    from drivers.reference_file import read_reference, refuse_reference
     from imu_cli.diagnosis_view import diagnosis_lines
     from imu_cli.output import print_json, print_lines, warn
 
@@ -107,6 +107,9 @@ def diagnose(
         raise typer.BadParameter("it needs --reference", param_hint="--fixed-point")
     if other_profile is not None and against is None and reference is None:
         raise typer.BadParameter("it needs --against or --reference", param_hint="--other-profile")
+    for path in (recording, against):
+        if path is not None:
+            refuse_reference(path)
     known = None if calibration is None else load_calibration(calibration)
     if known is not None and gravity is None and latitude is None:
         local = known.gravity

@@ -8,7 +8,7 @@ import pytest
 from calib.errors import RecordingFormatError
 from calib.mismatch import ReferenceMotion
 from calib.simulation.turntable import turntable
-from drivers.reference_file import read_reference
+from drivers.reference_file import read_reference, refuse_reference
 
 
 def written(path: Path, name: str, time: np.ndarray, values: np.ndarray) -> Path:
@@ -44,3 +44,15 @@ def test_a_profile_of_few_rates_is_integrated_too(tmp_path: Path) -> None:
     found = read_reference(written(tmp_path / "few.csv", "rate", time, np.full(5, 0.5)))
     assert isinstance(found, ReferenceMotion)
     assert 2 * np.arctan2(found.quat[-1, 3], found.quat[-1, 0]) == pytest.approx(0.2)
+
+
+@pytest.mark.parametrize("name", ["angle_deg", "qw,qx,qy,qz", "qw,qx,qy,qz,x,y,z"])
+def test_what_moved_is_no_recording_of_what_was_felt(tmp_path: Path, name: str) -> None:
+    path = tmp_path / "moved.csv"
+    rows = [f"{0.1 * k},1" + ",0" * name.count(",") for k in range(8)]
+    path.write_text("\n".join([f"time,{name}", *rows]) + "\n")
+    with pytest.raises(RecordingFormatError, match=r"how a body moved.*--reference moved\.csv"):
+        refuse_reference(path)
+    path.write_text(path.read_text().replace(name, f"{name},ax", 1))
+    refuse_reference(path)
+    refuse_reference(tmp_path / "missing.csv")

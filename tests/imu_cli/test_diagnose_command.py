@@ -229,3 +229,14 @@ def test_where_nothing_can_be_written_is_said_before_the_recording_is_read(
     assert result.exit_code == 10
     assert "cannot write it: No such file or directory" in " ".join(result.stderr.split())
     assert os.listdir(tmp_path) == []
+
+
+def test_a_reference_that_is_given_as_a_simulation_is_sent_to_its_option(
+    log: Path, tmp_path: Path
+) -> None:
+    path = tmp_path / "table.csv"
+    path.write_text("time,angle_deg\n0,0\n1,90\n2,90\n3,0\n")
+    for args in ([str(log), "--against", str(path)], [str(path)]):
+        result = CliRunner().invoke(app, ["diagnose", *args])
+        assert result.exit_code == 3
+        assert "--reference table.csv" in " ".join(result.stderr.split())
