@@ -90,9 +90,11 @@ class Comparison:
 def compare(first: Calibration, second: Calibration) -> Comparison:
     """Compare two calibrations of one device.
 
-    Both are brought to one gravity first: what one assumed is in its scale factors. To both
-    covariances comes what a sensor may do by itself in between (`calib.allowance.between`).
+    Both are brought to one gravity first: what one assumed is in its scale factors. Angles of the
+    gyroscope are the same as a term (`aligned`). To both covariances comes what a sensor may do by
+    itself in between (`calib.allowance.between`).
     """
+    first, second = aligned(first), aligned(second)
     ratio = second.gravity.value / first.gravity.value
     if ratio != 1.0:
         # measured = T true, and true is in proportion to the gravity that was assumed.
@@ -128,6 +130,38 @@ def compare(first: Calibration, second: Calibration) -> Comparison:
         tuple(name for name in first.names if name not in second.names),
         tuple(name for name in second.names if name not in first.names),
         device_mismatch(first.provenance.device, second.provenance.device),
+    )
+
+
+def aligned(calibration: Calibration) -> Calibration:
+    """Return the calibration with its misalignment in the triad, if `diagnose` made it a term.
+
+    ``M w`` is the same in either place.
+    """
+    slug, group = "gyro_misalignment", "gyro.misalignment."
+    named = (*calibration.names, *calibration.undetermined)
+    terms = [term for term in calibration.model.terms if term.effect == slug]
+    if not terms or any(name.startswith(group) for name in named):
+        return calibration
+    values = calibration.model.gyro.parameters("gyro")
+    moved = {
+        f"{group}{name[1:]}": values[f"{group}{name[1:]}"] + value
+        for name, value in terms[0].parameters.items()
+    }
+    model = replace(
+        calibration.model,
+        gyro=calibration.model.gyro.with_parameters(moved),
+        terms=tuple(term for term in calibration.model.terms if term.effect != slug),
+    )
+
+    def renamed(names: tuple[str, ...]) -> tuple[str, ...]:
+        return tuple(name.replace(f"{slug}.m", group) for name in names)
+
+    return replace(
+        calibration,
+        model=model,
+        names=renamed(calibration.names),
+        undetermined=renamed(calibration.undetermined),
     )
 
 

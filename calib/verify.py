@@ -23,7 +23,7 @@ from calib.apply import correct_recording
 from calib.calibrate import calibrate, usable_turns
 from calib.calibration import Calibration
 from calib.checks import Check, NotTested, gravity_check, rest_check, turn_check
-from calib.compare import SIGNIFICANCE, Comparison, compare, device_mismatch
+from calib.compare import SIGNIFICANCE, Comparison, aligned, compare, device_mismatch
 from calib.errors import InsufficientMotionError, NotConvergedError
 from calib.fit import Exclusion
 from calib.measured import measured
@@ -221,7 +221,7 @@ def _compare_anew(calibration: Calibration, left: Calibration | None) -> Compari
     """Compare with what the corrected recording says by itself: no bias, scale or angle left."""
     if left is None:
         return None
-    calibration = _aligned(calibration)
+    calibration = aligned(calibration)
     model = SensorModel(
         _compose(calibration.model.accel, left.model.accel),
         _compose(calibration.model.gyro, left.model.gyro),
@@ -236,38 +236,6 @@ def _compare_anew(calibration: Calibration, left: Calibration | None) -> Compari
         undetermined=tuple(n for n in calibration.undetermined if n in left.values),
     )
     return compare(known, replace(left, model=model))
-
-
-def _aligned(calibration: Calibration) -> Calibration:
-    """Return the calibration with its misalignment in the triad, if `diagnose` made it a term.
-
-    ``M w`` is the same in either place.
-    """
-    slug, group = "gyro_misalignment", "gyro.misalignment."
-    named = (*calibration.names, *calibration.undetermined)
-    terms = [term for term in calibration.model.terms if term.effect == slug]
-    if not terms or any(name.startswith(group) for name in named):
-        return calibration
-    values = calibration.model.gyro.parameters("gyro")
-    moved = {
-        f"{group}{name[1:]}": values[f"{group}{name[1:]}"] + value
-        for name, value in terms[0].parameters.items()
-    }
-    model = replace(
-        calibration.model,
-        gyro=calibration.model.gyro.with_parameters(moved),
-        terms=tuple(term for term in calibration.model.terms if term.effect != slug),
-    )
-
-    def renamed(names: tuple[str, ...]) -> tuple[str, ...]:
-        return tuple(name.replace(f"{slug}.m", group) for name in names)
-
-    return replace(
-        calibration,
-        model=model,
-        names=renamed(calibration.names),
-        undetermined=renamed(calibration.undetermined),
-    )
 
 
 def _compose(known: Triad, left: Triad) -> Triad:

@@ -205,6 +205,26 @@ def as_diagnosed(calibration: Calibration) -> Calibration:
     )
 
 
+def test_angles_are_compared_wherever_a_model_has_them(
+    known: tuple[SensorModel, Calibration],
+) -> None:
+    _, calibration = known
+    found = as_diagnosed(calibration)
+    plain = compare(calibration, calibration)
+    for pair in ((calibration, found), (found, calibration), (found, found)):
+        answer = compare(*pair)
+        assert answer.only_first == answer.only_second == ()
+        assert [d.name for d in answer.differences] == [d.name for d in plain.differences]
+        assert answer.rank == plain.rank
+        assert answer.chi_square == pytest.approx(0.0, abs=1e-9)
+    term = found.model.terms[0]
+    other = Term(term.effect, {**term.parameters, "mzx": term.parameters["mzx"] + 0.01})
+    turned = replace(found, model=replace(found.model, terms=(other,)))
+    (worst, *_) = compare(calibration, turned).changed
+    assert worst.name == "gyro.misalignment.zx"
+    assert worst.difference == pytest.approx(0.01)
+
+
 def test_turns_are_tested_without_the_residuals_of_a_fit(
     known: tuple[SensorModel, Calibration],
 ) -> None:
