@@ -435,8 +435,9 @@ def _spikes(
         returns = values[c, k + length - 1] - values[c, k + length]
         others = np.delete(np.arange(len(values)), c)
         alone = (ratio[others, max(0, k - 1) : k + 2] < OTHERS).all()
-        size = rest[:, k] / np.where(floor[:, 0] > 0, floor[:, 0], np.inf)
-        alone &= size[others].max() < max(OTHERS, SHARED * size[c])
+        unit = np.where(floor[:, 0] > 0, floor[:, 0], np.inf)
+        # Of the others all of it counts: what moves is not off its course to one side.
+        alone &= (most[:, k] / unit)[others].max() < max(OTHERS, SHARED * rest[c, k] / unit[c])
         back = leaves * returns > 0 and min(abs(leaves), abs(returns)) > 0.5 * rest[c, k]
         if alone and back and rest[c, k] > ISOLATED * near.max(initial=0.0):
             found.append((k, k + length, c))

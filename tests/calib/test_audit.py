@@ -21,8 +21,12 @@ from calib.faults import (
     find_gaps,
     find_spikes,
     find_stuck,
+    resolution,
     values_of,
 )
+from calib.simulate import simulate
+from calib.simulation.bench import bench_protocol
+from calib.simulation.noise import CONSUMER
 from drivers.formats import read_recording
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -253,6 +257,20 @@ def test_spikes_are_named_and_a_knock_is_none(size: float) -> None:
     knock = changed(5, at, lambda v: v + size)
     knock = replace(knock, accel=knock.accel + 3 * (np.isin(np.arange(9786), at)[:, None]))
     assert audit(knock).findings == ()
+
+
+@pytest.mark.parametrize("rate", [12.5, 20.0, 25.0])
+def test_brisk_turns_of_few_samples_have_no_spikes(rate: float) -> None:
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        motion = bench_protocol(
+            rng, poses=30, pose_duration=(1.5, 3.0), turn_duration=(0.5, 1.0), tremor=2.0
+        )
+        values = values_of(simulate(motion, SensorModel(), CONSUMER, rng=rng, rate=rate))
+        assert find_spikes(values, lsb=resolution(values)) == [], seed
+        # What is off by itself is one there, too.
+        values[100:102, 4] += 3.0
+        assert find_spikes(values, lsb=resolution(values)) == [(100, 102, 4)], seed
 
 
 def test_spikes_are_said_with_what_becomes_of_them() -> None:
