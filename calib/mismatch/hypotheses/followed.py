@@ -119,9 +119,18 @@ def history(rows: Rows) -> Iterator[tuple[str, FloatArray]]:
         yield "the pose before", up[segment] + kept * (known - up)[segment]
 
 
+HARDLY = 0.03
+"""Of the fastest turn, what an axis shows that lies askew by two degrees and does not turn."""
+
+
 def own_rate(state: State, c: int) -> FloatArray:
-    """Return the basis of smooth functions of the rate about a channel's axis, (n, 7)."""
-    rate = scaled_rates(state)[:, c % 3]
+    """Return the basis of smooth functions of the rate about a channel's axis, (n, 7).
+
+    Of a gyroscope's axis that hardly turned that is nothing: the rate is what it shows of others.
+    """
+    rates = scaled_rates(state)
+    most = np.abs(rates).max(axis=0)
+    rate = rates[:, c % 3] if c < 3 or most[c % 3] > HARDLY * most.max() else 0.0 * rates[:, 0]
     size, square = np.abs(rate), np.square(rate)
     odd = (rate, size, rate * size, square, square * rate, square**2, np.tanh(5 * rate))
     return np.stack(odd, axis=1)

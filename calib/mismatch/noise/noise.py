@@ -63,6 +63,9 @@ LEANS = 1e3
 ROUNDING = 1e-12
 """Products of unit vectors up to which these are orthogonal."""
 
+KNOWN = 30.0
+"""Times better than the prior, from which on the rows alone tell a parameter."""
+
 COARSE = 1e-4
 """Share of a column's length that others leave, below which its square is not told by squares."""
 
@@ -492,7 +495,29 @@ def make_whitener(
     known = foretold(rows, levels) if coupled else ()
     none = np.zeros((len(rows.residual), 0))
     plain = Whitener(factor, np.sqrt(contrast), none, rows.n_dense, known)
-    return replace(plain, basis=range_basis(plain.whiten(fitted)))
+    white, known_before = plain.whiten(fitted), rows.foreknown[: fitted.shape[1]]
+    return replace(plain, basis=_basis_beside(white, known_before))
+
+
+def _basis_beside(white: FloatArray, spread: FloatArray) -> FloatArray:
+    """Return a basis B of (m, p) whitened columns, of which the first have a prior `spread`.
+
+    What ``1 - B B'`` leaves is what rows tell with these coefficients integrated out: of a
+    direction that the rows know s times better than the prior, the share ``s² / (1 + s²)`` goes. A
+    column that shows next to nothing must not take what it would have to be impossible for.
+    """
+    uncertain = np.flatnonzero(np.isfinite(spread))
+    every = range_basis(white)
+    if not len(uncertain):
+        return every
+    others = range_basis(np.delete(white, uncertain, axis=1))
+    own = white[:, uncertain] * spread[uncertain]
+    own -= others @ (others.T @ own)
+    along, known, _ = np.linalg.svd(own, full_matrices=False)
+    if known.min() > KNOWN:
+        return every
+    share = np.where(known > KNOWN, 1.0, known / np.sqrt(1.0 + np.square(known)))
+    return np.hstack((others, along * share))
 
 
 def level_likelihood(rows: Rows, basis: FloatArray, levels: FloatArray) -> float:

@@ -153,8 +153,8 @@ class Rows:
     restless : (m,) array of bool
         Rows of segments where the truth itself errs with the motion; empty if it does nowhere.
     prior : (p + q, 2) array
-        How far baseline and nuisances are from where they are expected, and how far they may be;
-        empty where the rows determine all of them.
+        How far baseline and nuisances are from where they are expected, and how far they may be:
+        infinitely, if only the rows tell. Empty where nothing else tells of any.
     plain : (m, p + q) array
         `baseline` and `nuisance` where no setup is felt (no lever arm); empty where none is.
     lean : Lean, optional
@@ -192,6 +192,15 @@ class Rows:
     matrices: FloatArray = field(default_factory=lambda: np.stack((np.eye(3), np.eye(3))))
     clustered: bool = False
     unresolved: bool = False
+
+    @property
+    def foreknown(self) -> FloatArray:
+        """How far the first of what is fitted may be, (k,), where that tells beside the rows.
+
+        It does for a recording by itself. Beside a truth the motion either shows a parameter, or
+        not at all.
+        """
+        return np.zeros(0) if self.aligned else self.prior[: self.baseline.shape[1], 1]
 
     @property
     def n_dense(self) -> int:

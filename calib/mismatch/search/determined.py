@@ -23,7 +23,7 @@ LOOSE = 3.0
 OPEN = {"bias": 0.1, "scale_factor_error": 0.02, "misalignment": 0.02}
 """Standard errors (SI) of the baseline beyond which a recording cannot tell much."""
 
-CLEAR = 3.0
+CLEAR = 5.0
 """Standard errors from which on it is there, however large they are."""
 
 

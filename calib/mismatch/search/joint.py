@@ -54,7 +54,7 @@ def prior_rows(
     width = start + sum(a.columns.shape[1] for a in accepted)
     spread = np.full(width, np.inf)
     value = np.zeros(width)
-    if rows.aligned:
+    if len(rows.prior):
         spread[:start], value[:start] = rows.prior[:, 1], -rows.prior[:, 0]
     at = start
     for a in accepted:

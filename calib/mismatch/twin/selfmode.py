@@ -30,6 +30,11 @@ LEAST = 1e-3
 """Of a count: how well the mean of a rest is known at best."""
 
 
+PART = 0.05
+"""How far scale factors and angles may be off: some more than data sheets say (MPU-6050 product
+specification rev. 3.4: 3 % of scale, 2 % across axes)."""
+
+
 class SelfProblem:
     """Rows of a recording against its twin under a model whose baseline is fitted to it."""
 
@@ -53,6 +58,7 @@ class SelfProblem:
         start = start_twin(grid, model, gravity=gravity, full_gyro=full_gyro)
         self.twin: Twin = fit_twin(grid, start, self.noise)
         self.given = () if model is None else model.terms
+        self.expected = SensorModel() if model is None else model
         self.further: tuple[str, ...] = ()
         """Parameters of the given model's further terms that the last rows are fitted with."""
         self.drop: BoolArray | None = None
@@ -109,7 +115,24 @@ class SelfProblem:
         stuck = [c for c, rounding in self.coarse.items() if not rounding.hidden]
         out |= (rows.kind == Kind.CONTRAST) & np.isin(rows.channel, stuck)
         rows = rows if self.jolted is None else rows.jolted(self.jolted)
+        rows = replace(rows, prior=self._prior(rows.nuisance.shape[1]))
         return rows.without(out) if out.any() else rows
+
+    def _prior(self, nuisances: int) -> FloatArray:
+        """Return how far baseline and nuisances are from what is expected, and may be, (p + q, 2).
+
+        Scale factors and angles are those of a part; the rest only the rows tell.
+        """
+        names = self.twin.names
+        now, expected = (
+            {**m.accel.parameters("accel"), **m.gyro.parameters("gyro")}
+            for m in (self.twin.model, self.expected)
+        )
+        out = np.tile([0.0, np.inf], (len(names) + nuisances, 1))
+        for k, name in enumerate(names):
+            if ".bias." not in name:
+                out[k] = now[name] - expected[name], PART
+        return out
 
     def _moves(self, state: State, channel: int) -> BoolArray:
         """Return the points at which a gyroscope's axis turns by more than it rounds to nothing."""

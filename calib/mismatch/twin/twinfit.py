@@ -18,8 +18,13 @@ from calib.recording import CHANNELS
 from calib.types import BoolArray, FloatArray, IntArray
 
 # Weak knowledge that keeps the iteration steady where a recording says nothing: standard deviations
-# many times what uncalibrated parts have. It is no part of any evidence.
-_LOOSE = {"bias": 2.0, "scale_factor_error": 0.5, "misalignment": 0.3}
+# beyond what uncalibrated parts have. Where nothing points along an axis, what its noise seems to
+# say of tilts would be a scale factor of one half.
+_LOOSE = {"bias": 2.0, "scale_factor_error": 0.05, "misalignment": 0.05}
+
+# Of an axis that hardly turned a gyroscope shows how the others turned, by the two per cent that
+# axes lie askew. Its scale factor error would be -1 where it was taken to have turned by that.
+_HARDLY = 0.02
 
 _OFF = 0.05
 """How far off means at rest may be, where a hand or a machine shakes them, in m/s². Beside them it
@@ -115,6 +120,7 @@ def _step(
     """Return the twin after a step that fits some of the dense rows, and how large a step it is."""
     p = len(twin.names)
     loose = np.array([_LOOSE[n.split(".")[1]] for n in twin.names])
+    loose[[n.startswith("gyro.scale_factor_error") for n in twin.names]] = _HARDLY
     design = np.hstack((linear.baseline[dense], linear.nuisance[dense])) / sigma[:, None]
     y = linear.residual[dense] / sigma
     now = {**twin.model.accel.parameters("accel"), **twin.model.gyro.parameters("gyro")}

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from calib.effects import get_effect
-from calib.effects.base import Term
+from calib.effects.base import State, Term
 from calib.mismatch import diagnose_recording
 from calib.mismatch.hypotheses.candidates import GAIN, GAIN_IN_TIME, Candidate
+from calib.mismatch.hypotheses.followed import own_rate
 from calib.mismatch.hypotheses.rivals import FADED, FADING, FROM_START, RIVAL
 from calib.mismatch.hypotheses.score import Stack
 from calib.mismatch.hypotheses.windows import (
@@ -345,3 +346,11 @@ def test_one_lost_sample_is_found_at_its_moment_in_the_turn():
     assert count.value == pytest.approx(1.0, abs=4 * (count.sigma or 0.0))
     assert abs(found.findings[0].parameters["moment"].value - moment) < 0.15
     assert not found.unexplained
+
+
+def test_an_axis_that_hardly_turns_has_no_rate_of_its_own_to_follow():
+    time = np.linspace(0.0, 10.0, 500)
+    rate = np.stack([np.sin(time), np.cos(0.7 * time), 0.01 * np.sin(time)], axis=1)
+    state = State(time, np.ones((500, 3)), rate)
+    for c in range(6):
+        assert own_rate(state, c).any() == (c != 5)

@@ -16,6 +16,7 @@ from calib.mismatch.noise.noise import (
     PACKAGE,
     WITHIN,
     Weighing,
+    _basis_beside,
     _restricted,
     covariance,
     estimate_levels,
@@ -368,3 +369,22 @@ def test_a_gyroscope_that_drifts_far_says_that_its_package_may():
     ]
     ratio = np.array([fit.values[near] / expected_levels(rows)[near] for fit in found])
     assert np.median(ratio) > 1.5
+
+
+def test_what_is_known_of_a_part_is_integrated_out_where_rows_do_not_tell():
+    rng = np.random.default_rng(9)
+    white = rng.normal(size=(40, 5))
+    white[:, 1] *= 1e-3
+    white[:, 2] = white[:, 0] + 0.02 * rng.normal(size=40)
+    spread = np.array([0.5, 2.0, 0.5])
+    basis = _basis_beside(white, spread)
+    # Of what nobody knows beforehand the prior is as wide as may be.
+    wide = np.concatenate((spread, [1e6, 1e6]))
+    covariance = np.eye(40) + (white * wide**2) @ white.T
+    left = np.eye(40) - basis @ basis.T
+    assert left == pytest.approx(np.linalg.inv(covariance), abs=2e-3)
+    assert np.linalg.matrix_rank(basis) == 5
+    # What rows tell far better than that, or alone, is projected out.
+    for known in (np.full(3, 1e6), np.full(3, np.inf), np.zeros(0)):
+        plain = range_basis(white)
+        assert _basis_beside(white, known) == pytest.approx(plain, abs=1e-12)
