@@ -13,6 +13,10 @@ RATE = 7.2921150e-5
 """rad/s, relative to the stars (IERS Conventions 2010, table 1.2)."""
 
 
+SURE = 3.0
+"""Standard errors by which a rotation must be faster than the Earth's to be none."""
+
+
 class EarthRate(Effect):
     """``w_m += mat_sn (east, north, up)``."""
 
@@ -46,6 +50,18 @@ class EarthRate(Effect):
     rivals = ("gyro_g_sensitivity",)
     indivisible = True
     reads = ("mat_ns",)
+
+    def excess(self, values: Mapping[str, float], sigmas: Mapping[str, float]) -> float:
+        """Return how many times as fast as the Earth a rotation (rad/s) is, if that is certain.
+
+        That is by three standard errors; else 1. What is beyond the Earth is in its part up, or is
+        no rotation.
+        """
+        rate = np.array([values[p.name] for p in self.parameters])
+        error = np.array([sigmas[p.name] for p in self.parameters])
+        total = float(np.linalg.norm(rate))
+        least = total - SURE * float(np.linalg.norm(rate * error)) / max(total, 1e-300)
+        return total / RATE if least > RATE else 1.0
 
     def typical(self, *, span: tuple[float, float]) -> dict[str, float]:
         """Return the Earth's rotation at 45 degrees north."""

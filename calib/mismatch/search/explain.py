@@ -12,6 +12,7 @@ from scipy.special import chdtrc, fdtrc
 from calib.calibration import Quantity, parameter_unit
 from calib.effects import effects, get_effect
 from calib.effects.base import Effect
+from calib.effects.earth_rate import EarthRate
 from calib.mismatch.findings.diagnosis import (
     Absorbed,
     Change,
@@ -43,6 +44,9 @@ from calib.types import BoolArray, FloatArray
 
 UNIQUE = 1e-6
 """Share of a parameter that may lie in directions that are not, where it is determined."""
+
+ALIKE = "gyro_g_sensitivity"
+"""What equals the part up of the Earth's rotation, where all axes have it alike."""
 
 COUNTED = 0.3
 """Standard error of a count of samples above which it is not known to be whole."""
@@ -135,6 +139,13 @@ def explain(
             sentence = f"{sentence} {effect.in_words(a.candidate.shape)}".rstrip()
         if i in first_rests.values():
             sentence = f"{sentence} {WORDS}"
+        if isinstance(effect, EarthRate) and (times := _too_fast(effect, parameters)) > 1.0:
+            own = next((r for r in rivals if r.effect == ALIKE), Rival(ALIKE, 1.0))
+            rivals = (own, *(r for r in rivals if r.effect != ALIKE))
+            sentence = (
+                f"{sentence} That would be {times:.2g} times as fast as it turns: a g-sensitivity "
+                "that all axes have alike is the same as the part up."
+            )
         absorbed, proof, before = _proof(outcome, fit, i, names, after)
         predicted = a.columns @ fit.step[part]
         if _only_levels(outcome, i, proof):
@@ -202,6 +213,12 @@ def explain(
     covariance = (fit.joint(shapes) * np.outer(scale, scale))[np.ix_(index, index)]
     unexplained += _of_poses(of_poses)
     return findings, joined(unexplained), (tuple(known), covariance)
+
+
+def _too_fast(effect: EarthRate, parameters: Mapping[str, Quantity]) -> float:
+    """Return how many times as fast as the Earth its rotation is said to be, if beyond doubt."""
+    values = {name: q.value for name, q in parameters.items()}
+    return effect.excess(values, {name: q.sigma or 0.0 for name, q in parameters.items()})
 
 
 def _is_taken_over(fit: Estimate, accepted: Sequence[Accepted], which: int) -> bool:

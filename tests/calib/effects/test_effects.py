@@ -563,3 +563,20 @@ def test_reach_covers_what_the_correction_looks_at(slug: str, state: State) -> N
     )
     assert len(moved)
     assert np.abs(moved - k).max() <= reach
+
+
+def test_an_earth_is_no_faster_than_it_turns() -> None:
+    from calib.effects.earth_rate import RATE, components
+
+    earth = get_effect("earth_rate")
+    known = components(np.radians(48.0))
+    error = dict.fromkeys(known, 1e-6)
+    assert earth.excess(known, error) == 1.0  # type: ignore[attr-defined]
+    for times in (2.0, 27.0):
+        up = {**known, "up": times * RATE}
+        assert earth.excess(up, error) == pytest.approx(  # type: ignore[attr-defined]
+            np.linalg.norm(list(up.values())) / RATE
+        )
+        # Nor is it where nobody knows.
+        vague = {**error, "up": 0.4 * times * RATE}
+        assert earth.excess(up, vague) == 1.0  # type: ignore[attr-defined]

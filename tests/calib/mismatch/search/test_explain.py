@@ -7,6 +7,8 @@ import pytest
 
 from calib.calibration import Quantity
 from calib.effects import get_effect
+from calib.effects.base import Term
+from calib.effects.earth_rate import components
 from calib.mismatch import diagnose_recording
 from calib.mismatch.findings.diagnosis import Rival
 from calib.mismatch.hypotheses.candidates import Candidate
@@ -25,6 +27,10 @@ from calib.mismatch.search.explain import (
 from calib.mismatch.search.ranking import make_stack
 from calib.mismatch.search.search import SHOWN
 from calib.mismatch.search.twins import HEADING
+from calib.model import SensorModel
+from calib.simulate import simulate
+from calib.simulation.bench import bench_protocol
+from calib.simulation.noise import CONSUMER
 
 from ..bench import GRAVITY, motion_of, problem, recording, with_added
 from .stacked import candidate
@@ -164,3 +170,18 @@ def test_a_plot_shows_what_is_unexplained_where_it_is_or_against_what_it_follows
     assert left.evidence.follows == "what it predicts (orientation)"
     (own,) = (s for s in left.evidence.series if s.channel == "gyro.z")
     assert np.corrcoef(own.x, own.before)[0, 1] > 0.9
+
+
+@pytest.mark.long
+def test_an_earth_that_would_be_too_fast_has_a_g_sensitivity_beside_it():
+    rng = np.random.default_rng(4)
+    motion = bench_protocol(rng, poses=20, first_pose=2.0, pose_duration=(4.0, 6.0))
+    quiet = replace(CONSUMER.scaled(0.05), temperature=CONSUMER.temperature)
+    earth = Term("earth_rate", components(np.radians(48.0)))
+    alike = Term("gyro_g_sensitivity", dict.fromkeys(("gxx", "gyy", "gzz"), 4e-5))
+    for terms, rival in (((earth,), False), ((earth, alike), True)):
+        real = simulate(motion, SensorModel(terms=terms), quiet, rng=rng, rate=50.0)
+        found = diagnose_recording(real, gravity=GRAVITY)
+        item = next(f for f in found.findings if f.effect == "earth_rate")
+        assert ("times as fast as it turns" in item.sentence) == rival
+        assert ("gyro_g_sensitivity" in {r.effect for r in item.rivals}) == rival
