@@ -10,7 +10,7 @@ from typing import cast
 import numpy as np
 
 from calib import faults
-from calib.effects import effects
+from calib.effects import effects, get_effect
 from calib.measured import measured
 from calib.mismatch.engine import diagnose_recording
 from calib.mismatch.findings.diagnosis import (
@@ -37,6 +37,7 @@ from calib.mismatch.reference.setupfindings import find_setups
 from calib.mismatch.reference.shaken import noise_beside
 from calib.mismatch.reference.truths import RecordingTruth
 from calib.mismatch.reference.twinned import UNSIGNED, diagnose_twin
+from calib.mismatch.reference.unturned import UNTURNED, with_any_angle
 from calib.mismatch.reference.witnessed import white_noise
 from calib.mismatch.samples.resting import unsaid
 from calib.mismatch.samples.samples import Samples, axes_beside, look_at_samples, with_reading
@@ -45,7 +46,7 @@ from calib.mismatch.search.determined import open_baseline, to_determine
 from calib.mismatch.search.explain import changes, explain, verdict
 from calib.mismatch.search.search import Outcome, search
 from calib.model import SensorModel
-from calib.recording import Recording
+from calib.recording import AXES, Recording
 from calib.rotation import rotvec_from_mat
 from calib.statics import find_poses
 from calib.threads import one_thread
@@ -254,12 +255,26 @@ def conclude(
     outcome = search(problem, skip=skip)
     outcome, model = _in_samples(outcome, problem.setup.model, problem.thin)
     fit = outcome.fit(reference=True)
+    any_angle = False
+    if problem.turned:
+        p = len(problem.names)
+        turns = slice(p + len(problem.alignments) - 3, p + len(problem.alignments))
+        alone = partial(problem.told_by_noise, outcome.rows)
+        fit, any_angle = with_any_angle(fit, turns, alone)
+        missing += (UNTURNED,) if any_angle else ()
     findings, unexplained, (known, covariance) = explain(outcome, fit, names=problem.names)
+    if any_angle:
+        # What an arm is then nobody can tell, nor what it is worth.
+        arm = get_effect("accel_lever_arm").follows
+        unexplained = [u for u in unexplained if not u.follows.startswith(arm)]
+    axes = 0.0
     if another:
         spread = problem.loose[-len(problem.setup.errors) :]
         findings, others = told_from_the_other(findings, problem.setup.errors, spread)
         missing += others
-    found = find_setups(outcome, fit, problem, setups, clocks)
+        # How another IMU is turned nobody knows better than its gyroscope's own axes.
+        axes = float(np.sqrt(np.mean(np.square(spread[len(AXES) : OF_GYRO]))))
+    found = find_setups(outcome, fit, problem, setups, clocks, axes=axes)
     begin = outcome.rows.interval[:, 0]
     findings = [f for f in findings if not any(_the_same(f, g, begin) for g in seen.findings)]
     findings = [*seen.findings, *found, *findings]

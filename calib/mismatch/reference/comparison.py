@@ -25,6 +25,7 @@ from calib.mismatch.reference.band import BEYOND, FELT
 from calib.mismatch.reference.captured import Known, known_noise, sensor_densities
 from calib.mismatch.reference.carried import (
     NAMES,
+    SEEN,
     SIZES,
     arm_of,
     arm_term,
@@ -66,6 +67,14 @@ LEAST_GAIN = 0.5
 SAME = 0.3
 """Standard deviations by which no row has moved since windows and shapes were found: what is fitted
 is among the shapes, and these would be the same now."""
+
+COLOURED = 4
+"""Step of the first fit before which the colour of noise is looked for: a sensor that swings is not
+where it belongs after two, and what it is off by is no noise."""
+
+LONG = 0.2
+"""m: how far off the point that a truth describes a sensor may be where the motion does not tell:
+along the axis of all turns."""
 
 SETTLED = 3.0
 """Periods of the cut-off after which a low-pass leaves so little of a quarter turn that markers see
@@ -389,6 +398,25 @@ class ComparisonProblem:
             self.densities, (accel, gyro), self.colours, interval=self.interval, cutoff=cutoff
         )
 
+    def told_by_noise(self, rows: Rows, axis: FloatArray) -> float:
+        """Return what noise alone seems to tell of a turn about an axis (3,), 1/rad².
+
+        What the sensor's own noise has across the axis is no motion that shows the angle.
+        """
+        if self.known is not None:
+            square = np.square([self.known.accel, self.known.gyro]) / self.known.interval
+        elif self.white is not None:
+            # What two sensors have between them is quieter than either.
+            one, other = np.square(self.white)
+            square = one * other / np.maximum(one + other, np.finfo(float).tiny) / self.interval
+        else:
+            return 0.0
+        own = np.repeat(square, 3) / 2.0
+        own *= np.tile(1.0 - np.square(axis), 2)
+        seen = sum(v * f.multiply(f).sum(axis=1) for v, f in zip(own, rows.functional, strict=True))
+        noise = np.concatenate((rows.expected_variance(), rows.white_diagonal))
+        return float((np.ravel(seen) / noise).sum())
+
     def residual(self, state: State) -> FloatArray:
         """Return recording minus model, (n, 6)."""
         predicted = self.setup.model.distort(state)
@@ -436,12 +464,12 @@ class ComparisonProblem:
         terms = tuple(t for t in prompt if t.parameters)
         return np.asarray(replace(model, terms=terms).distort(moved).gyro)
 
-    def fit(self, *, iterations: int = 6) -> None:
+    def fit(self, *, iterations: int = 8) -> None:
         """Fit baseline and alignment by robust Gauss-Newton.
 
-        Beside an arm, as far as it is roughly known: what half a metre makes a sensor feel would
-        draw scale factors and time with it. So would a gyroscope that is late by far, and it would
-        look like noise. Both are left to be found as any other effect.
+        Beside an arm: what half a metre makes a sensor feel would draw scale factors and time with
+        it, and in a swing 6 cm lead to where no fit returns from. So would a gyroscope that is late
+        by far, and it would look like noise. Both are left to be found as any other effect.
         """
         check_units(self.state(), self.measured)
         given, arm = self.given, np.zeros(3)
@@ -450,22 +478,26 @@ class ComparisonProblem:
         # Beside a truth without noise the first step leads nearly there.
         anew = 2 if self.noisy or self.band else 1
         for k in range(iterations):
-            if k <= anew:
+            coloured = bool(self.band) and k == COLOURED
+            if k <= anew or coloured:
                 self.shapes, moved = None, 0.0
-            if k == 2 and self.band:
+            if coloured:
                 self._whiten()
             rows = self.rows()
-            step, most = robust_step(rows)
+            beside = self._arm_columns(rows)
+            prior = np.stack((arm, np.full(3, LONG)), axis=1)[: beside.shape[1]]
+            step, further, most = robust_step(rows, beside, prior)
             moved += most
             p = len(self.names)
             terms = self.setup.model.terms[len(self.given) :]
             self.move(dict(zip(self.names, step[:p], strict=True)), step[p:], terms)
-            if k > anew and np.abs(step).max() < 1e-7:
+            if k > (COLOURED if self.band else anew) and np.abs(step).max() < 1e-7:
                 break
-            state = self.state()
-            if self.judged is not None:
+            if not len(further):
                 continue
-            arm = arm + rough_arm(self.setup.model.felt(state), self.residual(state)[:, :3])
+            arm = arm + further
+            if np.linalg.norm(arm) <= SEEN:
+                arm = np.zeros(3)
             self._give((*known, arm_term(arm)) if arm.any() else known)
         if moved > SAME or arm.any() or self.late:
             self.shapes = None
@@ -476,6 +508,13 @@ class ComparisonProblem:
         self._give(given)
         state = self.state()
         check_motion(state, self.measured, self.residual(state))
+
+    def _arm_columns(self, rows: Rows) -> FloatArray:
+        """Return what an arm does to the rows, (m, 3); (m, 0) where no forces are compared."""
+        if self.judged is not None:
+            return np.zeros((len(rows.residual), 0))
+        columns = get_effect("accel_lever_arm").columns(rows.state, {})
+        return np.stack([rows.column(column) for column in columns.values()], axis=1)
 
     def _late(self) -> sparse.csr_matrix | None:
         """Return what makes signals late by as much as the model has a gyroscope, if it is much."""

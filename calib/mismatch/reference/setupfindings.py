@@ -32,10 +32,13 @@ def find_setups(
     problem: ComparisonProblem,
     setups: tuple[str, ...],
     clocks: FloatArray,
+    *,
+    axes: float = 0.0,
 ) -> list[Finding]:
     """Return the alignments that are beyond noise as findings, with the evidence of any other.
 
-    ``clocks`` are the standard errors, (2,), of the offset (s) and the pace of what stamped.
+    ``clocks`` are the standard errors, (2,), of the offset (s) and the pace of what stamped,
+    ``axes`` is that of the directions of the other's axes, rad.
     """
     out = []
     alignment, mat = problem.setup.alignment, problem.setup.mat_sr
@@ -62,6 +65,8 @@ def find_setups(
         covariance = errors[np.ix_(own, own)]
         if slug in _STAMPED:
             covariance = covariance + clocks[_STAMPED[slug]] ** 2
+        if slug == "reference_misalignment":
+            covariance = covariance + axes**2 * np.eye(len(own))
         e_value = prior * bayes_factor(value[own], covariance, typical)
         if e_value >= CLAIM:
             out.append(_setup(outcome, problem, slug, names, own, value[own], covariance, e_value))

@@ -9,16 +9,26 @@ from calib.mismatch.search.joint import scaled
 from calib.types import FloatArray
 
 
-def robust_step(rows: Rows) -> tuple[FloatArray, float]:
-    """Return the Gauss-Newton step of baseline and nuisances, by Huber's weights.
+def robust_step(
+    rows: Rows, beside: FloatArray, prior: FloatArray
+) -> tuple[FloatArray, FloatArray, float]:
+    """Return the Gauss-Newton steps of baseline and nuisances, and of others, by Huber's weights.
 
-    Beside it the most by which it moves a row, in standard deviations.
+    Beside them the most by which they move a row, in standard deviations.
+
+    Parameters
+    ----------
+    rows : Rows
+    beside : (m, k) array
+        The columns of k others.
+    prior : (k, 2) array
+        Where these are, and how far that may be off.
     """
     sigma = np.sqrt(np.concatenate((rows.expected_variance(), rows.white_diagonal)))
-    design = np.hstack((rows.baseline, rows.nuisance)) / sigma[:, None]
+    design = np.hstack((rows.baseline, rows.nuisance, beside)) / sigma[:, None]
     y = rows.residual / sigma
-    ridge = np.diag(1.0 / rows.prior[:, 1])
-    pull = -rows.prior[:, 0] / rows.prior[:, 1]
+    at, loose = np.vstack((rows.prior, prior)).T
+    ridge, pull = np.diag(1.0 / loose), -at / loose
     weight = np.ones(len(y))
     step = np.zeros(design.shape[1])
     for _ in range(5):
@@ -28,4 +38,5 @@ def robust_step(rows: Rows) -> tuple[FloatArray, float]:
         left = np.abs(y - design @ step)
         scale = max(float(np.median(left)) / 0.6745, 1.0)
         weight = np.minimum(1.0, 3.0 * scale / np.maximum(left, 1e-12)) / scale**2
-    return np.asarray(step), float(np.abs(design @ step).max())
+    own = len(rows.prior)
+    return step[:own], step[own:], float(np.abs(design @ step).max())
