@@ -17,7 +17,7 @@ from calib.effects.axis_error import ORDERS, signed_permutation
 from calib.poses import Poses
 from calib.recording import Recording
 from calib.rotation import cumulative_quat_segments, mat_from_quat, quat_from_rotvec
-from calib.turns import find_turns
+from calib.turns import find_holes, find_turns, overlapping
 from calib.types import FloatArray, IntArray
 
 DEGREE = np.pi / 180
@@ -101,6 +101,7 @@ class Closure:
         tilt = np.linalg.norm(closure_residual(before, after), axis=1)
         lost = np.concatenate([[0], np.cumsum(recording.lost)])
         whole = lost[turns.stop] == lost[turns.start + 1]
+        whole &= ~overlapping(turns.interval, find_holes(recording))
         which = np.flatnonzero((tilt > MOVED) & whole)
         if not which.size:
             return None

@@ -13,6 +13,9 @@ from calib.poses import Poses
 from calib.recording import Recording
 from calib.types import BoolArray, FloatArray, IntArray
 
+HOLE = 0.25
+"""s without a sample, from which on a recording was stopped and not slow."""
+
 
 @dataclass(frozen=True, eq=False)
 class Turns:
@@ -77,6 +80,20 @@ def find_turns(recording: Recording, poses: Poses) -> Turns:
     index = np.arange(max(len(poses) - 1, 0))
     interval = np.stack([recording.time[start], recording.time[stop - 1]], axis=1)
     return Turns(index, index + 1, start, stop, interval)
+
+
+def find_holes(recording: Recording) -> FloatArray:
+    """Return where a recording was not running, (k, 2) s: what turned then is in no sample."""
+    step = np.diff(recording.time)
+    before = np.flatnonzero(step > max(HOLE, 5.0 * recording.interval))
+    return np.stack((recording.time[before], recording.time[before + 1]), axis=1)
+
+
+def overlapping(intervals: FloatArray, others: FloatArray) -> BoolArray:
+    """Return which intervals (m, 2) have a part of one of others (k, 2), in the order of time."""
+    begun = np.searchsorted(others[:, 0], intervals[:, 1])
+    ended = np.searchsorted(others[:, 1], intervals[:, 0], side="right")
+    return np.asarray(begun > ended)
 
 
 class Shaking(NamedTuple):

@@ -50,6 +50,7 @@ from calib.model import SensorModel
 from calib.poses import Poses
 from calib.recording import CHANNELS, TRIADS, Recording
 from calib.threads import one_thread
+from calib.turns import find_holes, overlapping
 from calib.types import BoolArray, FloatArray
 
 UNKNOWN_DRIFT = 4.0
@@ -335,11 +336,12 @@ def _whole(poses: Poses, spoilt: BoolArray) -> Poses:
 
 
 def _spoilt_turns(grid: Grid, recording: Recording, spoilt: BoolArray) -> BoolArray:
-    """Return the segments that are turns with a sample that no model can explain."""
+    """Return the segments that are turns with a sample that no model can explain, or a hole."""
     count = np.concatenate(([0], np.cumsum(spoilt)))
     a = np.searchsorted(recording.time, grid.interval[:, 0])
     b = np.searchsorted(recording.time, grid.interval[:, 1], side="right")
-    return ~grid.is_rest & (count[b] > count[a])
+    torn = overlapping(grid.interval, find_holes(recording))
+    return ~grid.is_rest & ((count[b] > count[a]) | torn)
 
 
 def _unfit(thinned: Thinned, missing: tuple[str, ...], need: str, otherwise: Verdict) -> Diagnosis:

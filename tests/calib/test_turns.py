@@ -5,7 +5,7 @@ import pytest
 
 from calib.poses import Poses
 from calib.recording import Recording
-from calib.turns import find_turns
+from calib.turns import find_holes, find_turns, overlapping
 
 
 def recording(n: int = 100) -> Recording:
@@ -38,3 +38,15 @@ def test_fewer_than_two_poses_make_no_turn(spans: list[tuple[int, int]]) -> None
 def test_poses_out_of_order_are_refused(spans: list[tuple[int, int]]) -> None:
     with pytest.raises(ValueError, match="`poses` must follow each other"):
         find_turns(recording(), poses(*spans))
+
+
+def test_a_hole_is_where_no_sample_was_taken_for_a_quarter_of_a_second():
+    time = np.concatenate((np.arange(0.0, 1.0, 0.01), np.arange(3.0, 4.0, 0.01), [4.2]))
+    still = np.zeros((len(time), 3))
+    holes = find_holes(Recording(time, still + 9.8, still, "device"))
+    assert holes == pytest.approx(np.array([[0.99, 3.0]]))
+    intervals = np.array([[0.0, 0.99], [0.5, 3.0], [0.99, 3.0], [1.5, 2.0], [3.0, 4.0]])
+    assert overlapping(intervals, holes).tolist() == [False, True, True, True, False]
+    assert not overlapping(intervals, holes[:0]).any()
+    slow = Recording(np.arange(0.0, 10.0, 0.5), np.ones((20, 3)), np.zeros((20, 3)), "device")
+    assert not len(find_holes(slow))

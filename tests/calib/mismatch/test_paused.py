@@ -1,0 +1,44 @@
+"""Recordings that were stopped while the sensor was turned: rests alone, with holes between."""
+
+import numpy as np
+import pytest
+
+from calib.effects.base import Term
+from calib.mismatch import diagnose_recording
+from calib.recording import Recording
+from calib.statics import find_poses
+
+from .bench import GRAVITY, recording
+
+
+def paused(real: Recording) -> Recording:
+    """Return the rests of a recording, and nothing of the turns between them."""
+    poses = find_poses(real)
+    keep = np.concatenate([np.arange(a, b) for a, b in zip(poses.start, poses.stop, strict=True)])
+    return Recording(
+        real.time[keep],
+        real.accel[keep],
+        real.gyro[keep],
+        "device",
+        temperature=None if real.temperature is None else real.temperature[keep],
+    )
+
+
+@pytest.mark.long
+def test_turns_that_nobody_recorded_disagree_with_nothing():
+    found = diagnose_recording(paused(recording(poses=24)), gravity=GRAVITY)
+    assert not found.unexplained
+    assert not found.findings
+    (lack,) = (m for m in found.missing if m.startswith("turns with all of their samples"))
+    assert "in 23 of 23" in lack
+
+
+@pytest.mark.long
+def test_rests_alone_tell_of_products_of_gravity():
+    term = Term("accel_cross_product", {"ky_xy": 4e-4})
+    found = diagnose_recording(paused(recording(term, poses=30)), gravity=GRAVITY)
+    (item,) = found.findings
+    assert item.effect == "accel_cross_product"
+    value = item.parameters["ky_xy"]
+    assert value.sigma is not None
+    assert abs(value.value - 4e-4) < 4.0 * value.sigma
