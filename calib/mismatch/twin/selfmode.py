@@ -16,7 +16,7 @@ from calib.mismatch.rows.grid import Grid
 from calib.mismatch.rows.rows import Kind, Rows
 from calib.mismatch.twin.residuals import build_rows
 from calib.mismatch.twin.twin import Twin
-from calib.mismatch.twin.twinfit import fit_twin, start_twin
+from calib.mismatch.twin.twinfit import FEW, PART, fit_twin, start_twin
 from calib.model import SensorModel
 from calib.types import BoolArray, FloatArray
 
@@ -28,11 +28,6 @@ The mean of such a cell stays, and with it what temperature and time do from cel
 
 LEAST = 1e-3
 """Of a count: how well the mean of a rest is known at best."""
-
-
-PART = 0.05
-"""How far scale factors and angles may be off: some more than data sheets say (MPU-6050 product
-specification rev. 3.4: 3 % of scale, 2 % across axes)."""
 
 
 class SelfProblem:
@@ -121,8 +116,11 @@ class SelfProblem:
     def _prior(self, nuisances: int) -> FloatArray:
         """Return how far baseline and nuisances are from what is expected, and may be, (p + q, 2).
 
-        Scale factors and angles are those of a part; the rest only the rows tell.
+        Scale factors and angles are those of a part; the rest only the rows tell, and of few poses
+        nothing else either.
         """
+        if self.grid.n_poses < FEW:
+            return np.zeros((0, 2))
         names = self.twin.names
         now, expected = (
             {**m.accel.parameters("accel"), **m.gyro.parameters("gyro")}

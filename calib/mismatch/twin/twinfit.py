@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -18,17 +19,35 @@ from calib.recording import CHANNELS
 from calib.types import BoolArray, FloatArray, IntArray
 
 # Weak knowledge that keeps the iteration steady where a recording says nothing: standard deviations
-# beyond what uncalibrated parts have. Where nothing points along an axis, what its noise seems to
-# say of tilts would be a scale factor of one half.
-_LOOSE = {"bias": 2.0, "scale_factor_error": 0.05, "misalignment": 0.05}
+# many times what uncalibrated parts have.
+_LOOSE = {"bias": 2.0, "scale_factor_error": 0.5, "misalignment": 0.3}
+
+PART = 0.05
+"""How far scale factors and angles may be off: some more than data sheets say (MPU-6050 product
+specification rev. 3.4: 3 % of scale, 2 % across axes). Where nothing points along an axis, what its
+noise seems to say of tilts would be a scale factor of one half."""
 
 # Of an axis that hardly turned a gyroscope shows how the others turned, by the two per cent that
 # axes lie askew. Its scale factor error would be -1 where it was taken to have turned by that.
 _HARDLY = 0.02
 
+FEW = 9
+"""Poses below which what they differ by is anything: as many as an accelerometer has parameters."""
+
 _OFF = 0.05
 """How far off means at rest may be, where a hand or a machine shakes them, in m/s². Beside them it
 is that knowledge: of few poses they would make a twin of a hundred g, from which no fit returns."""
+
+
+def _loose(names: Sequence[str], poses: int) -> FloatArray:
+    """Return how far parameters may be, (p,), for a fit to so many poses."""
+    known = dict(_LOOSE)
+    if poses >= FEW:
+        known |= {"scale_factor_error": PART, "misalignment": PART}
+    out = np.array([known[n.split(".")[1]] for n in names])
+    if poses >= FEW:
+        out[[n.startswith("gyro.scale_factor_error") for n in names]] = _HARDLY
+    return out
 
 
 def start_twin(grid: Grid, model: SensorModel | None, *, gravity: float, full_gyro: bool) -> Twin:
@@ -43,7 +62,7 @@ def start_twin(grid: Grid, model: SensorModel | None, *, gravity: float, full_gy
     twin = Twin(model, up, full_gyro, gravity)
     accel = [n for n in twin.names if n.startswith("accel")]
     k = len(up)
-    loose = np.array([_LOOSE[n.split(".")[1]] for n in accel])
+    loose = _loose(accel, k)
     for _ in range(12):
         matrix, bias = twin.model.accel.matrix, twin.model.accel.bias
         force = gravity * twin.up
@@ -119,8 +138,7 @@ def _step(
 ) -> tuple[Twin, float]:
     """Return the twin after a step that fits some of the dense rows, and how large a step it is."""
     p = len(twin.names)
-    loose = np.array([_LOOSE[n.split(".")[1]] for n in twin.names])
-    loose[[n.startswith("gyro.scale_factor_error") for n in twin.names]] = _HARDLY
+    loose = _loose(twin.names, len(twin.up))
     design = np.hstack((linear.baseline[dense], linear.nuisance[dense])) / sigma[:, None]
     y = linear.residual[dense] / sigma
     now = {**twin.model.accel.parameters("accel"), **twin.model.gyro.parameters("gyro")}
