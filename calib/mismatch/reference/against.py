@@ -261,7 +261,6 @@ def conclude(
         turns = slice(p + len(problem.alignments) - 3, p + len(problem.alignments))
         alone = partial(problem.told_by_noise, outcome.rows)
         fit, any_angle = with_any_angle(fit, turns, alone)
-        missing += (UNTURNED,) if any_angle else ()
     findings, unexplained, (known, covariance) = explain(outcome, fit, names=problem.names)
     if any_angle:
         # What an arm is then nobody can tell, nor what it is worth.
@@ -295,6 +294,8 @@ def conclude(
         missing += _unplaced(problem, poses)
     if open_:
         missing += (to_determine(open_),)
+    if any_angle:
+        missing += (UNTURNED,)
     change, likelihood = changes(outcome)
     alignment = problem.setup.alignment
     common, (first, last) = len(problem.time) * problem.interval, problem.time[[0, -1]].tolist()
