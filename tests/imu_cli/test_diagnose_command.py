@@ -83,7 +83,7 @@ def test_what_has_moved_since_a_calibration_is_no_effect_and_is_said(
     document = json.loads(found.stdout)
     assert document["verdict"] == "consistent"
     moved = document["moved"][0]
-    assert moved["parameter"] == "gyro_misalignment.mxy"
+    assert moved["parameter"] == "gyro.misalignment.xy"
     assert moved["shift"] == pytest.approx(-0.03, abs=4 * moved["sigma"])
 
 

@@ -7,7 +7,7 @@ from scipy.special import ndtr
 
 from calib.mismatch.findings.diagnosis import Unexplained
 from calib.mismatch.noise.noise import expected_levels
-from calib.mismatch.rows.rows import Rows
+from calib.mismatch.rows.rows import SAMPLING, Rows
 from calib.recording import CHANNELS
 from calib.types import FloatArray
 
@@ -35,6 +35,9 @@ def misclosed(rows: Rows, levels: FloatArray) -> tuple[Unexplained, ...]:
     whole = (float(rows.interval[0, 0]), float(rows.interval[-1, 1]))
     for c, level, expected in zip(rows.components, levels, expected_levels(rows), strict=True):
         closed = c.name.split(" ")[0]
+        if c.name.endswith(SAMPLING):
+            # Nor is that what samples do not resolve: of a rate an angle, of a force a velocity.
+            closed = {"rate": "attitude", "force": "velocity"}[closed]
         if closed not in CLOSES or not c.variance.size:
             continue
         beyond = float(np.log(level / expected)) / c.spread
