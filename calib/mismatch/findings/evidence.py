@@ -18,6 +18,8 @@ from calib.types import BoolArray, FloatArray
 MOST_SERIES = 3
 MOST_POINTS = 1500
 
+TIME = "time"
+
 SEEN = 0.1
 """Scatter that goes from rests, in parts of what is left, from which one sees it there."""
 
@@ -57,9 +59,6 @@ class Evidence:
                 for item in self.series
             ],
         }
-
-
-TIME = "time"
 
 
 def gather(

@@ -489,6 +489,7 @@ def make_whitener(
 ) -> Whitener:
     """Return the whitener for these levels, with the (m, p) `fitted` columns projected out.
 
+    The first of these, if there are any, are the baseline's: what is `foreknown` is of those.
     Unless ``coupled``, contrasts are taken as they are: by what a part of the rows says alone.
     """
     factor = rows.arrow.factorise(levels)

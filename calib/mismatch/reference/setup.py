@@ -11,6 +11,7 @@ import numpy as np
 from calib.effects.base import Term
 from calib.mismatch.reference.alignment import Alignment
 from calib.mismatch.twin.twin import ACCEL_MISALIGNMENT, GYRO_MISALIGNMENT
+from calib.mismatch.twin.twinfit import PART
 from calib.model import SensorModel
 from calib.recording import AXES
 from calib.rotation import mat_from_rotvec
@@ -30,18 +31,17 @@ GYRO_ANGLES = tuple(f"gyro.misalignment.{p}" for p in GYRO_MISALIGNMENT)
 
 LOOSE = {
     "bias": 2.0,
-    "scale_factor_error": 0.05,
-    "misalignment": 0.05,
+    "scale_factor_error": PART,
+    "misalignment": PART,
     "delay": 0.1,
     "scale": 0.01,
     **dict.fromkeys(("rx", "ry", "rz"), 0.2),
 }
 """How far (SI) baseline and alignment may be from where they start.
 
-Some more than data sheets say (MPU-6050 product specification rev. 3.4: 3 % of scale, 2 % across
-axes, 80 mg, 20 dps), and of the alignment what the correlation of rates and Wahba's problem leave
-open. What the motion does not determine (the heading of a sensor on a table that turns about the
-vertical) stays there.
+Some more than data sheets say (MPU-6050 product specification rev. 3.4: 80 mg, 20 dps; `PART`), and
+of the alignment what the correlation of rates and Wahba's problem leave open. What the motion does
+not determine (the heading of a sensor on a table that turns about the vertical) stays there.
 """
 
 

@@ -42,8 +42,8 @@ def prior_rows(
     """Return rows (k, p) of the priors, and their values (k,).
 
     No effect is larger than it physically can be: a g-sensitivity that all axes have alike is the
-    vertical part of the Earth's rotation, but for the size of that. Beside a reference baseline and
-    alignment have theirs from the rows, and no finding is beyond the largest size that has
+    vertical part of the Earth's rotation, but for the size of that. Baseline and alignment have
+    theirs from the rows. Beside a reference no finding is beyond the largest size that has
     evidence: what the motion leaves open (the height of a sensor over a table that turns about the
     vertical) stays there. A smooth function can take the place of the baseline. At rest the two are
     exactly alike, but in motion, or beside a truth with noise, only nearly so; what keeps them
