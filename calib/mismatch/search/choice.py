@@ -50,14 +50,21 @@ class Choice(NamedTuple):
     behind: tuple[tuple[Candidate, float], ...] = ()
 
 
-def choose(rows: Rows, ranking: Ranking, accepted: list[Accepted]) -> Choice | None:
+def choose(
+    rows: Rows,
+    ranking: Ranking,
+    accepted: list[Accepted],
+    *,
+    passed: frozenset[str] = frozenset(),
+) -> Choice | None:
     """Return what explains most: physics, unless the rivals together are more probable.
 
     An event where something is unexplained already is part of that, and gets no name of its own;
     nor does what explains less than such an event, on a channel that both show on, or what follows
     the same as something unexplained on the same channel. What an effect leaves that was found
     already is no second finding of it. What no channel of it shows is another cause, and lends it
-    no weight. Nor does a turn that samples do not resolve, of what it alone shows.
+    no weight. Nor does a turn that samples do not resolve, of what it alone shows. Groups that are
+    ``passed`` over were tried, and are none.
     """
     best = ranking.best
     whitener = ranking.whitener
@@ -65,7 +72,7 @@ def choose(rows: Rows, ranking: Ranking, accepted: list[Accepted]) -> Choice | N
     every = {
         g: v + possible(ranking.stack, best[g], whitener, y)
         for g, v in witnessed(rows, ranking, whitener, y).items()
-        if not again(best[g], accepted)
+        if g not in passed and not again(best[g], accepted)
     }
     parts = {g: v for g, v in every.items() if is_part(rows, best[g], accepted)}
     groups = {

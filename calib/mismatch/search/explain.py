@@ -32,6 +32,7 @@ from calib.mismatch.hypotheses.windows import THROUGHOUT, touched
 from calib.mismatch.noise.noise import make_whitener
 from calib.mismatch.rows.rows import Kind, Rows
 from calib.mismatch.search.accepted import UNLIKE, Accepted, fitted
+from calib.mismatch.search.counts import counted, is_whole
 from calib.mismatch.search.estimate import Estimate, pseudo_inverse
 from calib.mismatch.search.joint import scaled
 from calib.mismatch.search.put_down import WORDS, put_down
@@ -47,12 +48,6 @@ UNIQUE = 1e-6
 
 ALIKE = "gyro_g_sensitivity"
 """What equals the part up of the Earth's rotation, where all axes have it alike."""
-
-COUNTED = 0.3
-"""Standard error of a count of samples above which it is not known to be whole."""
-
-CERTAIN = 1e-3
-"""The same where it is known which: the probability of any other is less than a millionth."""
 
 UNSURE = 0.05
 """P-value, all looks counted, above which a finding is not told from how windows scatter."""
@@ -158,7 +153,7 @@ def explain(
         few, any_number = _of_windows(fit, i, a, looks=len(outcome.tried))
         p_value = max(chance(a.e_value), few)
         # Samples come whole: a part of one is something else that happened in this turn.
-        broken = any(q.unit == "samples" and not _is_whole(q) for q in parameters.values())
+        broken = any(q.unit == "samples" and not is_whole(q) for q in parameters.values())
         if broken:
             moment = a.candidate.shape["moment"]
             turn = rows.interval[np.searchsorted(rows.interval[:, 0], moment, side="right") - 1]
@@ -315,25 +310,6 @@ def _of_poses(items: list[Unexplained]) -> list[Unexplained]:
             ordered = tuple(c for c in CHANNELS if c in channels)
             out.append(replace(first, channels=ordered, follows=follows))
     return out
-
-
-def _is_whole(q: Quantity) -> bool:
-    """Whether a count is a whole number other than zero, and not any other."""
-    near, sigma = round(q.value), q.sigma or 0.0
-    return near != 0 and sigma < COUNTED and abs(q.value - near) < 4.0 * sigma + 0.05
-
-
-def counted(q: Quantity) -> Quantity:
-    """Return a count of samples as the most probable whole number, and how uncertain that is.
-
-    Its standard error is that of the whole numbers about it; None where no other is likely.
-    """
-    whole = round(q.value) + np.arange(-2, 3)
-    square = np.square((whole - q.value) / max(q.sigma or 0.0, 1e-9))
-    weight = np.exp(-0.5 * (square - square.min()))
-    value = whole[int(np.argmax(weight))]
-    sigma = float(np.sqrt(weight @ np.square(whole - value) / weight.sum()))
-    return Quantity(float(value), sigma if sigma > CERTAIN else None, q.unit)
 
 
 def _rivals(a: Accepted) -> tuple[Rival, ...]:

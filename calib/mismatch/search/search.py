@@ -19,6 +19,7 @@ from calib.mismatch.noise.noise import Levels, estimate_levels, expected_levels,
 from calib.mismatch.rows.rows import Rows
 from calib.mismatch.search.accepted import Accepted, accept, contrast_noise, fitted, joined, lasting
 from calib.mismatch.search.choice import LEAST, Choice, choose, is_part, possible
+from calib.mismatch.search.counts import parts_of_samples
 from calib.mismatch.search.determined import determined
 from calib.mismatch.search.estimate import Estimate, estimate, settle
 from calib.mismatch.search.ranking import Ranking, make_stack, rank, with_fullest
@@ -79,6 +80,7 @@ def search(problem: Problem, *, skip: tuple[str, ...] = ()) -> Outcome:
     """Find what was left out, one hypothesis after another."""
     accepted: list[Accepted] = []
     dropped: set[str] = set()
+    broken: set[str] = set()
     rows = problem.rows()
     stack, seen = make_stack(rows, skip=skip, reference=problem.reference), fitted(rows, [])
     ranking = rank(rows, stack, accepted, expected_levels(rows))
@@ -96,10 +98,9 @@ def search(problem: Problem, *, skip: tuple[str, ...] = ()) -> Outcome:
         chosen = choose(rows, ranking, accepted)
         if chosen is None:
             break
-        fit = _bent(problem, rows, ranking, accepted, chosen, skip=skip)
-        if fit is None:
-            fit = _fit_with(problem, rows, ranking, accepted, chosen.candidate, chosen.worth)
-        rows, accepted, levels, straight = fit
+        rows, accepted, levels, straight = _fit_chosen(
+            problem, rows, ranking, accepted, chosen, broken, skip=skip
+        )
         extra, base = _superfluous(rows, accepted, levels)
         gone = _parts_of_last(rows, accepted)
         if extra is not None and extra not in gone and extra.candidate.group not in dropped:
@@ -120,12 +121,14 @@ def search(problem: Problem, *, skip: tuple[str, ...] = ()) -> Outcome:
     contrast = contrast_noise(rows, accepted)
     # The ranking took the better of two maxima: its own is left to be approached more closely.
     levels = estimate_levels(rows, fitted(rows, accepted), ranking.levels).values
+    odds = [
+        _posterior(rows, stack, accepted, i, levels, reference=problem.reference)
+        for i in range(len(accepted))
+    ]
+    broken -= {a.candidate.group for a in accepted}
     accepted = [
-        replace(
-            a,
-            posterior=_posterior(rows, stack, accepted, i, levels, reference=problem.reference),
-        )
-        for i, a in enumerate(accepted)
+        replace(a, posterior={g: v for g, v in own.items() if g not in broken})
+        for a, own in zip(accepted, odds, strict=True)
     ]
     accepted = [
         whole_odds(problem, rows, stack, accepted, i, levels, mimicked=MIMICKED, least=2 * TWIN)
@@ -139,6 +142,37 @@ def search(problem: Problem, *, skip: tuple[str, ...] = ()) -> Outcome:
         accepted, undetermined = determined(rows, accepted, levels, contrast)
     tried = frozenset(c.name for c in stack.physics.values())
     return Outcome(rows, tuple(accepted), levels, contrast, ranking.total, tried, undetermined)
+
+
+def _fit_chosen(
+    problem: Problem,
+    rows: Rows,
+    ranking: Ranking,
+    accepted: list[Accepted],
+    chosen: Choice,
+    broken: set[str],
+    *,
+    skip: tuple[str, ...],
+) -> Refit:
+    """Fit what was chosen; something else, if that would be the loss of a part of a sample.
+
+    A gain that is off for two turns is a sample less in one of them, but for a third of it. What
+    would be ``broken`` so is added to that.
+    """
+    place = problem.place()
+    fit = _bent(problem, rows, ranking, accepted, chosen, skip=skip)
+    if fit is None:
+        fit = _fit_with(problem, rows, ranking, accepted, chosen.candidate, chosen.worth)
+    new = fit.accepted[-1]
+    parts = parts_of_samples(fit.rows, fit.accepted, fit.levels)
+    if new not in parts:
+        return fit
+    other = choose(rows, ranking, accepted, passed=frozenset({new.candidate.group}))
+    if other is None:
+        return fit
+    problem.go_back(place)
+    broken.add(new.candidate.group)
+    return _fit_chosen(problem, rows, ranking, accepted, other, broken, skip=skip)
 
 
 def _fit_with(

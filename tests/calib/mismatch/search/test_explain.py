@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.calibration import Quantity
 from calib.effects import get_effect
 from calib.effects.base import Term
 from calib.effects.earth_rate import components
@@ -17,11 +16,9 @@ from calib.mismatch.search.estimate import Estimate, Windows
 from calib.mismatch.search.explain import (
     _OF_MOTION,
     _is_taken_over,
-    _is_whole,
     _least_squares,
     _of_windows,
     _rivals,
-    counted,
     to_separate,
 )
 from calib.mismatch.search.ranking import make_stack
@@ -34,35 +31,6 @@ from calib.simulation.noise import CONSUMER
 
 from ..bench import GRAVITY, motion_of, problem, recording, with_added
 from .stacked import candidate
-
-
-@pytest.mark.parametrize(
-    ("value", "sigma", "whole"),
-    [
-        (1.02, 0.1, True),
-        (-2.9, 0.1, True),
-        (1.4, 0.05, False),
-        (0.1, 0.1, False),
-        (-115.0, 13.0, False),
-    ],
-)
-def test_samples_are_lost_whole_or_not_at_all(value, sigma, whole):
-    assert _is_whole(Quantity(value, sigma, "samples")) is whole
-
-
-@pytest.mark.parametrize(
-    ("value", "sigma", "count", "known"),
-    [(-2.88, 0.02, -3.0, True), (1.02, 0.0, 1.0, True), (2.1, 0.29, 2.0, False)],
-)
-def test_a_count_is_a_whole_number(value, sigma, count, known):
-    said = counted(Quantity(value, sigma, "samples"))
-    assert said.value == count
-    assert (said.sigma is None) is known
-    if not known:
-        rng = np.random.default_rng(5)
-        truth = rng.integers(-3, 8, 2_000_000)
-        alike = np.abs(truth + sigma * rng.normal(size=len(truth)) - value) < 0.02
-        assert said.sigma == pytest.approx(np.sqrt(np.mean((truth[alike] - count) ** 2)), rel=0.2)
 
 
 def test_what_two_columns_share_is_not_determined():
