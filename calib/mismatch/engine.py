@@ -19,6 +19,7 @@ from calib.mismatch.findings.diagnosis import (
     Verdict,
     claimed,
     summarise,
+    without_fit,
 )
 from calib.mismatch.findings.misclosed import misclosed
 from calib.mismatch.hypotheses.places import gathered, joined
@@ -39,7 +40,7 @@ from calib.mismatch.rows.uncarried import uncarried
 from calib.mismatch.rows.underway import under_way
 from calib.mismatch.samples.losses import INCOMPLETE, leave_out_unwhole
 from calib.mismatch.samples.resting import look_at_rests, unsaid
-from calib.mismatch.samples.samples import BEYOND, COPIED, DISAGREES, PUSHED, lost_samples
+from calib.mismatch.samples.samples import lost_samples
 from calib.mismatch.samples.thin import Thinned, thin
 from calib.mismatch.search.determined import open_baseline, to_determine
 from calib.mismatch.search.explain import changes, explain, verdict
@@ -65,14 +66,6 @@ RESTLESS = (
     "a moment of rest: without gravity to compare with, only a simulation or a reference can tell "
     "what is wrong (--against, --reference)"
 )
-
-NEEDED = {
-    DISAGREES: "a gyroscope and an accelerometer that agree on the turns",
-    BEYOND: "a gyroscope that reads less at rest",
-    PUSHED: "an accelerometer that reads what moves it: a cable or a register gives something else",
-    COPIED: "channels of their own: a register may be read twice",
-}
-"""What a recording lacks that ends with its samples, by what they are off by."""
 
 SHOWS = {"accel": "means of its rests", "gyro": "its turns"}
 """What shows a triad whose counts are coarse."""
@@ -127,12 +120,7 @@ def _diagnose(thinned: Thinned, *, gravity: float, model: SensorModel | None) ->
         return _unfit(thinned, (), RESTLESS, "undetermined")
     missing = _missing(recording, poses)
     if seen.fatal:
-        need = "right units and axes"
-        if any(f.effect == "time_offset" for f in seen.findings):
-            need = "a gyroscope and an accelerometer on one clock"
-        if seen.unexplained:
-            need = NEEDED.get(seen.unexplained[-1].follows, "channels that move: one is stuck")
-        return _unfit(thinned, missing, f"{need}: mend that and diagnose again", "explained")
+        return _unfit(thinned, missing, seen.need, "explained")
     poses = uncarried(recording, poses)
     noisy = look_at_rests(recording, poses)
     poses = _whole(connected(untouched(recording, steady(recording, poses))), seen.spoilt)
@@ -194,6 +182,7 @@ def _diagnose(thinned: Thinned, *, gravity: float, model: SensorModel | None) ->
     shown = problem.shown(np.sqrt(np.diag(fit.covariance)))
     further = {name: k for name, k in shown.items() if name.split(".")[0] not in found}
     findings, unexplained, (known, covariance) = explain(outcome, fit, names=names, further=further)
+    open_ = tuple(name for name in (*names, *further) if name not in known)
     # Where shapes moved a little since the twin did, so did the baseline.
     still = np.zeros((grid.n_poses, 2))
     final = problem.twin.moved(dict(zip(names, fit.step, strict=False)), still).model
@@ -236,6 +225,7 @@ def _diagnose(thinned: Thinned, *, gravity: float, model: SensorModel | None) ->
         covariance=covariance,
         summary=_summary(thinned, poses),
         aliases=aliases,
+        undetermined=open_,
     )
 
 
@@ -347,18 +337,12 @@ def _spoilt_turns(grid: Grid, recording: Recording, spoilt: BoolArray) -> BoolAr
 def _unfit(thinned: Thinned, missing: tuple[str, ...], need: str, otherwise: Verdict) -> Diagnosis:
     """Return the diagnosis of a recording of which no twin can be made, for what it needs first."""
     seen = thinned.seen
-    return Diagnosis(
-        verdict="unexplained" if seen.unexplained else otherwise,
+    return without_fit(
+        "unexplained" if seen.unexplained else otherwise,
+        (*missing, need),
+        _summary(thinned, thinned.poses),
         findings=seen.findings,
         unexplained=seen.unexplained,
-        missing=(*missing, need),
-        hidden={},
-        changes=(),
-        log_likelihood=None,
-        model=SensorModel(),
-        names=(),
-        covariance=np.zeros((0, 0)),
-        summary=_summary(thinned, thinned.poses),
     )
 
 

@@ -179,6 +179,8 @@ class Diagnosis:
         `calibration` has their values.
     names, covariance
         Of the model's determined parameters.
+    undetermined : tuple of str
+        Its parameters of which nobody can tell anything.
     summary : mapping
         Poses, turns, duration and clock of the recording.
     aliases : tuple of Alias
@@ -201,6 +203,7 @@ class Diagnosis:
     summary: Mapping[str, Any] = field(default_factory=dict)
     aliases: tuple[Alias, ...] = ()
     moved: tuple[Difference, ...] = ()
+    undetermined: tuple[str, ...] = ()
 
     def beside(self, known: Calibration, recording: Recording) -> Diagnosis:
         """Return the diagnosis with what has moved since the calibration that the twin is under.
@@ -249,13 +252,13 @@ class Diagnosis:
         settled = [
             i for i, n in enumerate(self.names) if scale[i] < _OPEN.get(n.split(".")[1], np.inf)
         ]
-        open_ = tuple(n for i, n in enumerate(self.names) if i not in settled)
+        vague = tuple(n for i, n in enumerate(self.names) if i not in settled)
         covariance = self.covariance[np.ix_(settled, settled)]
         return Calibration(
             model=model,
             names=tuple(self.names[i] for i in settled),
             covariance=0.5 * (covariance + covariance.T),
-            undetermined=open_,
+            undetermined=(*vague, *self.undetermined),
             gravity=gravity,
             temperature=temperature,
             events=tuple(f.event() for f in self.findings if f.kind != "sensor"),
@@ -291,6 +294,30 @@ class Diagnosis:
             },
             "recording": dict(self.summary),
         }
+
+
+def without_fit(
+    verdict: Verdict,
+    missing: tuple[str, ...],
+    summary: Mapping[str, object],
+    *,
+    findings: tuple[Finding, ...] = (),
+    unexplained: tuple[Unexplained, ...] = (),
+) -> Diagnosis:
+    """Return the diagnosis of a recording that nothing could be fitted to."""
+    return Diagnosis(
+        verdict=verdict,
+        findings=findings,
+        unexplained=unexplained,
+        missing=missing,
+        hidden={},
+        changes=(),
+        log_likelihood=None,
+        model=SensorModel(),
+        names=(),
+        covariance=np.zeros((0, 0)),
+        summary=dict(summary),
+    )
 
 
 def claimed(model: SensorModel, given: Sequence[Term], findings: Sequence[Finding]) -> SensorModel:

@@ -53,6 +53,9 @@ from calib.types import FloatArray, IntArray
 UNLIKELY = 1e-3
 """Windows less probable than the best by this factor are left out."""
 
+BLOCK = 256
+"""Intervals whose overlaps with all others are in memory at once."""
+
 HEAVY = 2.0 / 7.0
 """The power of the evidence for where a disturbance is [1]_. Squares, for a mean of one, have a
 variance of 2 if what disturbs is normal; of 5 if it is as often small, and large, as Laplace's law
@@ -280,7 +283,11 @@ def expected_overlap(start: FloatArray, stop: FloatArray, weight: FloatArray) ->
     """Return the one of (n,) intervals that overlaps most, on average over their weights."""
     probable = weight > UNLIKELY * weight.max()
     start, stop, weight = start[probable], stop[probable], weight[probable]
-    common = np.minimum.outer(stop, stop) - np.maximum.outer(start, start)
-    hull = np.maximum.outer(stop, stop) - np.minimum.outer(start, start)
-    best = int(np.argmax(np.maximum(common, 0.0) / hull @ weight))
+    overlap = np.empty(len(weight))
+    for at in range(0, len(weight), BLOCK):
+        a, b = start[at : at + BLOCK], stop[at : at + BLOCK]
+        common = np.minimum.outer(b, stop) - np.maximum.outer(a, start)
+        hull = np.maximum.outer(b, stop) - np.minimum.outer(a, start)
+        overlap[at : at + BLOCK] = np.maximum(common, 0.0) / hull @ weight
+    best = int(np.argmax(overlap))
     return float(start[best]), float(stop[best])

@@ -8,6 +8,7 @@ import numpy as np
 
 from calib.mismatch.noise.coupling import lean_in_contrasts
 from calib.mismatch.rows.rows import Rows
+from calib.recording import CHANNELS
 from calib.types import BoolArray, FloatArray, IntArray
 
 FEW = 5
@@ -79,9 +80,10 @@ def _squares(
     """
     y = rows.residual[rows.n_dense :]
     time = rows.interval[rows.segment[rows.n_dense :]].mean(axis=1)
-    order = (
-        np.tile(np.repeat([0, 1], 6), len(y) // 12) if len(y) % 12 == 0 else np.zeros(len(y), int)
-    )
+    # The first of a channel in a rest or a window is of the first order, any other of the second.
+    place = len(CHANNELS) * rows.segment[rows.n_dense :] + rows.channel[rows.n_dense :]
+    order = np.ones(len(y), int)
+    order[np.unique(place, return_index=True)[1]] = 0
     out = []
     for k in (0, 1):
         own = np.flatnonzero(which & (order == k))

@@ -19,6 +19,7 @@ from calib.mismatch.findings.diagnosis import (
     Unexplained,
     claimed,
     summarise,
+    without_fit,
 )
 from calib.mismatch.hypotheses.places import gathered, joined
 from calib.mismatch.noise.hush import audible
@@ -28,6 +29,7 @@ from calib.mismatch.reference.axes import has_own_axes
 from calib.mismatch.reference.band import STILL, follows_noise, matched, too_few
 from calib.mismatch.reference.carried import OF_GYRO, simulated_errors
 from calib.mismatch.reference.comparison import ComparisonProblem
+from calib.mismatch.reference.corners import FEWEST
 from calib.mismatch.reference.laid import laid
 from calib.mismatch.reference.misread import misread
 from calib.mismatch.reference.mounted import mounted_far
@@ -211,7 +213,7 @@ def compare_simulation(
 
 
 def at_rest(*recordings: Recording) -> str:
-    """Return what to say if one of the recordings is at rest all along, else nothing."""
+    """Return what to say if one of the recordings is at rest all along, or short, else nothing."""
     for name, recording in zip(
         ("the recording", "what it is compared with"), recordings, strict=True
     ):
@@ -220,6 +222,11 @@ def at_rest(*recordings: Recording) -> str:
             return (
                 f"motion to compare: {name} lasts {recording.duration:.3g} s and turns by "
                 f"{np.degrees(moved):.2g} dps; turn it for {LEAST_OVERLAP:g} s or more"
+            )
+        if len(recording) < FEWEST:
+            return (
+                f"samples to compare: {name} has {len(recording)}, and fewer than {FEWEST} do not "
+                "show how noisy they are; take more, or at a higher rate"
             )
     return ""
 
@@ -317,6 +324,7 @@ def conclude(
         model=claimed(model, problem.given, findings),
         names=known,
         covariance=covariance,
+        undetermined=tuple(n for n in problem.names if n not in known),
         summary={
             **summary,
             "compared_samples": len(problem.time),
@@ -391,29 +399,15 @@ def _unplaced(problem: ComparisonProblem, poses: list[str]) -> tuple[str, ...]:
 
 def undetermined(missing: str, summary: Mapping[str, object]) -> Diagnosis:
     """Return the diagnosis of what cannot be compared."""
-    return Diagnosis(
-        verdict="undetermined",
-        findings=(),
-        unexplained=(),
-        missing=(missing,),
-        hidden={},
-        changes=(),
-        log_likelihood=None,
-        model=SensorModel(),
-        names=(),
-        covariance=np.zeros((0, 0)),
-        summary=dict(summary),
-    )
+    return without_fit("undetermined", (missing,), summary)
 
 
 def unfit(seen: Samples, summary: Mapping[str, object]) -> Diagnosis:
     """Return the diagnosis of a recording whose units, axes or channels must be mended first."""
-    lack = "right units and axes: mend them and diagnose again"
-    if not seen.findings:
-        lack = "channels that move: one is stuck: mend that and diagnose again"
-    return replace(
-        undetermined(lack, summary),
-        verdict="explained" if seen.findings else "unexplained",
+    return without_fit(
+        "unexplained" if seen.unexplained else "explained",
+        (seen.need,),
+        summary,
         findings=seen.findings,
         unexplained=seen.unexplained,
     )

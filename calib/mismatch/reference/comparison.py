@@ -290,12 +290,12 @@ class ComparisonProblem:
         self, baseline: Mapping[str, float], nuisance: FloatArray, terms: tuple[Term, ...]
     ) -> None:
         """Move model and alignment by steps; set the further terms."""
-        self.moved += np.append([baseline[n] for n in self.names], nuisance)
+        self.moved = self.moved + np.append([baseline[n] for n in self.names], nuisance)
         self.setup = self.setup.moved(baseline, nuisance, (*self.given, *terms), turned=self.turned)
 
     def place(self) -> object:
         """Return where model and alignment stand."""
-        return self.setup, self.moved.copy()
+        return self.setup, self.moved
 
     def go_back(self, place: object) -> None:
         """Let model and alignment stand where they stood."""

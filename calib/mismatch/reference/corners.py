@@ -19,6 +19,9 @@ ORDER = 24
 samples can have. Of a sinusoid at a quarter of the rate they leave 2e-4, as much as the spline errs
 by; of a slower one, less than any noise. About a corner the spline errs by three times as much."""
 
+FEWEST = 2 * ORDER
+"""Samples that show how large they are."""
+
 SPREAD = 5
 """Samples over which differences are taken together: they pass through zero."""
 
@@ -26,7 +29,7 @@ FOLLOWED = 0.1
 """Size of the differences, in standard deviations of the noise, up to which a spline follows: it
 errs by a third of one then."""
 
-LONG, SHARE = 2 * ORDER, 0.02
+LONG, SHARE = FEWEST, 0.02
 """Samples of a run that corners do not make, not even two, and the share of the samples in such
 runs from which on it is no exception."""
 

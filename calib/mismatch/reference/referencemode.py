@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from calib import faults
-from calib.errors import NoCommonMotionError
+from calib.errors import EmptyRecordingError, InvalidSampleError, NoCommonMotionError
 from calib.measured import measured
 from calib.mismatch.findings.diagnosis import Diagnosis, summarise
 from calib.mismatch.noise.hush import audible
@@ -29,6 +29,7 @@ from calib.mismatch.reference.alike import check_apart, misleads
 from calib.mismatch.reference.band import BEYOND, Matched, limited, low_passed, matched, smoothed
 from calib.mismatch.reference.carried import known_errors, settled
 from calib.mismatch.reference.comparison import ComparisonProblem
+from calib.mismatch.reference.corners import FEWEST
 from calib.mismatch.reference.misread import MisreadError, misread
 from calib.mismatch.reference.mounted import UNLIKE, mounting
 from calib.mismatch.reference.oriented import oriented_at_rests
@@ -121,10 +122,15 @@ class ReferenceMotion:
         Increasing, on the reference's own clock.
     quat : (n, 4) array
         Scalar first, ``mat_ns`` or its inverse (the recording tells which); rows that are not
-        finite are gaps.
+        finite, or zero, are gaps.
     position : (n, 3) array, m, or None
     fixed : bool
         Whether the body is said to turn about a fixed point, as on a table of several axes.
+
+    Raises
+    ------
+    EmptyRecordingError, InvalidSampleError
+        If there is nothing, or time does not increase.
     """
 
     time: FloatArray
@@ -132,10 +138,21 @@ class ReferenceMotion:
     position: FloatArray | None = None
     fixed: bool = False
 
+    def __post_init__(self) -> None:
+        if not len(self.time):
+            raise EmptyRecordingError("the reference holds no samples")
+        step = np.diff(self.time)
+        if (step <= 0).any():
+            k = int(np.argmax(step <= 0)) + 1
+            raise InvalidSampleError(
+                f"the reference's time does not increase at sample {k}: {self.time[k]} s follows "
+                f"{self.time[k - 1]} s"
+            )
+
     @property
     def known(self) -> BoolArray:
         """Where the reference saw the body, (n,) bool."""
-        good = np.isfinite(self.quat).all(axis=1)
+        good = np.isfinite(self.quat).all(axis=1) & self.quat.any(axis=1)
         if self.position is not None:
             good &= np.isfinite(self.position).all(axis=1)
         return np.asarray(good)
@@ -173,10 +190,11 @@ class ReferenceMotion:
         from scipy.interpolate import PchipInterpolator, make_interp_spline
 
         good = self.known
-        if good.sum() < 4 * BRIDGE:
+        least = FEWEST + 2 * BRIDGE
+        if good.sum() < least:
             raise NoCommonMotionError(
-                f"the reference has {good.sum()} finite rows, expected at least {4 * BRIDGE}: give "
-                "the motion at even steps, not only the corners of a profile"
+                f"the reference has {good.sum()} rows that can be used, expected at least {least}: "
+                "give the motion at even steps, not only the corners of a profile"
             )
         first, last = np.flatnonzero(good)[[0, -1]]
         good = good[first : last + 1]
@@ -320,7 +338,10 @@ def compared(
         known = look_at_samples(reference, find_poses(audible(reference)))
         if known.fatal:
             wrong = [f.sentence for f in known.findings]
-            wrong += [f"{name} stands still" for u in known.unexplained for name in u.channels]
+            wrong += [
+                f"{', '.join(u.channels)}: {u.follows.removeprefix('nothing: ')}"
+                for u in known.unexplained
+            ]
             raise NoCommonMotionError(
                 "the reference cannot be trusted: " + "; ".join(dict.fromkeys(wrong))
             )

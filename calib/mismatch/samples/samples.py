@@ -59,6 +59,14 @@ DISAGREES = "turns: by the gyroscope they are others than by the accelerometer"
 
 COPIED = "nothing: one repeats the other"
 
+NEEDED = {
+    DISAGREES: "a gyroscope and an accelerometer that agree on the turns",
+    BEYOND: "a gyroscope that reads less at rest",
+    PUSHED: "an accelerometer that reads what moves it: a cable or a register gives something else",
+    COPIED: "channels of their own: a register may be read twice",
+}
+"""What a recording lacks that ends with its samples, by what they are off by."""
+
 SPIKES = "nothing: samples are off course, and back at once"
 
 DOWNWARDS = ORDERS.index(((0, 1, 2), (-1, -1, -1)))
@@ -81,6 +89,16 @@ class Samples(NamedTuple):
     fatal: bool
     stuck: int = 0
     told: int = 0
+
+    @property
+    def need(self) -> str:
+        """What must be mended first where they are fatal."""
+        need = "right units and axes"
+        if any(f.effect == "time_offset" for f in self.findings):
+            need = "a gyroscope and an accelerometer on one clock"
+        if self.unexplained:
+            need = NEEDED.get(self.unexplained[-1].follows, "channels that move: one is stuck")
+        return f"{need}: mend that and diagnose again"
 
 
 def look_at_samples(recording: Recording, poses: Poses) -> Samples:

@@ -251,7 +251,12 @@ def sections(batches: Iterable[Recording], size: int) -> Iterator[Recording]:
 
 
 def _kept(start: IntArray, stop: IntArray, interval: float, resting: int) -> IntArray:
-    """Return the ranges ``[start, stop)`` of samples that remain, (r, 2), in their order."""
+    """Return the ranges ``[start, stop)`` of samples that remain, (r, 2), in their order.
+
+    Without a rest the first ones, which tell that there is none.
+    """
+    if not len(start):
+        return np.array([[0, WINDOW]])
     most = _share(stop - start, resting)
     ranges: list[tuple[int, int]] = []
     for k, (a, b) in enumerate(zip(start.tolist(), stop.tolist(), strict=True)):

@@ -14,7 +14,7 @@ import numpy as np
 from calib.effects import get_effect
 from calib.mismatch.rows.rows import Rows
 from calib.mismatch.search.accepted import Accepted, with_parameters
-from calib.mismatch.search.estimate import Estimate, solved
+from calib.mismatch.search.estimate import Estimate, solved, told
 from calib.types import FloatArray
 
 LOOSE = 3.0
@@ -32,15 +32,18 @@ def determined(
 ) -> tuple[list[Accepted], tuple[str, ...]]:
     """Return findings without the parameters that are open, and the names of these.
 
-    One after another: of two that only go together the other one may be determined then. The rows
-    have the part of every finding in them, as `settle` returns them. What is there or not, or
-    refines others, stays, and so does the last parameter of a finding.
+    One after another: of two that only go together the other one may be determined then, and what
+    goes with the baseline is open however small its standard error looks. The rows have the part of
+    every finding in them, as `settle` returns them. What is there or not, or refines others, stays,
+    and so does the last parameter of a finding.
     """
     accepted = list(accepted)
     gone: list[str] = []
     while True:
         step, covariance = solved(rows, tuple(accepted), levels, contrast)
         sigma = np.sqrt(np.diag(covariance))
+        if accepted:
+            sigma[~told(rows, tuple(accepted), levels, contrast)] = np.inf
         at = rows.baseline.shape[1] + rows.nuisance.shape[1]
         worst: tuple[float, int, int] = (LOOSE, 0, 0)
         for i, a in enumerate(accepted):
@@ -61,12 +64,9 @@ def determined(
 
 
 def open_baseline(names: Sequence[str], fit: Estimate) -> list[str]:
-    """Return which of the baseline's parameters, that come first in a fit, it says too little of.
-
-    Of some a motion says nothing at all: their variance is 0.
-    """
-    sigma = np.sqrt(np.diag(fit.covariance))
-    return [n for n, s in zip(names, sigma, strict=False) if s == 0 or s > OPEN[n.split(".")[1]]]
+    """Return which parameters of the baseline, which come first in a fit, it says too little of."""
+    sigma = np.where(fit.determined, np.sqrt(np.diag(fit.covariance)), np.inf)
+    return [n for n, s in zip(names, sigma, strict=False) if s > OPEN[n.split(".")[1]]]
 
 
 def to_determine(names: Sequence[str]) -> str:

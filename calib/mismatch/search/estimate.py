@@ -61,6 +61,9 @@ NODES, HALVINGS = 40, 20
 SWEEPS = 2
 """Each shape is settled so often, given the others."""
 
+UNIQUE = 1e-6
+"""Share of a parameter that may lie in directions that are not, where it is determined."""
+
 RANK = 1e-9
 """Singular value, of the largest, up to which a direction is not determined."""
 
@@ -96,6 +99,9 @@ class Estimate:
         finding, where there are several.
     left : (m,) array
         Residual of the fit.
+    determined : (p,) array of bool
+        Which coefficients are the same in all fits that leave as little. Of others the shortest is
+        given, and neither that nor its covariance says how far they are off.
     windows : Windows, or None
         Where windows say what the errors are.
     """
@@ -107,6 +113,7 @@ class Estimate:
     beside: Mapping[tuple[int, str], FloatArray]
     forms: Mapping[int, float]
     left: FloatArray
+    determined: BoolArray
     windows: Windows | None = None
 
     def joint(self, which: Sequence[tuple[int, str]]) -> FloatArray:
@@ -218,7 +225,23 @@ def estimate(
             beside[i, name] *= wide * longer
     left = rows.residual - fitted(rows, accepted) @ best
     first = tuple(int(k) for k in at)
-    return Estimate(best, total, first, shapes, beside, of_form, left, windows)
+    unique_ones = told(rows, accepted, levels, contrast)
+    return Estimate(best, total, first, shapes, beside, of_form, left, unique_ones, windows)
+
+
+def told(
+    rows: Rows, accepted: tuple[Accepted, ...], levels: FloatArray, contrast: FloatArray
+) -> BoolArray:
+    """Return which coefficients do not go with others in what nobody can tell apart."""
+    design, _, _ = _weighed(rows, accepted, levels, contrast)
+    design = np.asarray(np.linalg.qr(design, mode="r"))
+    inverse = _inverse(design, cut(rows, accepted))
+    return unique(inverse, design)
+
+
+def unique(inverse: FloatArray, design: FloatArray) -> BoolArray:
+    """Return which elements are the same in all solutions of a design, by its pseudo-inverse."""
+    return np.asarray(np.einsum("pm,mp->p", inverse, design) > 1.0 - UNIQUE)
 
 
 def _unsure(

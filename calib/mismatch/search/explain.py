@@ -33,7 +33,7 @@ from calib.mismatch.noise.noise import make_whitener
 from calib.mismatch.rows.rows import Kind, Rows
 from calib.mismatch.search.accepted import UNLIKE, Accepted, fitted
 from calib.mismatch.search.counts import counted, is_whole
-from calib.mismatch.search.estimate import Estimate, pseudo_inverse
+from calib.mismatch.search.estimate import Estimate, pseudo_inverse, unique
 from calib.mismatch.search.joint import scaled
 from calib.mismatch.search.put_down import WORDS, put_down
 from calib.mismatch.search.ranking import chance
@@ -42,9 +42,6 @@ from calib.mismatch.search.search import SHOWN, TIE, TWIN, Outcome
 from calib.mismatch.search.twins import HEADING
 from calib.recording import CHANNELS, TRIADS
 from calib.types import BoolArray, FloatArray
-
-UNIQUE = 1e-6
-"""Share of a parameter that may lie in directions that are not, where it is determined."""
 
 ALIKE = "gyro_g_sensitivity"
 """What equals the part up of the Earth's rotation, where all axes have it alike."""
@@ -71,13 +68,15 @@ def explain(
 ) -> tuple[list[Finding], list[Unexplained], tuple[tuple[str, ...], FloatArray]]:
     """Return findings, what is unexplained, and names and covariance of the model's parameters.
 
-    The first coefficients are those of ``names``; ``further`` are others of a given model.
+    The first coefficients are those of ``names``; ``further`` are others of a given model. What
+    nobody can tell of these is not among the names that are returned.
     """
     rows, accepted = outcome.rows, outcome.accepted
     findings: list[Finding] = []
     unexplained: list[Unexplained] = []
-    known = [*names, *(further or {})]
-    index = [*range(len(names)), *(further or {}).values()]
+    model = [*zip(names, range(len(names)), strict=False), *(further or {}).items()]
+    known = [name for name, k in model if fit.determined[k]]
+    index = [k for _, k in model if fit.determined[k]]
     shapes: list[tuple[int, str]] = []
     of_poses: list[Unexplained] = []
     again, first_rests = returned(fit, accepted), put_down(accepted)
@@ -422,7 +421,7 @@ def _fit_without(outcome: Outcome, which: int) -> tuple[FloatArray, FloatArray, 
 def _least_squares(design: FloatArray, y: FloatArray) -> tuple[FloatArray, BoolArray]:
     """Return the shortest solution, and which of its elements are the same in all of them."""
     inverse = pseudo_inverse(design)
-    return inverse @ y, np.einsum("pm,mp->p", inverse, design) > 1.0 - UNIQUE
+    return inverse @ y, unique(inverse, design)
 
 
 _CLOCK_LIKE = ("warm_up", "bias_step")

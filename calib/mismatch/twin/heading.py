@@ -9,14 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.mismatch.rows.closure import across
+from calib.mismatch.rows.closure import across, turned_frames
 from calib.mismatch.rows.grid import Grid
-from calib.rotation import (
-    cumulative_quat_segments,
-    mat_from_quat,
-    quat_from_rotvec,
-    rate_increments,
-)
 from calib.types import FloatArray
 
 
@@ -39,10 +33,7 @@ def orient(grid: Grid, up: FloatArray, rate: FloatArray) -> FloatArray | None:
     if not np.array_equal(grid.before[turns], np.arange(grid.n_poses - 1)):
         return None
     points, spans = grid.turns
-    increments = np.zeros((len(points), 3))
-    increments[1:] = rate_increments(spans.time, rate[points])
-    increments[spans.start] = 0.0
-    turned = mat_from_quat(cumulative_quat_segments(quat_from_rotvec(increments), spans.first))
+    turned = turned_frames(spans, rate[points])
     stands = [_upright(across(up[0])[:, 0], up[0])]
     for end, above in zip(turned[spans.last], up[grid.after[turns]], strict=True):
         stands.append(_upright((stands[-1] @ end)[0], above))

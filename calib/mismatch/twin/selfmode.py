@@ -53,7 +53,6 @@ class SelfProblem:
         start = start_twin(grid, model, gravity=gravity, full_gyro=full_gyro)
         self.twin: Twin = fit_twin(grid, start, self.noise)
         self.given = () if model is None else model.terms
-        self.expected = SensorModel() if model is None else model
         self.further: tuple[str, ...] = ()
         """Parameters of the given model's further terms that the last rows are fitted with."""
         self.drop: BoolArray | None = None
@@ -122,14 +121,10 @@ class SelfProblem:
         if self.grid.n_poses < FEW:
             return np.zeros((0, 2))
         names = self.twin.names
-        now, expected = (
-            {**m.accel.parameters("accel"), **m.gyro.parameters("gyro")}
-            for m in (self.twin.model, self.expected)
-        )
         out = np.tile([0.0, np.inf], (len(names) + nuisances, 1))
-        for k, name in enumerate(names):
+        for k, (name, off) in enumerate(zip(names, self.twin.unexpected(), strict=True)):
             if ".bias." not in name:
-                out[k] = now[name] - expected[name], PART
+                out[k] = off, PART
         return out
 
     def _moves(self, state: State, channel: int) -> BoolArray:

@@ -23,12 +23,16 @@ GYRO_MISALIGNMENT = ("xy", "xz", "yx", "yz", "zx", "zy")
 
 @dataclass(frozen=True, eq=False)
 class Twin:
-    """A sensor model, and the unit vector up in frame s at each rest (k, 3)."""
+    """A sensor model, and the unit vector up in frame s at each rest (k, 3).
+
+    Where a recording says nothing the model is as that of the ``expected`` sensor.
+    """
 
     model: SensorModel
     up: FloatArray
     full_gyro: bool
     gravity: float
+    expected: SensorModel
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -41,6 +45,14 @@ class Twin:
         if self.full_gyro:
             names += [f"gyro.misalignment.{p}" for p in GYRO_MISALIGNMENT]
         return tuple(names)
+
+    def unexpected(self) -> FloatArray:
+        """Return how far the baseline's parameters are from those of the expected sensor, (p,)."""
+        now, expected = (
+            {**model.accel.parameters("accel"), **model.gyro.parameters("gyro")}
+            for model in (self.model, self.expected)
+        )
+        return np.array([now[name] - expected[name] for name in self.names])
 
     def moved(self, step: Mapping[str, float], angles: FloatArray) -> Twin:
         """Return the twin with baseline parameters and attitudes (k, 2) moved."""

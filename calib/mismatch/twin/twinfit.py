@@ -53,13 +53,14 @@ def _loose(names: Sequence[str], poses: int) -> FloatArray:
 def start_twin(grid: Grid, model: SensorModel | None, *, gravity: float, full_gyro: bool) -> Twin:
     """Return a first twin: the given model, or one from the rests alone."""
     means = _pose_means(grid)
+    expected = SensorModel() if model is None else model
     if model is None:
         model = SensorModel(gyro=Triad(bias=means[:, 3:].mean(axis=0)))
         if grid.temperature is not None:
             model = replace(model, reference_temperature=float(np.median(grid.temperature)))
     up = means[:, :3] - model.accel.bias
     up /= np.linalg.norm(up, axis=1, keepdims=True)
-    twin = Twin(model, up, full_gyro, gravity)
+    twin = Twin(model, up, full_gyro, gravity, expected)
     accel = [n for n in twin.names if n.startswith("accel")]
     k = len(up)
     loose = _loose(accel, k)
@@ -76,8 +77,7 @@ def start_twin(grid: Grid, model: SensorModel | None, *, gravity: float, full_gy
         for p in range(k):
             design[p, :, len(accel) + 2 * p : len(accel) + 2 * p + 2] = turn[p]
         flat = design.reshape(3 * k, -1)
-        now = twin.model.accel.parameters("accel")
-        pull = np.array([now[n] for n in accel]) / loose
+        pull = twin.unexpected()[: len(accel)] / loose
         ridge = np.zeros((len(accel), flat.shape[1]))
         ridge[:, : len(accel)] = np.diag(1.0 / loose)
         step = np.linalg.lstsq(
@@ -141,10 +141,9 @@ def _step(
     loose = _loose(twin.names, len(twin.up))
     design = np.hstack((linear.baseline[dense], linear.nuisance[dense])) / sigma[:, None]
     y = linear.residual[dense] / sigma
-    now = {**twin.model.accel.parameters("accel"), **twin.model.gyro.parameters("gyro")}
     ridge = np.zeros((p, design.shape[1]))
     ridge[:, :p] = np.diag(1.0 / loose)
-    pull = -np.array([now[n] for n in twin.names]) / loose
+    pull = -twin.unexpected() / loose
     weight = np.ones(len(dense))
     step = np.zeros(design.shape[1])
     for _ in range(4):

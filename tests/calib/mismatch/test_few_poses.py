@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calib.calibration import Gravity
 from calib.effects import effects
 from calib.effects.base import Term
 from calib.mismatch import Diagnosis, diagnose_recording
@@ -18,6 +19,7 @@ from calib.simulate import simulate
 from calib.simulation.bench import bench_protocol
 from calib.simulation.library import make_motion
 from calib.simulation.noise import CONSUMER
+from calib.statics import find_poses
 
 from .bench import GRAVITY, recording
 
@@ -38,6 +40,39 @@ def test_what_differs_between_few_poses_has_no_name(poses: int) -> None:
     assert any(text.startswith("enough poses") for text in found.missing)
     # Nor is what has no name a term of the model, which is applied.
     assert {t.effect for t in found.model.terms} == {f.effect for f in found.findings}
+
+
+@pytest.mark.parametrize("poses", [1, 2, 3])
+def test_of_few_poses_no_parameter_is_said_to_have_moved(poses: int) -> None:
+    """What only goes with others seemed to be known to nothing, and to have moved by 5 %."""
+    real = recording(poses=14)
+    whole = diagnose_recording(real, gravity=GRAVITY)
+    known = whole.calibration(real, gravity=Gravity(GRAVITY))
+    assert known.complete
+    few = real.slice(0, int(find_poses(real).stop[poses - 1]))
+    found = diagnose_recording(few, gravity=GRAVITY, model=known.model).beside(known, few)
+    assert found.moved == ()
+    now = found.calibration(few, gravity=Gravity(GRAVITY))
+    assert set(now.names) | set(now.undetermined) >= set(known.names)
+    assert {name for name in known.names if name.startswith("accel.")} <= set(now.undetermined)
+    if poses == 1:
+        # What it says nothing of is as the calibration has it.
+        for name in set(now.undetermined) & set(known.names):
+            assert now.values[name] == pytest.approx(known.values[name], abs=1e-3)
+
+
+@pytest.mark.parametrize("poses", [1, 2])
+def test_what_few_poses_say_holds(poses: int) -> None:
+    rng = np.random.default_rng(100 * poses)
+    motion = bench_protocol(rng, poses=poses, first_pose=5.0, pose_duration=(5.0, 7.0))
+    accel = Triad(rng.normal(0, 0.2, 3), rng.normal(0, 0.01, 3))
+    true = SensorModel(accel, Triad(rng.normal(0, 0.01, 3)))
+    real = simulate(motion, true, CONSUMER, rng=rng, rate=100.0)
+    found = diagnose_recording(real, gravity=GRAVITY).calibration(real, gravity=Gravity(GRAVITY))
+    truth = {**true.accel.parameters("accel"), **true.gyro.parameters("gyro")}
+    assert {"gyro.bias.x", "gyro.bias.y", "gyro.bias.z"} <= set(found.names)
+    for name, sigma in zip(found.names, np.sqrt(np.diag(found.covariance)), strict=True):
+        assert abs(found.values[name] - truth[name]) < 4.0 * sigma, name
 
 
 @pytest.mark.long

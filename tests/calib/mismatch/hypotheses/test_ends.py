@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from calib.mismatch.hypotheses.candidates import Candidate
-from calib.mismatch.hypotheses.ends import place_window, tune_wave
+from calib.mismatch.hypotheses.ends import expected_overlap, place_window, tune_wave
 from calib.mismatch.hypotheses.windows import moved_window, segment_columns, window_columns
 from calib.mismatch.noise.noise import expected_levels, make_whitener
 from calib.mismatch.search.accepted import fitted
@@ -212,3 +212,14 @@ def test_a_wave_throughout_gets_its_period_between_those_of_the_grid():
     mimicked = whitener.project(columns)
     left = y - mimicked @ np.linalg.lstsq(mimicked, y, rcond=None)[0]
     assert np.linalg.norm(left) < 0.1 * np.linalg.norm(y)
+
+
+def test_the_interval_that_overlaps_most_is_that_of_all_pairs():
+    rng = np.random.default_rng(6)
+    start = rng.uniform(0.0, 90.0, 700)
+    stop = start + rng.uniform(1.0, 20.0, 700)
+    weight = rng.uniform(0.5, 1.0, 700)
+    common = np.minimum.outer(stop, stop) - np.maximum.outer(start, start)
+    hull = np.maximum.outer(stop, stop) - np.minimum.outer(start, start)
+    best = int(np.argmax(np.maximum(common, 0.0) / hull @ weight))
+    assert expected_overlap(start, stop, weight) == (start[best], stop[best])

@@ -196,6 +196,20 @@ def test_few_contrasts_are_judged_by_all_of_their_triad():
     assert np.allclose(variance[at >= 3], (4 * 64 + 6) / (12 + 6))
 
 
+def test_contrasts_of_a_triad_are_judged_alike_without_those_of_the_other():
+    """Which order each is of was guessed from how many there are."""
+    _, self_mode = problem()
+    rows = self_mode.rows()
+    rng = np.random.default_rng(3)
+    contrast = np.arange(len(rows.residual)) >= rows.n_dense
+    size = np.append(np.zeros(rows.n_dense), np.sqrt(rows.white_diagonal))
+    rows = rows.with_residual(size * rng.normal(0.0, 3.0, len(size)))
+    assert contrast.sum() % 24 == 0
+    alone = rows.without(contrast & (rows.channel >= 3))
+    accel = rows.channel[contrast] < 3
+    np.testing.assert_array_equal(contrast_variance(alone), contrast_variance(rows)[accel])
+
+
 @pytest.mark.parametrize("level", [0.0, 2e-7])
 def test_axes_along_gravity_and_short_rests_see_less_of_a_lean(level):
     """A hand sways: what it does to an axis goes with the axis, and with how long the rest is."""

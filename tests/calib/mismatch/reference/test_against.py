@@ -10,7 +10,7 @@ from scipy.signal import lfilter
 from calib.effects.bandwidth import low_pass
 from calib.effects.base import Term
 from calib.errors import NoCommonMotionError
-from calib.mismatch import diagnose_against, diagnose_reference
+from calib.mismatch import diagnose_against, diagnose_recording, diagnose_reference
 from calib.mismatch.reference.against import compare_simulation
 from calib.mismatch.reference.alignment import Alignment, align
 from calib.mismatch.reference.band import follows_noise
@@ -344,6 +344,22 @@ def test_a_simulation_in_g_is_named_with_its_factor():
     assert "check the units" in found.sentence
 
 
+def test_what_is_wrong_with_samples_is_to_be_mended_as_without_a_simulation():
+    real = recorded()
+    gyro = real.gyro.copy()
+    gyro[:, 1] = gyro[:, 0]
+    twice = replace(real, gyro=gyro)
+    alone, beside = (
+        diagnose_recording(twice, gravity=GRAVITY),
+        diagnose_against(twice, simulation(), gravity=GRAVITY),
+    )
+    assert beside.verdict == alone.verdict == "unexplained"
+    assert beside.missing == alone.missing[-1:]
+    assert "a register may be read twice" in beside.missing[0]
+    with pytest.raises(NoCommonMotionError, match=r"gyro\.x, gyro\.y: one repeats the other"):
+        diagnose_reference(real, replace(twice, time=real.time + 3.0), gravity=GRAVITY)
+
+
 def test_a_simulation_at_rest_leaves_it_undetermined():
     sim = simulation()
     still = replace(sim, accel=np.tile([0.0, 0.0, GRAVITY], (len(sim), 1)), gyro=0 * sim.gyro)
@@ -357,6 +373,16 @@ def test_a_simulation_of_next_to_nothing_leaves_it_undetermined(samples):
     found = diagnose_against(recorded(), simulation().slice(0, samples), gravity=GRAVITY)
     assert found.verdict == "undetermined"
     assert "motion" in found.missing[0]
+
+
+@pytest.mark.parametrize("every", [50, 100, 300])
+def test_a_simulation_of_few_samples_leaves_it_undetermined(every):
+    sim = simulation()
+    few = Recording(sim.time[::every], sim.accel[::every], sim.gyro[::every], sim.clock)
+    assert few.duration > 6.0
+    found = diagnose_against(recorded(), few.slice(0, min(len(few), 47)), gravity=GRAVITY)
+    assert found.verdict == "undetermined"
+    assert "fewer than 48" in found.missing[0]
 
 
 @pytest.mark.parametrize("noise", [0.0, 1.0])

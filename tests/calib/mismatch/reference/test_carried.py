@@ -115,6 +115,12 @@ def test_what_it_reads_at_rest_is_taken_off_and_open_where_it_never_rests():
     own = [n.startswith(("reference_gyro", "reference_accel")) for n in problem.aligned]
     np.testing.assert_array_equal(problem.loose[len(problem.names) :][own], known[1])
     np.testing.assert_allclose(problem.setup.errors, known[0], atol=1e-12)
+    place, stood = problem.place(), problem.moved
+    for _ in range(2):
+        problem.move(dict.fromkeys(problem.names, 0.1), np.full(len(problem.aligned), 0.2), ())
+        assert not np.allclose(problem.moved, stood)
+        problem.go_back(place)
+        np.testing.assert_array_equal(problem.moved, stood)
 
 
 def test_what_its_own_rests_and_turns_tell_of_another_imu():

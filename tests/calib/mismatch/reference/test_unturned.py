@@ -104,7 +104,7 @@ def test_an_angle_that_only_the_fit_holds_may_be_any():
     # An angle about the axis, and a coefficient that follows it.
     along = np.concatenate(([0.7], axis, [0.0]))
     covariance += LOOSE["rx"] ** 2 * np.outer(along, along)
-    fit = Estimate(np.zeros(5), covariance, (5,), {}, {}, {}, np.zeros(0))
+    fit = Estimate(np.zeros(5), covariance, (5,), {}, {}, {}, np.zeros(0), np.ones(5, bool))
     wide, any_angle = with_any_angle(fit, slice(1, 4), lambda _: 0.0)
     assert any_angle
     assert wide.covariance == pytest.approx(ANY**2 * np.outer(along, along), abs=1e-3)

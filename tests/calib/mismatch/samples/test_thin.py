@@ -108,6 +108,19 @@ def test_motion_that_is_too_long_keeps_its_ends() -> None:
     assert left.poses.interval[-1, 1] > long.time[-1] - 5.0
 
 
+def test_a_long_motion_without_a_rest_is_undetermined() -> None:
+    rng = np.random.default_rng(2)
+    time = 0.01 * np.arange(20_000)
+    rate = np.stack([np.sin(0.5 * time), 0.8 * np.cos(0.4 * time), 0.5 * np.sin(0.3 * time)], 1)
+    force = np.stack([np.sin(0.5 * time), np.cos(0.4 * time), np.full(len(time), 9.8)], axis=1)
+    noise = rng.normal(0, 1.0, (2, *rate.shape)) * [[[0.02]], [[0.003]]]
+    moving = Recording(time, force + noise[0], rate + noise[1], "device")
+    found = diagnose_thinned(thinned(moving, 4096), gravity=GRAVITY)
+    assert found.verdict == "undetermined"
+    assert found.missing[-1].startswith("a moment of rest")
+    assert found.summary["samples"] == len(moving)
+
+
 def test_faults_are_seen_in_every_section() -> None:
     real = recording(poses=8)
     limit = 0.7 * np.abs(real.gyro[:, 0]).max()

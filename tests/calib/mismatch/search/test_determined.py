@@ -77,6 +77,7 @@ def test_the_last_parameter_of_a_finding_stays(found):
 
 def test_a_baseline_is_open_where_it_is_loose_or_nothing_is_said_of_it():
     names = ("accel.bias.x", "gyro.scale_factor_error.y", "accel.misalignment.yx")
-    covariance = np.diag([0.05, 0.0, 0.05]) ** 2
-    fit = Estimate(np.zeros(3), covariance, (3,), {}, {}, {}, np.zeros(1))
+    covariance = np.diag([0.05, 1e-9, 0.05]) ** 2
+    told = np.array([True, False, True])
+    fit = Estimate(np.zeros(3), covariance, (3,), {}, {}, {}, np.zeros(1), told)
     assert open_baseline(names, fit) == list(names[1:])

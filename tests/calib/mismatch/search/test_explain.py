@@ -66,7 +66,8 @@ def test_few_windows_tell_less_than_many(stacked):
     found = accept(stack, candidate(stack, "gyro_scale_nonlinearity", ("kx",)), 100.0)
 
     def estimate(z: float, windows: Windows | None) -> Estimate:
-        return Estimate(np.full(1, z), np.eye(1), (0, 1), {}, {}, {}, np.zeros(1), windows)
+        told = np.ones(1, bool)
+        return Estimate(np.full(1, z), np.eye(1), (0, 1), {}, {}, {}, np.zeros(1), told, windows)
 
     two, alike = (Windows(np.full(1, wider), np.full(1, 2.0)) for wider in (3.0, 1.2))
     few, many = _of_windows(estimate(3.0, two), 0, found, looks=1)
@@ -104,7 +105,8 @@ def test_of_a_step_that_later_wandering_took_over_nothing_is_said():
     elsewhere = found("direction of gravity", physical=False, channel="gyro.y")
 
     def fit(size: float) -> Estimate:
-        return Estimate(np.array([size, 9.0]), np.eye(2), (0, 1, 2), {}, {}, {}, np.zeros(0))
+        told, left = np.ones(2, bool), np.zeros(0)
+        return Estimate(np.array([size, 9.0]), np.eye(2), (0, 1, 2), {}, {}, {}, left, told)
 
     assert _is_taken_over(fit(0.5), [step, wanders], 0)
     assert not _is_taken_over(fit(5.0), [step, wanders], 0)

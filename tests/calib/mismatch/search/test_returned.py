@@ -28,7 +28,8 @@ def _step(name: str, axes: str, moment: float) -> Accepted:
 
 def _fit(values: list[float], at: tuple[int, ...], together: float = 0.0) -> Estimate:
     spread = 0.02**2 * ((1 - together) * np.eye(len(values)) + together)
-    return Estimate(np.array(values), spread, at, {}, {}, {}, np.zeros(4))
+    told = np.ones(len(values), bool)
+    return Estimate(np.array(values), spread, at, {}, {}, {}, np.zeros(4), told)
 
 
 @pytest.mark.parametrize(
