@@ -11,10 +11,8 @@ from calib.effects.observed import observed_turns, since_and_during
 from calib.effects.vibration import SHAKEN, quiet_level, vibration_variance
 from calib.poses import Poses
 from calib.recording import Recording
+from calib.stillness import LONGEST_GAP
 from calib.types import BoolArray, FloatArray, IntArray
-
-HOLE = 0.25
-"""s without a sample, from which on a recording was stopped and not slow."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +83,7 @@ def find_turns(recording: Recording, poses: Poses) -> Turns:
 def find_holes(recording: Recording) -> FloatArray:
     """Return where a recording was not running, (k, 2) s: what turned then is in no sample."""
     step = np.diff(recording.time)
-    before = np.flatnonzero(step > max(HOLE, 5.0 * recording.interval))
+    before = np.flatnonzero(step > max(LONGEST_GAP, 5.0 * recording.interval))
     return np.stack((recording.time[before], recording.time[before + 1]), axis=1)
 
 

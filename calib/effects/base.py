@@ -479,7 +479,6 @@ def per_axis(
     unit: str,
     typical: float,
     *,
-    reference_only: bool = False,
     refining: bool = False,
     most: float | None = None,
 ) -> tuple[Parameter, ...]:
@@ -489,9 +488,7 @@ def per_axis(
     """
     least = None if most is None else -most
     return tuple(
-        Parameter(
-            f"{prefix}{a}", unit, typical, (f"{triad}.{a}",), reference_only, refining, least, most
-        )
+        Parameter(f"{prefix}{a}", unit, typical, (f"{triad}.{a}",), False, refining, least, most)
         for a in AXES
     )
 

@@ -92,7 +92,8 @@ def diagnose_recording(
     gravity : float, m/s²
     model : SensorModel, optional
         A calibration: the twin then has its misalignment and further terms too. Otherwise the
-        twin has the paper's model. Either way the baseline is fitted to the recording.
+        twin has the paper's (Ranjbaran, Roudbari, Ebadollahi 2018). Either way the baseline is
+        fitted to the recording.
     """
     return diagnose_thinned(thin(lambda: (recording,)), gravity=gravity, model=model)
 

@@ -65,7 +65,7 @@ APART, MOST_APART = {"apart": 1.0}, 32
 turn makes anew."""
 
 MIDDLE = {6.0: (1, 16)}
-"""The same for what a triad has, where three times the columns make every hypothesis dear."""
+"""`CORNERS` of what a triad has, where three times the columns make every hypothesis dear."""
 
 MOST_ORDERS = 64
 """Cosines that a moved window has at most, twice as many as on the grid: a window that comes to

@@ -1,4 +1,7 @@
-"""The noise model: white noise, jitter and random walk of each bias, the closures' own errors.
+"""The noise model: white noise, drift of each bias, a lean, and the closures' own errors.
+
+A bias jitters from rest to rest, flickers, and walks; what samples miss of a turn is among the
+closures' errors.
 
 Their levels are estimated by restricted maximum likelihood: the likelihood of what no column of
 the mean can reach. With the columns of every effect in the mean, an effect cannot hide as drift.
@@ -62,6 +65,9 @@ LEANS = 1e3
 
 ROUNDING = 1e-12
 """Products of unit vectors up to which these are orthogonal."""
+
+RANK = 1e-9
+"""Share of the largest column up to which what the others leave of one is rounding."""
 
 KNOWN = 30.0
 """Times better than the prior, from which on the rows alone tell a parameter."""
@@ -334,7 +340,7 @@ def level_basis(rows: Rows, mean: FloatArray) -> FloatArray:
     return range_basis(mean[rows_of_levels(rows)])
 
 
-def range_basis(mean: FloatArray, *, tolerance: float = 1e-9) -> FloatArray:
+def range_basis(mean: FloatArray) -> FloatArray:
     """Return independent columns with the span of `mean`, scaled to unit length."""
     size = np.linalg.norm(mean, axis=0)
     scaled = mean[:, size > 0] / size[size > 0]
@@ -344,7 +350,7 @@ def range_basis(mean: FloatArray, *, tolerance: float = 1e-9) -> FloatArray:
     if plain is not None:
         return plain
     q, r, _ = linalg.qr(scaled, mode="economic", pivoting=True)
-    rank = int((np.abs(np.diag(r)) > tolerance * abs(r[0, 0])).sum())
+    rank = int((np.abs(np.diag(r)) > RANK * abs(r[0, 0])).sum())
     return np.asarray(q[:, :rank])
 
 
@@ -508,15 +514,12 @@ def _basis_beside(white: FloatArray, spread: FloatArray) -> FloatArray:
     column that shows next to nothing must not take what it would have to be impossible for.
     """
     uncertain = np.flatnonzero(np.isfinite(spread))
-    every = range_basis(white)
-    if not len(uncertain):
-        return every
     others = range_basis(np.delete(white, uncertain, axis=1))
+    if not len(uncertain):
+        return others
     own = white[:, uncertain] * spread[uncertain]
     own -= others @ (others.T @ own)
     along, known, _ = np.linalg.svd(own, full_matrices=False)
-    if known.min() > KNOWN:
-        return every
     share = np.where(known > KNOWN, 1.0, known / np.sqrt(1.0 + np.square(known)))
     return np.hstack((others, along * share))
 

@@ -244,10 +244,10 @@ def conclude(
     *,
     setups: tuple[str, ...],
     clocks: FloatArray,
+    noisy: tuple[Unexplained, ...],
+    skip: tuple[str, ...],
+    missing: tuple[str, ...],
     another: bool = False,
-    noisy: tuple[Unexplained, ...] = (),
-    skip: tuple[str, ...] = (),
-    missing: tuple[str, ...] = (),
 ) -> Diagnosis:
     """Search, explain, and report alignments among ``setups`` as findings.
 

@@ -172,7 +172,7 @@ def find_colour(
     *,
     steepest: float = np.inf,
 ) -> Colour:
-    """Return the colour of (n, k) differences that passed `zero_phase`.
+    """Return the colour of (n, k) differences that passed `band.smoothed`.
 
     The median over parts counts little of what a few turns have of their own. ``steepest`` bounds
     the rise with the square of the frequency, 1/Hz².

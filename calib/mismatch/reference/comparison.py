@@ -68,6 +68,9 @@ SAME = 0.3
 """Standard deviations by which no row has moved since windows and shapes were found: what is fitted
 is among the shapes, and these would be the same now."""
 
+STEPS = 8
+"""Of the first fit, at most."""
+
 COLOURED = 4
 """Step of the first fit before which the colour of noise is looked for: a sensor that swings is not
 where it belongs after two, and what it is off by is no noise."""
@@ -464,7 +467,7 @@ class ComparisonProblem:
         terms = tuple(t for t in prompt if t.parameters)
         return np.asarray(replace(model, terms=terms).distort(moved).gyro)
 
-    def fit(self, *, iterations: int = 8) -> None:
+    def fit(self) -> None:
         """Fit baseline and alignment by robust Gauss-Newton.
 
         Beside an arm: what half a metre makes a sensor feel would draw scale factors and time with
@@ -477,7 +480,7 @@ class ComparisonProblem:
         known, moved = self.given, 0.0
         # Beside a truth without noise the first step leads nearly there.
         anew = 2 if self.noisy or self.band else 1
-        for k in range(iterations):
+        for k in range(STEPS):
             coloured = bool(self.band) and k == COLOURED
             if k <= anew or coloured:
                 self.shapes, moved = None, 0.0

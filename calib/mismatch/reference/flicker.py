@@ -21,7 +21,6 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from scipy import fft
 
 from calib.mismatch.noise.sensornoise import DRIFT, SPREAD
 from calib.recording import CHANNELS
@@ -87,6 +86,8 @@ def _slowest_cosines(n: int) -> FloatArray:
 
 def flicker_of(shapes: Sequence[FloatArray]) -> FloatArray:
     """Return the variances (k,) of projections on k unit vectors, for an instability of one."""
+    from scipy import fft  # only comparisons need it
+
     length = np.array([len(x) for x in shapes], np.int64)
     out = np.empty(len(shapes))
     for n in np.unique(length).tolist():

@@ -123,7 +123,6 @@ def make_rows(
         block=segment,
         interval=interval,
         is_rest=np.zeros(k, bool),
-        pieces=pieces,
         aligned=aligned,
         restless=restless,
         prior=prior,

@@ -25,9 +25,9 @@ ALIKE = 0.26
 
 
 def choose_poses(
-    accel: FloatArray, start: IntArray, stop: IntArray, *, interval: float, most: int = MOST
+    accel: FloatArray, start: IntArray, stop: IntArray, *, interval: float
 ) -> IntArray:
-    """Return the indices of the poses to look at, in order: all of up to `most`.
+    """Return the indices of the poses to look at, in order: all of up to `MOST`.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ def choose_poses(
         Between samples.
     """
     k = len(start)
-    if k <= most:
+    if k <= MOST:
         return np.arange(k)
     kind = _directions(accel)
     turn = np.flatnonzero((start[1:] - stop[:-1]) * interval <= LONGEST_TURN)
@@ -54,11 +54,11 @@ def choose_poses(
         seen[ends] = seen.get(ends, 0) + 1
     chosen = np.zeros(k, bool)
     for a in order[np.argsort(number, kind="stable")]:
-        if chosen.sum() + 2 > FOR_TURNS * most:
+        if chosen.sum() + 2 > FOR_TURNS * MOST:
             break
         chosen[a : a + 2] = True
     longest = np.argsort(np.where(chosen, -1, stop - start), kind="stable")[::-1]
-    chosen[longest[: most - int(chosen.sum())]] = True
+    chosen[longest[: MOST - int(chosen.sum())]] = True
     return np.flatnonzero(chosen)
 
 

@@ -24,6 +24,10 @@ from calib.types import BoolArray, FloatArray, IntArray
 REST_STEP = 0.25
 """Length of the means that a rest is thinned to, s."""
 
+MARGIN = 3
+"""Samples at either end of a rest that are given to the turn beside it, so that the turn is
+integrated from rest to rest."""
+
 LONGEST_TURN = 30.0
 """Motion that lasts longer than this between two rests is not closed, s: the errors of a hand
 shaking a sensor for minutes say nothing of its calibration."""
@@ -148,7 +152,6 @@ def make_grid(
     poses: Poses,
     *,
     turns: IntArray | None = None,
-    margin: int = 3,
     shortest_cell: float | None = None,
     began: float | None = None,
 ) -> Grid:
@@ -162,9 +165,6 @@ def make_grid(
     turns : (k - 1, 2) array of int
         Samples in which the turns between k poses are under way, if not in all between rests: the
         others are given to the rests.
-    margin : int
-        Samples at either end of a rest that are given to the turn beside it, so that the turn is
-        integrated from rest to rest.
     shortest_cell : float, s
         Shortest part that a long rest is cut into.
     began : float, s
@@ -188,14 +188,14 @@ def make_grid(
     for k in range(len(poses)):
         start, stop = int(poses.start[k]), int(poses.stop[k])
         # A rest keeps at least six points, so that it has a mean and two contrasts.
-        trim = min(margin, max(0, (stop - start - 6) // 2))
+        trim = min(MARGIN, max(0, (stop - start - 6) // 2))
         inner = np.linspace(start + trim, stop - trim, int(cells[k]) + 1).astype(np.int64)
         for a, b in pairwise(inner):
             n = max(1, min(b - a, max(6, (b - a) // width)))
             edges = np.unique(np.linspace(a, b, n + 1).astype(np.int64)[:-1])
             add(edges, int(b), k, k)
         if k + 1 < len(poses):
-            following = min(margin, max(0, int(poses.stop[k + 1] - poses.start[k + 1] - 6) // 2))
+            following = min(MARGIN, max(0, int(poses.stop[k + 1] - poses.start[k + 1] - 6) // 2))
             a, b = stop - trim, int(poses.start[k + 1]) + following
             if b - a >= 2 and (b - a) * step <= LONGEST_TURN:
                 add(np.arange(a, b, dtype=np.int64), b, k, k + 1)

@@ -146,8 +146,6 @@ class Rows:
     interval : (s, 2) array, s
         Of each segment.
     is_rest : (s,) array of bool
-    pieces : six sparse (m, s) matrices
-        Response to a constant on each channel in each segment (functional times indicator).
     aligned : tuple of str
         Parameters (``effect.name``) that `nuisance` fits: an alignment in time, a rotation.
     restless : (m,) array of bool
@@ -183,7 +181,6 @@ class Rows:
     block: IntArray
     interval: FloatArray
     is_rest: BoolArray
-    pieces: tuple[Any, ...] = field(default=())
     aligned: tuple[str, ...] = ()
     restless: BoolArray = field(default_factory=lambda: np.zeros(0, bool))
     prior: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
@@ -325,7 +322,6 @@ class Rows:
             channel=self.channel[keep],
             segment=self.segment[keep],
             block=self.block[keep],
-            pieces=tuple(p[keep] for p in self.pieces),
             restless=self.restless[keep] if self.restless.size else self.restless,
             plain=self.plain[keep] if self.plain.size else self.plain,
         )

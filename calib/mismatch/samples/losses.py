@@ -42,7 +42,7 @@ SHARP = 0.5
 """Share of the greatest jump of the signals in a turn from which others are as likely a loss."""
 
 NEAR = 3.0
-"""The same of a turn that closes."""
+"""Size up to which a turn closes, in what turns scatter by."""
 
 SHARE = 0.1
 """Of a closure, what may be left of it: samples between fast ones are only interpolated. At a

@@ -34,6 +34,9 @@ from calib.units import ACCEL_FACTORS, name_of, unit_faults
 _JOIN = 1.0
 """Places closer than this are one interval, s."""
 
+PLACES = 50
+"""Intervals that are told apart, at most."""
+
 _COARSE = 0.5
 """A count larger than the noise over this: rounding is no longer hidden by noise."""
 
@@ -280,10 +283,10 @@ def _common(name: str, found: list[Quantity]) -> Quantity:
     return replace(found[0], value=value)
 
 
-def _join_intervals(found: list[Interval], *, limit: int = 50) -> tuple[Interval, ...]:
-    """Return intervals in their order, those joined that meet; at most `limit`."""
+def _join_intervals(found: list[Interval]) -> tuple[Interval, ...]:
+    """Return intervals in their order, those joined that meet; at most `PLACES`."""
     first, last = np.array(sorted(found)).T
-    return _cut(first, last, first[1:] - last[:-1], limit)
+    return _cut(first, last, first[1:] - last[:-1])
 
 
 def _units(recording: Recording, poses: Poses, closure: Closure | None) -> list[Finding]:
@@ -503,17 +506,17 @@ def _finding(
     )
 
 
-def intervals_of(time: FloatArray, index: IntArray, *, limit: int = 50) -> tuple[Interval, ...]:
-    """Return the intervals that samples fill; at most `limit`, the closest ones joined."""
+def intervals_of(time: FloatArray, index: IntArray) -> tuple[Interval, ...]:
+    """Return the intervals that samples fill; at most `PLACES`, the closest ones joined."""
     at = time[index]
-    return _cut(at, at, np.diff(at), limit)
+    return _cut(at, at, np.diff(at))
 
 
-def _cut(first: FloatArray, last: FloatArray, gap: FloatArray, limit: int) -> tuple[Interval, ...]:
-    """Return at most `limit` intervals of things that begin and end at these times, in order."""
+def _cut(first: FloatArray, last: FloatArray, gap: FloatArray) -> tuple[Interval, ...]:
+    """Return at most `PLACES` intervals of things that begin and end at these times, in order."""
     cut = gap > _JOIN
-    if cut.sum() >= limit:
-        cut = gap > np.sort(gap)[-limit]
+    if cut.sum() >= PLACES:
+        cut = gap > np.sort(gap)[-PLACES]
     edges = np.flatnonzero(cut)
     begin, end = np.append(0, edges + 1), np.append(edges, len(last) - 1)
     return tuple((float(first[a]), float(last[b])) for a, b in zip(begin, end, strict=True))

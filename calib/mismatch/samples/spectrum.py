@@ -31,7 +31,7 @@ HIDDEN = 0.5
 """Noise in counts below which its power depends on where between two of them a signal is."""
 
 _HERE = 0.01
-"""The same for whether one rest has what is known to be in the recording, a line or a burst."""
+"""P-value below which one rest has what is known to be in the recording, a line or a burst."""
 
 LINE = "a line at "
 """What a line follows, before its frequency."""

@@ -57,7 +57,7 @@ are at most: of more, the truth has corners, or noise that is not normal."""
 JOLTED = "the time: a jolt there"
 
 OFF_COURSE = "the time: single samples are off course there"
-"""What these follow."""
+"""What single samples that no others go with follow."""
 
 RESTLESS = "the time: it is restless there"
 """What a stretch of rests that differs in kind follows."""

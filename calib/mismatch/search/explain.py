@@ -12,7 +12,6 @@ from scipy.special import chdtrc, fdtrc
 from calib.calibration import Quantity, parameter_unit
 from calib.effects import effects, get_effect
 from calib.effects.base import Effect
-from calib.effects.earth_rate import EarthRate
 from calib.mismatch.findings.diagnosis import (
     Absorbed,
     Change,
@@ -39,12 +38,9 @@ from calib.mismatch.search.put_down import WORDS, put_down
 from calib.mismatch.search.ranking import chance
 from calib.mismatch.search.returned import THERE, returned
 from calib.mismatch.search.search import SHOWN, TIE, TWIN, Outcome
-from calib.mismatch.search.twins import HEADING
+from calib.mismatch.search.twins import HEADING, too_fast
 from calib.recording import CHANNELS, TRIADS
 from calib.types import BoolArray, FloatArray
-
-ALIKE = "gyro_g_sensitivity"
-"""What equals the part up of the Earth's rotation, where all axes have it alike."""
 
 UNSURE = 0.05
 """P-value, all looks counted, above which a finding is not told from how windows scatter."""
@@ -133,13 +129,8 @@ def explain(
             sentence = f"{sentence} {effect.in_words(a.candidate.shape)}".rstrip()
         if i in first_rests.values():
             sentence = f"{sentence} {WORDS}"
-        if isinstance(effect, EarthRate) and (times := _too_fast(effect, parameters)) > 1.0:
-            own = next((r for r in rivals if r.effect == ALIKE), Rival(ALIKE, 1.0))
-            rivals = (own, *(r for r in rivals if r.effect != ALIKE))
-            sentence = (
-                f"{sentence} That would be {times:.2g} times as fast as it turns: a g-sensitivity "
-                "that all axes have alike is the same as the part up."
-            )
+        rivals, more = too_fast(effect, parameters, rivals)
+        sentence = f"{sentence} {more}".rstrip()
         absorbed, proof, before = _proof(outcome, fit, i, names, after)
         predicted = a.columns @ fit.step[part]
         if _only_levels(outcome, i, proof):
@@ -207,12 +198,6 @@ def explain(
     covariance = (fit.joint(shapes) * np.outer(scale, scale))[np.ix_(index, index)]
     unexplained += _of_poses(of_poses)
     return findings, joined(unexplained), (tuple(known), covariance)
-
-
-def _too_fast(effect: EarthRate, parameters: Mapping[str, Quantity]) -> float:
-    """Return how many times as fast as the Earth its rotation is said to be, if beyond doubt."""
-    values = {name: q.value for name, q in parameters.items()}
-    return effect.excess(values, {name: q.sigma or 0.0 for name, q in parameters.items()})
 
 
 def _is_taken_over(fit: Estimate, accepted: Sequence[Accepted], which: int) -> bool:
@@ -498,7 +483,7 @@ def _row_kinds(rows: Rows) -> list[tuple[str, str, FloatArray]]:
         ("attitude after turns", "rad", rows.kind == Kind.ATTITUDE),
         ("velocity after turns", "m/s", rows.kind == Kind.VELOCITY),
     ):
-        if (own & (rows.channel >= -1)).any():
+        if own.any():
             out.append((label, unit, own))
     return out
 

@@ -121,9 +121,9 @@ class Scores:
         self,
         evidence: FloatArray,
         running: BoolArray,
-        known: FloatArray | None = None,
+        known: FloatArray | None,
         *,
-        plain: bool = False,
+        plain: bool,
     ) -> tuple[FloatArray, Levels, list[Hidden]]:
         """Return the evidence where physics, or rivals, take up the drift of their channels.
 

@@ -36,7 +36,7 @@ KEEP = 0.0
 """Log evidence below which an earlier finding is dropped, given the later ones."""
 
 TWIN = 0.01
-"""The same for another effect of the catalogue: what sizes are typical is a weak argument between
+"""`TIE` for another effect of the catalogue: what sizes are typical is a weak argument between
 two that a recording cannot tell apart."""
 
 SHOWN = 1e-3

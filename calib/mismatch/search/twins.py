@@ -7,9 +7,15 @@ best, but any that the recording allows: two standard errors either way.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
+from calib.calibration import Quantity
 from calib.effects import get_effect
+from calib.effects.base import Effect
+from calib.effects.earth_rate import EarthRate
+from calib.mismatch.findings.diagnosis import Rival
 from calib.mismatch.hypotheses.candidates import Candidate
 from calib.mismatch.hypotheses.families import candidate_columns, neighbours
 from calib.mismatch.hypotheses.score import Stack
@@ -38,8 +44,9 @@ NEARLY = 4.0
 ALLOWED = 4.0
 """Power by which a shape may explain less than the best: two standard errors."""
 
+SENSITIVITY = "gyro_g_sensitivity"
 ALIKE_AXES = ("gxx", "gyy", "gzz")
-"""A g-sensitivity along the axis itself."""
+"""What turns about the vertical: along each axis itself, and on all of them alike."""
 
 HEADING = "heading of the reference"
 """What else may turn about the vertical."""
@@ -116,7 +123,7 @@ def turns_about_up(
     known and tell its horizontal part; and of a `reference` that drifts in heading, at any pace.
     """
     names = own.candidate.parameters
-    if own.candidate.name != "gyro_g_sensitivity" or not set(ALIKE_AXES) <= set(names):
+    if own.candidate.name != SENSITIVITY or not set(ALIKE_AXES) <= set(names):
         return None
     columns = whitener.project(own.columns)
     coefficients = np.linalg.lstsq(columns, y, rcond=1e-9)[0]
@@ -130,6 +137,26 @@ def turns_about_up(
     if least[0] <= size / FAST <= most[0]:
         return "earth_rate"
     return HEADING if reference else None
+
+
+def too_fast(
+    effect: Effect, parameters: Mapping[str, Quantity], rivals: tuple[Rival, ...]
+) -> tuple[tuple[Rival, ...], str]:
+    """Return the rivals of a finding, and what to say, if it is an Earth that turns too fast.
+
+    A `SENSITIVITY` that all axes have alike is the same as its part up, and first among them.
+    """
+    if not isinstance(effect, EarthRate):
+        return rivals, ""
+    values = {name: q.value for name, q in parameters.items()}
+    times = effect.excess(values, {name: q.sigma or 0.0 for name, q in parameters.items()})
+    if times <= 1.0:
+        return rivals, ""
+    own = next((r for r in rivals if r.effect == SENSITIVITY), Rival(SENSITIVITY, 1.0))
+    return (own, *(r for r in rivals if r is not own)), (
+        f"That would be {times:.2g} times as fast as it turns: a g-sensitivity that all axes have "
+        "alike is the same as the part up."
+    )
 
 
 def _wider(stack: Stack, own: Accepted) -> list[Candidate]:

@@ -57,7 +57,7 @@ SETTLES = 2
 """How often noise is estimated beside what is left, and what is fitted beside that noise."""
 
 HALVED = 5
-"""How often one is halved, at most, until it leads up."""
+"""How often a step is halved, at most, until it leads up."""
 
 NEAR = 1e-3
 """How far from a size, relative to it, another shows where a change goes from there."""

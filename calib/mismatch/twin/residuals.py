@@ -184,7 +184,6 @@ def build_rows(grid: Grid, twin: Twin, noise: FloatArray, *, spread: float | Non
         block=grid.before[layout.segment],
         interval=grid.interval,
         is_rest=grid.is_rest,
-        pieces=pieces,
         lean=lean,
     )
 
@@ -253,7 +252,7 @@ def _components(
     closed: Closures,
     spread: float,
 ) -> tuple[Component, ...]:
-    """Return the unknown variances: per channel a jitter and a random walk; the closures' own."""
+    """Return the unknown variances: of each channel's drift, and the closures' own."""
     dense = len(kind)
     rest = grid.pose >= 0
     inside = np.diff(grid.segment) == 0
