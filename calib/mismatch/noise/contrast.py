@@ -80,9 +80,10 @@ def _squares(
     """
     y = rows.residual[rows.n_dense :]
     time = rows.interval[rows.segment[rows.n_dense :]].mean(axis=1)
-    # The first of a channel in a rest or a window is of the first order, any other of the second.
-    place = len(CHANNELS) * rows.segment[rows.n_dense :] + rows.channel[rows.n_dense :]
-    order = np.ones(len(y), int)
+    # Of the two that a channel has in a rest one is of the first order, and one of the second.
+    segment = rows.segment[rows.n_dense :]
+    order = rows.is_rest[segment].astype(int)
+    place = len(CHANNELS) * segment + rows.channel[rows.n_dense :]
     order[np.unique(place, return_index=True)[1]] = 0
     out = []
     for k in (0, 1):

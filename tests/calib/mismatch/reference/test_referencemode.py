@@ -355,7 +355,7 @@ def test_a_reference_of_another_motion_is_an_error():
 def test_a_reference_that_saw_nothing_says_so():
     reference = captured(start=0.0)
     blind = ReferenceMotion(reference.time, np.full_like(reference.quat, np.nan))
-    with pytest.raises(NoCommonMotionError, match="finite rows"):
+    with pytest.raises(NoCommonMotionError, match="rows that can be used"):
         diagnose_reference(recorded(), blind, gravity=GRAVITY)
 
 
