@@ -13,6 +13,7 @@ import numpy as np
 from calib.effects.base import State
 from calib.mismatch.hypotheses.windows import FAST
 from calib.mismatch.rows.rows import Rows
+from calib.recording import CHANNELS
 from calib.types import FloatArray
 
 RIPPLES = (2.0, 3.0, 4.0, 5.0)
@@ -117,6 +118,67 @@ def history(rows: Rows) -> Iterator[tuple[str, FloatArray]]:
             known[k] = up[k - 1] + kept * (known[k - 1] - up[k - 1])
         kept = np.exp(-(state.time - start[segment]) / memory)[:, None]
         yield "the pose before", up[segment] + kept * (known - up)[segment]
+
+
+SMEARED = {"accel": 0.05, "gyro": 0.01}
+"""How near to zero (SI) its noise leaves the sign of a signal open."""
+
+FORGETS = np.geomspace(0.5, 8.0, 5)
+"""s in which a gyroscope forgets a turn."""
+
+
+def sign_of(rows: Rows, c: int) -> FloatArray:
+    """Return the sign of what a channel reads, (n, 1): what is cut towards zero goes by that."""
+    signal = rows.state.force if c < 3 else rows.state.rate
+    reads = signal[:, c % 3] + rows.offset[c]
+    return np.asarray(np.tanh(reads[:, None] / SMEARED[CHANNELS[c].split(".")[0]]))
+
+
+def warmed(state: State, c: int) -> Iterator[tuple[str, FloatArray]]:
+    """Yield what a channel may feel of gravity, or of turns about other axes, as it is warm.
+
+    But for what has names: an accelerometer's own axis in proportion.
+    """
+    warmth = state.warmth
+    if warmth is None or not np.ptp(warmth) > 0:
+        return
+    scaled = ((warmth - warmth.mean()) / np.ptp(warmth))[:, None]
+    up = state.gravity_direction
+    felt = np.delete(up, c, axis=1) if c < 3 else up
+    yield "temperature and direction of gravity", scaled * felt
+    i, j = np.triu_indices(3)
+    yield "temperature and direction of gravity", scaled * up[:, i] * up[:, j]
+    if c >= 3:
+        yield (
+            "temperature and rate about the other axes",
+            scaled * np.delete(scaled_rates(state), c % 3, axis=1),
+        )
+
+
+def after_turns(rows: Rows, c: int) -> Iterator[tuple[str, FloatArray]]:
+    """Yield what a channel may have after each turn, while it fades, (n, 3).
+
+    Once the same after all of them, and once as the turn was about its axis, either way or not.
+    """
+    state = rows.state
+    rests = np.flatnonzero(rows.is_rest)
+    if state.since_turn is None or state.turning is None or len(rests) < 2:
+        return
+    segment, number = rows.point_segment, len(rows.interval)
+    rate = scaled_rates(state)[:, c % 3]
+    most, least = np.zeros((2, number))
+    np.maximum.at(most, segment, rate)
+    np.minimum.at(least, segment, rate)
+    peak = np.where(most > -least, most, least)
+    # Nothing was before the first rest.
+    last = np.zeros(number)
+    last[rests[1:]] = peak[rests[1:] - 1]
+    turned = np.zeros(number)
+    turned[rests[1:]] = 1.0
+    own = np.stack((turned, last, np.abs(last)), axis=1)[segment]
+    own[state.turning] = 0.0
+    for memory in FORGETS.tolist():
+        yield "time since the last turn", np.exp(-state.since_turn / memory)[:, None] * own
 
 
 HARDLY = 0.03

@@ -26,13 +26,16 @@ from calib.mismatch.hypotheses.candidates import (
 from calib.mismatch.hypotheses.followed import (
     OWN_RIPPLES,
     RIPPLES,
+    after_turns,
     axes,
     history,
     other_rates,
     own_rate,
     paired_rates,
     ripples,
+    sign_of,
     smooth,
+    warmed,
     wave,
 )
 from calib.mismatch.hypotheses.score import Stack
@@ -64,16 +67,19 @@ RIVAL = 0.4
 
 FROM_START = "fading from the start"
 
+SIGN = "the sign of its output"
+"""What is cut towards zero instead of rounded, or has a step or a dead zone there, follows that."""
+
 _KINDS = {
-    "bias in a window": 0.15,
+    "bias in a window": 0.14,
     GAIN: 0.08,
     GAIN_IN_TIME: 0.02,
-    FLUCTUATING: 0.16,
-    "wave in a window": 0.12,
+    FLUCTUATING: 0.15,
+    "wave in a window": 0.11,
     THROUGHOUT: 0.03,
     "time": 0.02,
     "temperature": 0.02,
-    "direction of gravity": 0.10,
+    "direction of gravity": 0.09,
     "orientation": 0.03,
     "speed of rotation": 0.05,
     "its own rate": 0.02,
@@ -81,6 +87,10 @@ _KINDS = {
     "rate and direction of gravity": 0.01,
     "the pose before": 0.02,
     "the turn before": 0.01,
+    "time since the last turn": 0.01,
+    "temperature and direction of gravity": 0.005,
+    "temperature and rate about the other axes": 0.005,
+    SIGN: 0.01,
     FROM_START: 0.015,
 }
 """Share of each. What follows temperature, time or its own rate smoothly has names in the
@@ -92,6 +102,7 @@ _OF_TRIADS = {
     FLUCTUATING: 0.05,
     TURNED: 0.02,
     FROM_START: 0.015,
+    SIGN: 0.01,
 }
 """The same for what three channels have at once: their supply, cable or package."""
 
@@ -165,6 +176,8 @@ def _add_columns(stack: Stack, rows: Rows, slots: Slots) -> _Layout:
         size = typical_size(name.split(".")[0])
         own = [("its own rate", own_rate(state, c))]
         own += [("rate about the other axes", f(state, c)) for f in (other_rates, paired_rates)]
+        own += [(SIGN, sign_of(rows, c)), *warmed(state, c)]
+        own += after_turns(rows, c) if c >= 3 else ()
         for label, values in [*followed, *own]:
             index = stack.columns.add(size * rows.columns(c, values), rows.touched([c]))
             follow.append((label, c, int(index[0]), int(index[-1]) + 1))
@@ -212,6 +225,8 @@ def _sorted(
             number[name, many, part] += len(CHANNELS) // many
     for name, *_ in followed:
         number[name, 1, "smooth"] += 1
+        if name == SIGN:
+            number[name, 3, "smooth"] = 2
         if name == "direction of gravity":
             number[name, 1, "quadratic"] += 1
     if "direction of gravity" not in skip:
@@ -280,6 +295,11 @@ def _smooth(
     for name, c, start, stop in followed:
         every, channels = np.arange(start, stop), (CHANNELS[c],)
         yield Candidate(name, every, weight(name, 1, "smooth"), False, channels)
+        if name == SIGN and not c % 3:
+            # A host cuts all axes of a triad alike.
+            each = [a for label, k, a, _ in followed if label == SIGN and c <= k < c + 3]
+            joint = weight(name, 3, "smooth")
+            yield Candidate(name, np.array(each), joint, False, CHANNELS[c : c + 3], summed=True)
         if name == "direction of gravity":
             # Harmonics come in the order of their degree: 3 + 6 of degrees 1 and 2.
             yield Candidate(name, every[:9], weight(name, 1, "quadratic"), False, channels)

@@ -155,6 +155,8 @@ class Rows:
         infinitely, if only the rows tell. Empty where nothing else tells of any.
     plain : (m, p + q) array
         `baseline` and `nuisance` where no setup is felt (no lever arm); empty where none is.
+    offset : (6,) array
+        What each channel reads at zero input.
     lean : Lean, optional
         How the sensor may move at rest; None where the truth says how it moves.
     matrices : (2, 3, 3) array
@@ -185,6 +187,7 @@ class Rows:
     restless: BoolArray = field(default_factory=lambda: np.zeros(0, bool))
     prior: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
     plain: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+    offset: FloatArray = field(default_factory=lambda: np.zeros(len(CHANNELS)))
     lean: Lean | None = None
     matrices: FloatArray = field(default_factory=lambda: np.stack((np.eye(3), np.eye(3))))
     clustered: bool = False

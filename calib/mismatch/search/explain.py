@@ -25,7 +25,7 @@ from calib.mismatch.findings.evidence import TIME, gather
 from calib.mismatch.findings.heldout import HeldOut, LeftOut, held_out, leave_out, pose_levels
 from calib.mismatch.hypotheses.families import is_moment
 from calib.mismatch.hypotheses.places import joined
-from calib.mismatch.hypotheses.rivals import FROM_START
+from calib.mismatch.hypotheses.rivals import FROM_START, SIGN
 from calib.mismatch.hypotheses.slipped import angle_of
 from calib.mismatch.hypotheses.windows import THROUGHOUT, touched
 from calib.mismatch.noise.noise import make_whitener
@@ -423,6 +423,10 @@ _OF_MOTION = {
     "the pose before": "the same poses in another order",
     "the turn before": "the same poses, reached by other turns",
     "temperature": "the same poses at other temperatures",
+    "temperature and direction of gravity": "the same poses at other temperatures",
+    "temperature and rate about the other axes": "the same turns at other temperatures",
+    "time since the last turn": "long rests after turns about one axis at a time, slow and fast",
+    SIGN: "the counts as the converter gives them, before a host scales or cuts them",
     HEADING: "the same beside a reference that keeps its heading, as markers do",
 }
 """What tells a function of the motion from physics; of time, a repetition does."""

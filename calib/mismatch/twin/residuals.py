@@ -184,6 +184,7 @@ def build_rows(grid: Grid, twin: Twin, noise: FloatArray, *, spread: float | Non
         block=grid.before[layout.segment],
         interval=grid.interval,
         is_rest=grid.is_rest,
+        offset=np.concatenate((twin.model.accel.bias, twin.model.gyro.bias)),
         lean=lean,
     )
 
