@@ -344,6 +344,13 @@ class Effect(ABC):
             most[k] = own if p.most is None else p.most
         return least, most
 
+    def too_small(self, values: FloatArray, covariance: FloatArray) -> bool:
+        """Return whether all of its parameters, (p,), together are certainly less than they can be.
+
+        Most effects can be as small as they like.
+        """
+        return False
+
     def in_words(self, shape: Mapping[str, float]) -> str:
         """Return the sentence that states its form (the values of its integers); empty for none."""
         return ""

@@ -8,13 +8,18 @@ import numpy as np
 
 from calib.effects.base import Column, Effect, Parameter, State
 from calib.recording import AXES
+from calib.types import FloatArray
 
 RATE = 7.2921150e-5
 """rad/s, relative to the stars (IERS Conventions 2010, table 1.2)."""
 
 
 SURE = 3.0
-"""Standard errors by which a rotation must be faster than the Earth's to be none."""
+"""Standard errors by which a rotation must be faster than the Earth's, or slower, to be none."""
+
+SLOW = 0.5
+"""Share of the Earth's rate that is seen at least: a heading that drifts as it is integrated turns
+north away, by less than a radian."""
 
 
 class EarthRate(Effect):
@@ -62,6 +67,13 @@ class EarthRate(Effect):
         total = float(np.linalg.norm(rate))
         least = total - SURE * float(np.linalg.norm(rate * error)) / max(total, 1e-300)
         return total / RATE if least > RATE else 1.0
+
+    def too_small(self, values: FloatArray, covariance: FloatArray) -> bool:
+        """Return whether a rotation, rad/s, is certainly slower than the Earth's anywhere."""
+        total = float(np.linalg.norm(values))
+        error = float(np.sqrt(values @ covariance @ values)) / max(total, 1e-300)
+        widest = float(np.sqrt(np.linalg.eigvalsh(covariance)[-1]))
+        return total + SURE * max(error, widest) < SLOW * RATE
 
     def typical(self, *, span: tuple[float, float]) -> dict[str, float]:
         """Return the Earth's rotation at 45 degrees north."""

@@ -221,7 +221,7 @@ def _around(rows: Rows, moment: float) -> tuple[float, float]:
 def possible(stack: Stack, candidate: Candidate, whitener: Whitener, y: FloatArray) -> float:
     """Return how probable it is that an effect is no larger than any is, at best, as a logarithm.
 
-    What would have to be clearly larger mimics something else: -inf.
+    What would have to be clearly larger, or smaller than it can be, mimics something else: -inf.
     """
     if not candidate.physical:
         return 0.0
@@ -234,6 +234,8 @@ def possible(stack: Stack, candidate: Candidate, whitener: Whitener, y: FloatArr
     about = {p.name: p.typical for p in effect.parameters}
     typical = np.array([about[n] for n in candidate.parameters])
     value = typical * (inverse @ y)
+    if effect.too_small(value, np.outer(typical, typical) * (inverse @ inverse.T)):
+        return -np.inf
     sigma = typical * np.linalg.norm(inverse, axis=1)
     beyond = np.maximum(np.maximum(value - most, least - value), 0.0)
     beyond = np.divide(beyond, sigma, out=np.zeros(len(value)), where=beyond > 0)

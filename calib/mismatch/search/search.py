@@ -320,7 +320,7 @@ def _posterior(
                 out[g] = max(out.get(g, 0.0), 2 * TWIN)
         gravity = rows.state.gravity
         other = turns_about_up(own, whitener, y, gravity=gravity, reference=reference)
-        if other is not None:
+        if other is not None and likely.get(other, 0.0) > -np.inf:
             # The Earth turns everywhere but at its equator.
             out[other] = max(out.get(other, 0.0), out.get(own.candidate.group, 0.0))
     return out

@@ -580,3 +580,22 @@ def test_an_earth_is_no_faster_than_it_turns() -> None:
         # Nor is it where nobody knows.
         vague = {**error, "up": 0.4 * times * RATE}
         assert earth.excess(up, vague) == 1.0  # type: ignore[attr-defined]
+
+
+def test_an_earth_is_no_slower_than_it_turns() -> None:
+    from calib.effects.earth_rate import RATE, components
+
+    earth = get_effect("earth_rate")
+    known = np.array(list(components(np.radians(-48.0)).values()))
+    exact, vague = np.eye(3) * 1e-6**2, np.diag([RATE, RATE, 1e-6]) ** 2
+    assert not earth.too_small(known, exact)
+    # A heading that drifted halves the part north of it at most.
+    assert not earth.too_small(known * [1.0, 0.5, 1.0], exact)
+    up = np.array([0.0, 0.0, 0.1 * RATE])
+    assert earth.too_small(up, exact)
+    assert not earth.too_small(up, vague)
+    assert not any(
+        effect.too_small(np.zeros(len(effect.parameters)), np.zeros((0, 0)))
+        for slug, effect in effects().items()
+        if slug != "earth_rate"
+    )

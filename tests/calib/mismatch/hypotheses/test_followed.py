@@ -1,0 +1,102 @@
+"""What a residual may follow that no catalogue has a name for."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calib.mismatch import diagnose_recording
+from calib.mismatch.hypotheses.followed import FORGETS, after_turns, sign_of
+from calib.mismatch.hypotheses.rivals import SIGN
+from calib.recording import Recording
+from calib.statics import find_poses
+from calib.types import FloatArray
+
+from ..bench import GRAVITY, motion_of, problem, recording, with_added
+
+
+def _said(real: Recording) -> list[tuple[str, tuple[str, ...]]]:
+    found = diagnose_recording(real, gravity=GRAVITY)
+    assert not found.findings
+    return [(left.follows, left.channels) for left in found.unexplained]
+
+
+def _last_turns(real: Recording, rate: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the time since the last turn, and the largest rate in it, (n,); 0 in turns."""
+    poses = find_poses(real)
+    since, peak = np.full(len(real), np.inf), np.zeros(len(real))
+    for k in range(1, len(poses)):
+        rest = slice(int(poses.start[k]), int(poses.stop[k]))
+        turn = rate[int(poses.stop[k - 1]) : int(poses.start[k])]
+        since[rest] = real.time[rest] - real.time[rest.start]
+        peak[rest] = turn[np.argmax(np.abs(turn))]
+    return since, peak
+
+
+@pytest.mark.parametrize("count", [0.01, 0.02])
+@pytest.mark.long
+def test_what_a_host_cuts_towards_zero_is_no_cube(count: float) -> None:
+    real = recording(seed=8, poses=20)
+    cut = replace(real, accel=count * np.trunc(real.accel / count))
+    assert _said(cut) == [(SIGN, ("accel.x", "accel.y", "accel.z"))]
+
+
+@pytest.mark.long
+def test_a_dead_zone_of_one_axis_goes_by_its_sign() -> None:
+    real = recording(seed=8, poses=20)
+    assert _said(with_added(real, {"accel.y": 0.01 * np.sign(real.accel[:, 1])})) == [
+        (SIGN, ("accel.y",))
+    ]
+
+
+@pytest.mark.parametrize("signed", [False, True])
+@pytest.mark.long
+def test_a_gyroscope_that_forgets_turns_slowly_has_no_asymmetry(signed: bool) -> None:
+    real = recording(seed=8, poses=24)
+    since, peak = _last_turns(real, motion_of(real).rate[:, 1])
+    fading = 4e-4 * (peak if signed else np.abs(peak)) * np.exp(-since / 2.5)
+    assert _said(with_added(real, {"gyro.y": fading})) == [
+        ("time since the last turn", ("gyro.y",))
+    ]
+
+
+@pytest.mark.parametrize(
+    ("channel", "axis", "size"), [("accel.x", 1, 0.03), ("gyro.x", 2, 5e-4), ("gyro.z", 0, 5e-4)]
+)
+@pytest.mark.long
+def test_what_heat_makes_of_gravity_is_no_bias_that_follows_temperature(
+    channel: str, axis: int, size: float
+) -> None:
+    real = recording(seed=8, poses=24)
+    assert real.temperature is not None
+    warm = (real.temperature - real.temperature.mean()) / np.ptp(real.temperature)
+    felt = size * warm * motion_of(real).gravity_direction[:, axis]
+    assert _said(with_added(real, {channel: felt})) == [
+        ("temperature and direction of gravity", (channel,))
+    ]
+
+
+def test_a_sign_is_that_of_what_is_read_with_its_bias() -> None:
+    _, made = problem()
+    rows = made.rows()
+    bias = made.twin.model.accel.bias
+    assert np.abs(bias).max() > 0.1
+    for c in range(3):
+        read = rows.state.force[:, c] + bias[c]
+        clear = np.abs(read) > 0.2
+        np.testing.assert_allclose(sign_of(rows, c)[clear, 0], np.sign(read[clear]), atol=1e-3)
+
+
+def test_after_turns_nothing_is_left_before_the_first_and_while_it_turns() -> None:
+    grid, made = problem()
+    rows = made.rows()
+    found = list(after_turns(rows, 4))
+    assert len(found) == len(FORGETS)
+    for _, values in found:
+        assert not values[grid.turning].any()
+        assert not values[grid.pose == 0].any()
+        rest = (grid.pose == 3) & ~grid.turning
+        assert (np.diff(values[rest, 0]) < 0).all()
+        np.testing.assert_allclose(np.abs(values[rest, 1]), values[rest, 2])
