@@ -7,6 +7,7 @@ the physics of the catalogue against each other and against honest rivals.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import logsumexp
@@ -15,7 +16,13 @@ from calib.mismatch.hypotheses.answers import evidence_near, grouped, leading, n
 from calib.mismatch.hypotheses.bound import factors_that_count
 from calib.mismatch.hypotheses.candidates import Candidate
 from calib.mismatch.hypotheses.score import Stack
-from calib.mismatch.noise.noise import Levels, estimate_levels, expected_levels, make_whitener
+from calib.mismatch.noise.noise import (
+    Levels,
+    Whitener,
+    estimate_levels,
+    expected_levels,
+    make_whitener,
+)
 from calib.mismatch.rows.rows import Rows
 from calib.mismatch.search.accepted import Accepted, accept, contrast_noise, fitted, joined, lasting
 from calib.mismatch.search.choice import LEAST, Choice, choose, is_part, possible
@@ -53,6 +60,10 @@ levels that are found step by step leave uncertain is less."""
 ROUNDS = 8
 """At most so many findings are tried."""
 
+BEATEN, EXCHANGES = 10.0, 3
+"""Odds of another explanation from which on a finding is looked for anew, without it; and how
+often, at most."""
+
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
@@ -76,11 +87,67 @@ class Outcome:
         return estimate(self.rows, self.accepted, self.levels, self.contrast, reference=reference)
 
 
+@dataclass(frozen=True, eq=False)
+class _State:
+    """Where a search stands: rows, what was accepted, and every candidate beside it.
+
+    ``seen`` is what is always fitted, as it was when the columns of the candidates were made, and
+    ``broken`` are groups that would be the loss of a part of a sample.
+    """
+
+    rows: Rows
+    accepted: list[Accepted]
+    stack: Stack
+    seen: FloatArray
+    ranking: Ranking
+    broken: frozenset[str] = frozenset()
+
+
+class _Judged(NamedTuple):
+    """Where a search ended, under the noise of all that was found.
+
+    ``odds`` are the posteriors of every group in the place of each finding, and ``against`` how
+    many times the best of the others is as probable there.
+    """
+
+    state: _State
+    levels: FloatArray
+    contrast: FloatArray
+    odds: list[dict[str, float]]
+    against: list[float]
+
+
 def search(problem: Problem, *, skip: tuple[str, ...] = ()) -> Outcome:
     """Find what was left out, one hypothesis after another."""
+    found = _judged(problem, _rounds(problem, _start(problem, skip=skip), skip=skip))
+    for _ in range(EXCHANGES):
+        if max(found.against, default=0.0) < BEATEN:
+            break
+        other = _exchanged(problem, found, skip=skip)
+        if other is None:
+            break
+        found = other
+    state, levels, contrast = found.state, found.levels, found.contrast
+    rows, stack = state.rows, state.stack
+    accepted = [replace(a, posterior=p) for a, p in zip(state.accepted, found.odds, strict=True)]
+    accepted = [
+        whole_odds(problem, rows, stack, accepted, i, levels, mimicked=MIMICKED, least=2 * TWIN)
+        for i in range(len(accepted))
+    ]
+    rows, accepted = resettled(problem, rows, accepted, levels, contrast)
+    rows, accepted = settle(rows, accepted, levels, contrast, reference=problem.reference)
+    undetermined: tuple[str, ...] = ()
+    if not problem.reference:
+        # Beside a truth what windows say of the errors comes later, and drops what they do not.
+        accepted, undetermined = determined(rows, accepted, levels, contrast)
+    tried = frozenset(c.name for c in stack.physics.values())
+    total = state.ranking.total
+    return Outcome(rows, tuple(accepted), levels, contrast, total, tried, undetermined)
+
+
+def _start(problem: Problem, *, skip: tuple[str, ...]) -> _State:
+    """Return where a search starts: with nothing, or with the first of two that only both show."""
     accepted: list[Accepted] = []
-    dropped: set[str] = set()
-    broken: set[str] = set()
     rows = problem.rows()
     stack, seen = make_stack(rows, skip=skip, reference=problem.reference), fitted(rows, [])
     ranking = rank(rows, stack, accepted, expected_levels(rows))
@@ -92,6 +159,16 @@ def search(problem: Problem, *, skip: tuple[str, ...] = ()) -> Outcome:
             del stack, ranking
             stack, seen = make_stack(rows, skip=skip, reference=problem.reference), fitted(rows, [])
         ranking = rank(rows, stack, accepted, levels, every=every)
+    return _State(rows, accepted, stack, seen, ranking)
+
+
+def _rounds(problem: Problem, state: _State, *, skip: tuple[str, ...]) -> _State:
+    """Go on until nothing is left."""
+    rows, accepted, stack = state.rows, state.accepted, state.stack
+    seen, ranking = state.seen, state.ranking
+    dropped: set[str] = set()
+    broken = set(state.broken)
+    del state
     for _ in range(ROUNDS):
         if not ranking.claims:
             break
@@ -118,30 +195,44 @@ def search(problem: Problem, *, skip: tuple[str, ...] = ()) -> Outcome:
             del stack, ranking  # their columns are most of the memory that is used
             stack, seen = make_stack(rows, skip=skip, reference=problem.reference), fitted(rows, [])
         ranking = rank(rows, stack, accepted, levels, base=base, every=every)
+    broken -= {a.candidate.group for a in accepted}
+    return _State(rows, accepted, stack, seen, ranking, frozenset(broken))
+
+
+def _judged(problem: Problem, state: _State) -> _Judged:
+    """Weigh what was found against what else may be there."""
+    rows, accepted = state.rows, state.accepted
     contrast = contrast_noise(rows, accepted)
     # The ranking took the better of two maxima: its own is left to be approached more closely.
-    levels = estimate_levels(rows, fitted(rows, accepted), ranking.levels).values
-    odds = [
-        _posterior(rows, stack, accepted, i, levels, reference=problem.reference)
-        for i in range(len(accepted))
-    ]
-    broken -= {a.candidate.group for a in accepted}
-    accepted = [
-        replace(a, posterior={g: v for g, v in own.items() if g not in broken})
-        for a, own in zip(accepted, odds, strict=True)
-    ]
-    accepted = [
-        whole_odds(problem, rows, stack, accepted, i, levels, mimicked=MIMICKED, least=2 * TWIN)
-        for i in range(len(accepted))
-    ]
-    rows, accepted = resettled(problem, rows, accepted, levels, contrast)
-    rows, accepted = settle(rows, accepted, levels, contrast, reference=problem.reference)
-    undetermined: tuple[str, ...] = ()
-    if not problem.reference:
-        # Beside a truth what windows say of the errors comes later, and drops what they do not.
-        accepted, undetermined = determined(rows, accepted, levels, contrast)
-    tried = frozenset(c.name for c in stack.physics.values())
-    return Outcome(rows, tuple(accepted), levels, contrast, ranking.total, tried, undetermined)
+    levels = estimate_levels(rows, fitted(rows, accepted), state.ranking.levels).values
+    odds, against = [], []
+    for i, a in enumerate(accepted):
+        every = _posterior(rows, state.stack, accepted, i, levels, reference=problem.reference)
+        odds.append({g: v for g, v in every.items() if g not in state.broken})
+        others = [v for g, v in odds[-1].items() if g != a.candidate.group]
+        own = max(odds[-1].get(a.candidate.group, 0.0), SHOWN)
+        against.append(max(others, default=0.0) / own)
+    return _Judged(state, levels, contrast, odds, against)
+
+
+def _exchanged(problem: Problem, found: _Judged, *, skip: tuple[str, ...]) -> _Judged | None:
+    """Return what a search finds without the finding that is beaten most; None if no better.
+
+    What is taken first is taken beside all that is found later, and may be part of that.
+    """
+    place, state = problem.place(), found.state
+    which = int(np.argmax(found.against))
+    accepted = [a for i, a in enumerate(state.accepted) if i != which]
+    rows = put_back(problem, state.rows, accepted)
+    rows, accepted, levels, _ = refit(problem, rows, accepted, found.levels, refine=False)
+    stack, seen = make_stack(rows, skip=skip, reference=problem.reference), fitted(rows, [])
+    ranking = rank(rows, stack, accepted, levels)
+    left = _State(rows, accepted, stack, seen, ranking, state.broken)
+    other = _judged(problem, _rounds(problem, left, skip=skip))
+    if other.state.accepted and max(other.against) < max(found.against):
+        return other
+    problem.go_back(place)
+    return None
 
 
 def _fit_chosen(
@@ -259,15 +350,19 @@ def _superfluous(
         others = [b for b in accepted if b is not a]
         judged = rows.judging(a.candidate.name) if a.candidate.physical else rows
         whitener = make_whitener(judged, base.values, contrast, fitted(judged, others))
-        own = Stack(len(rows.residual))
-        index = own.columns.add(a.columns)
-        own.add(replace(a.candidate, index=index, summed=False, mixing=None))
         residual = rows.residual + a.columns @ (a.values / a.typical)
-        value = own.log_bayes_factors(whitener, whitener.project(residual))[0]
-        value += np.log(a.candidate.weight)
+        value = _as_it_is(rows, a, whitener, whitener.project(residual))
         if value < worst[0]:
-            worst = (float(value), a)
+            worst = (value, a)
     return worst[1], base
+
+
+def _as_it_is(rows: Rows, a: Accepted, whitener: Whitener, y: FloatArray) -> float:
+    """Return the log evidence for a finding of its own shape, and for no others."""
+    own = Stack(len(rows.residual))
+    index = own.columns.add(a.columns)
+    own.add(replace(a.candidate, index=index, summed=False, mixing=None))
+    return float(own.log_bayes_factors(whitener, y)[0]) + float(np.log(a.candidate.weight))
 
 
 def _posterior(
@@ -306,6 +401,10 @@ def _posterior(
             i = stack.index(best[g])
             evidence[i] = max(evidence[i], evidence_near(rows, near, whitener, y) + weight[i])
     best, groups = grouped(stack, evidence)
+    if own.candidate.interval is not None and own.candidate.group in groups:
+        # Its window lies between those of the grid.
+        value = _as_it_is(rows, own, whitener, y)
+        groups[own.candidate.group] = max(groups[own.candidate.group], value)
     likely = {g: possible(stack, best[g], whitener, y) for g in groups}
     groups = {
         g: v + max(likely[g], LEAST if g == own.candidate.group else -np.inf)

@@ -10,14 +10,22 @@ from calib.mismatch import diagnose_recording
 from calib.mismatch.hypotheses.rivals import FROM_START
 from calib.mismatch.noise.noise import expected_levels
 from calib.mismatch.rows.grid import make_grid
-from calib.mismatch.search.accepted import accept
+from calib.mismatch.search.accepted import accept, fitted
 from calib.mismatch.search.choice import Choice
 from calib.mismatch.search.ranking import make_stack, rank
-from calib.mismatch.search.search import _bent, _posterior
+from calib.mismatch.search.refit import refit
+from calib.mismatch.search.search import (
+    BEATEN,
+    _bent,
+    _exchanged,
+    _judged,
+    _posterior,
+    _State,
+)
 from calib.mismatch.twin.selfmode import SelfProblem
 from calib.statics import find_poses
 
-from ..bench import GRAVITY, problem, recording
+from ..bench import GRAVITY, problem, recording, with_added
 from .stacked import candidate
 
 
@@ -115,3 +123,38 @@ def test_where_rows_are_straight_a_rival_that_leads_is_the_answer():
     led = Choice(own, 100.0, ((own, ranking.total + 100.0),))
     assert _bent(self_mode, rows, ranking, [], led, skip=()) is None
     np.testing.assert_array_equal(self_mode.rows().residual, rows.residual)
+
+
+@pytest.mark.long
+def test_a_finding_that_another_beats_is_exchanged_for_it():
+    real = recording(Term("gyro_g_sensitivity", {"gxx": 4e-4, "gyz": -4e-4, "gzx": 4e-4}), poses=18)
+    made = SelfProblem(make_grid(real, find_poses(real)), None, gravity=GRAVITY, full_gyro=False)
+    rows = made.rows()
+    stack, seen = make_stack(rows, skip=(), reference=False), fitted(rows, [])
+    wrong = accept(stack, candidate(stack, "gyro_g_squared_sensitivity", ("gx", "gy", "gz")), 10.0)
+    rows, accepted, levels, _ = refit(made, rows, [wrong], expected_levels(rows))
+    ranking = rank(rows, stack, accepted, levels)
+    ended = _judged(made, _State(rows, accepted, stack, seen, replace(ranking, levels=levels)))
+    assert ended.against[0] > BEATEN
+    other = _exchanged(made, ended, skip=())
+    assert other is not None
+    assert [a.candidate.group for a in other.state.accepted] == ["gyro_g_sensitivity"]
+    assert max(other.against) < 1.0
+    # Nothing beats that one, and all is as it was where nothing better is found.
+    place = made.place()
+    assert _exchanged(made, other._replace(against=[0.0]), skip=()) is None
+    assert made.place() is place
+
+
+@pytest.mark.long
+def test_a_window_between_those_of_the_grid_is_not_beaten_by_what_is_on_it():
+    real = recording(seed=8, poses=20)
+    rests = find_poses(real).interval
+    start, stop = rests[6, 0] + 1.0, rests[12, 1] - 1.0
+    inside = (real.time >= start) & (real.time < stop)
+    found = diagnose_recording(with_added(real, {"gyro.z": 6e-4 * inside}), gravity=GRAVITY)
+    assert not found.findings
+    (left,) = found.unexplained
+    assert left.channels == ("gyro.z",)
+    assert left.intervals[0] == pytest.approx((start, stop), abs=4.0)
+    assert max((r.odds for r in left.rivals), default=0.0) < BEATEN
