@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from calib.effects.base import PRESENCE
+from calib.effects.base import FORM, PRESENCE
 from imu_cli.output import styled
 from imu_cli.report.units import people_unit, said
 from imu_cli.report.words import (
@@ -39,10 +39,12 @@ def diagnosis_lines(document: Mapping[str, Any]) -> Iterator[str | Text | Table]
         yield from (f"   {line}" for line in _finding(finding))
     for left in document["unexplained"]:
         place = f"{', '.join(left['channels'])}; {spans(left['intervals'])}"
+        size = left.get("size")
+        much = f", up to {_in_unit(size['unit'], size['value'])} at rest" if size else ""
         yield ""
         yield styled(
             ("Unexplained", "bold"),
-            f": {place}; follows {left['follows']} (p {_equal(left['p_value'])}).",
+            f": {place}; follows {left['follows']}{much} (p {_equal(left['p_value'])}).",
         )
         yield from (f"  or: {r['effect']} (odds {r['odds']:.2g})" for r in left["rivals"])
     for alias in document["aliases"]:
@@ -68,7 +70,7 @@ def _finding(finding: Mapping[str, Any]) -> Iterator[str]:
     yield f"Where: {where(finding)}."
     yield f"How sure: p {_equal(finding['p_value'])}, all looks counted."
     for name, item in finding["parameters"].items():
-        if item["unit"] != PRESENCE:  # the channels say it
+        if item["unit"] not in (PRESENCE, FORM):  # channels and words say it
             yield f"{name} = {said(item['value'], item['sigma'], item['unit'])}"
     for item in finding["absorbed_by"][:ABSORBED]:
         yield (

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from calib.effects.base import (
+    FORM,
     Column,
     Effect,
     G,
@@ -42,7 +43,7 @@ class AccelSettling(Effect):
     parameters = per_axis("accel", "k", "m/s²", 1e-3 * G)
     shape = (
         ShapeParameter("tau", "s", 0.2, 15.0),
-        ShapeParameter("in_turns", "", 0, 2, "integer", optional=True),
+        ShapeParameter("in_turns", FORM, 0, 2, "integer", optional=True),
     )
     follows = "time since the last turn"
     needs = "short moves, and statics several times longer than the settling"

@@ -8,6 +8,7 @@ from itertools import permutations, product
 import numpy as np
 
 from calib.effects.base import (
+    FORM,
     PRESENCE,
     Column,
     Parameter,
@@ -40,8 +41,8 @@ class AxisError(TransformEffect):
         Parameter("gyro", PRESENCE, 1.0, ("gyro.x", "gyro.y", "gyro.z")),
     )
     shape = (
-        ShapeParameter("accel_axes", "", 0, 47, "integer", optional=True),
-        ShapeParameter("gyro_axes", "", 0, 47, "integer", optional=True),
+        ShapeParameter("accel_axes", FORM, 0, 47, "integer", optional=True),
+        ShapeParameter("gyro_axes", FORM, 0, 47, "integer", optional=True),
     )
     follows = "the signals of other axes"
     needs = (

@@ -40,6 +40,9 @@ and rad/s. A channel that is not there is untouched."""
 G = STANDARD_GRAVITY
 """Standard gravity, m/s²: what data sheets mean by g."""
 
+FORM = "form"
+"""Unit of a number that stands for one of several forms, which `Effect.in_words` says."""
+
 PRESENCE = "presence"
 """Unit of a parameter that only says whether the effect is there: 1, or 0. Its sizes are shape
 parameters (a cut-off, a full scale); its column is the whole change made with that shape."""

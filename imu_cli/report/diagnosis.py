@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from calib.effects.base import PRESENCE
+from calib.effects.base import FORM, PRESENCE
 from imu_cli.report.model import Block, Paragraph, Plot, Report, Series, Table
 from imu_cli.report.units import people_unit, with_error
 from imu_cli.report.words import (
@@ -124,7 +124,7 @@ def _finding(number: int, finding: Mapping[str, Any]) -> list[Block]:
         sentences.append(f"Not checked on held-out data: {finding['held_out_reason']}.")
     rows = []
     for name, item in finding["parameters"].items():
-        if item["unit"] != PRESENCE:  # the channels say it
+        if item["unit"] not in (PRESENCE, FORM):  # channels and words say it
             rows.append((name, *with_error(item["value"], item["sigma"], item["unit"])))
     blocks: list[Block] = [Paragraph(title, tuple(s for s in sentences if s))]
     blocks.append(
@@ -183,11 +183,19 @@ def _unexplained(items: list[Mapping[str, Any]]) -> Table:
             ", ".join(item["channels"]),
             spans(item["intervals"], "; "),
             item["follows"],
+            _size(item.get("size")),
             chance(item["p_value"]),
         )
         for item in items
     )
-    return Table("Unexplained", ("channels", "when", "follows", "p"), rows, (3,))
+    return Table("Unexplained", ("channels", "when", "follows", "at rest up to", "p"), rows, (4,))
+
+
+def _size(size: Mapping[str, Any] | None) -> str:
+    if size is None:
+        return "-"
+    unit, factor = people_unit(size["unit"])
+    return f"{size['value'] * factor:.3g} {unit}"
 
 
 def _where(items: list[Mapping[str, Any]]) -> list[Block]:

@@ -134,6 +134,8 @@ class Unexplained:
     p_value: float
     rivals: tuple[Rival, ...] = ()
     evidence: Evidence | None = field(default=None, compare=False)
+    size: Quantity | None = None
+    """The most that is seen of it in a mean at rest, beyond what the baseline takes up."""
 
     def to_json(self) -> dict[str, Any]:
         """Return it as JSON."""
@@ -142,6 +144,9 @@ class Unexplained:
             "intervals": [list(i) for i in self.intervals],
             "follows": self.follows,
             "p_value": self.p_value,
+            "size": None
+            if self.size is None
+            else {"value": self.size.value, "unit": self.size.unit},
             "rivals": [{"effect": r.effect, "odds": r.odds} for r in self.rivals],
             "evidence": None if self.evidence is None else self.evidence.to_json(),
         }

@@ -325,7 +325,16 @@ def _unexplained(
         p_value=chance(a.e_value),
         rivals=rivals,
         evidence=gather(rows, x, predicted, before, fit.left, on=touched(c)),
+        size=_at_rest(rows, before - fit.left, touched(c)),
     )
+
+
+def _at_rest(rows: Rows, seen: FloatArray, channels: tuple[str, ...]) -> Quantity | None:
+    """Return the most that is seen of something in a mean at rest, of its first triad, if any."""
+    triad = CHANNELS.index(channels[0]) // 3
+    own = (rows.kind == Kind.MEAN) & (rows.channel // 3 == triad)
+    most = float(np.abs(seen[own]).max(initial=0.0))
+    return Quantity(most, None, ("m/s²", "rad/s")[triad]) if most > 0 else None
 
 
 def _channels(effect: Effect, parameters: Mapping[str, Quantity]) -> tuple[str, ...]:

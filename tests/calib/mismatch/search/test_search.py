@@ -157,4 +157,6 @@ def test_a_window_between_those_of_the_grid_is_not_beaten_by_what_is_on_it():
     (left,) = found.unexplained
     assert left.channels == ("gyro.z",)
     assert left.intervals[0] == pytest.approx((start, stop), abs=4.0)
+    assert left.size is not None
+    assert (left.size.value, left.size.unit) == (pytest.approx(6e-4, rel=0.4), "rad/s")
     assert max((r.odds for r in left.rivals), default=0.0) < BEATEN
