@@ -103,7 +103,7 @@ def place_window(rows: Rows, candidate: Candidate, whitener: Whitener, y: FloatA
     first, last = np.nonzero(np.isfinite([*summed, wander]).any(axis=0))
     value = np.stack([*summed, wander])[:, first, last]
     stays = [*(STAYS * _may_stay(c) for c in kinds), 0.0]
-    prior = np.stack([_of_place(first, last, number, odds) for odds in stays])
+    prior = np.stack([of_place(first, last, number, odds) for odds in stays])
     of_kind = softmax(logsumexp(value + prior, axis=1))
     weight = of_kind @ softmax(HEAVY * value + prior, axis=1)
     where = expected_overlap(rows.interval[first, 0], rows.interval[last - 1, 1], weight)
@@ -139,11 +139,11 @@ def _sums(
         some &= (first > 0) & (last < number)
     first, last = first[some], last[some]
     out = np.full((number + 1, number + 1), -np.inf)
-    out[first, last] = _of_windows(parts, whitener, y, first, last)
+    out[first, last] = of_windows(parts, whitener, y, first, last)
     return out
 
 
-def _of_place(first: IntArray, last: IntArray, number: int, stays: float) -> FloatArray:
+def of_place(first: IntArray, last: IntArray, number: int, stays: float) -> FloatArray:
     """Return the logarithm of how probable windows [first, last) of so many segments are.
 
     Every length, by its logarithm, is as likely as any other, and so is every place. That it
@@ -161,7 +161,7 @@ def _may_stay(candidate: Candidate) -> bool:
     return candidate.name == GAIN and not candidate.shape
 
 
-def _of_windows(
+def of_windows(
     parts: FloatArray, whitener: Whitener, y: FloatArray, first: IntArray, last: IntArray
 ) -> FloatArray:
     """Return log B of windows ``[first, last)``, the sums of (m, n, k) columns over their parts."""
@@ -189,8 +189,8 @@ def _place_turned(rows: Rows, candidate: Candidate, whitener: Whitener, y: Float
     stays = last == number
     some = (first > 0) & (stays | ((last - first <= number // 2) & (not candidate.shape)))
     first, last = first[some], last[some]
-    value = _of_windows(parts, whitener, y, first, last)
-    weight = softmax(value + _of_place(first, last, number, 1.0))
+    value = of_windows(parts, whitener, y, first, last)
+    weight = softmax(value + of_place(first, last, number, 1.0))
     where = expected_overlap(edges[first], edges[last], weight)
     return moved_window(candidate, *where)
 

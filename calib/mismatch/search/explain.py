@@ -34,6 +34,7 @@ from calib.mismatch.search.accepted import UNLIKE, Accepted, fitted
 from calib.mismatch.search.counts import counted, is_whole
 from calib.mismatch.search.estimate import Estimate, pseudo_inverse, unique
 from calib.mismatch.search.joint import scaled
+from calib.mismatch.search.partly import IN_A_PART, acting_part
 from calib.mismatch.search.put_down import WORDS, put_down
 from calib.mismatch.search.ranking import chance
 from calib.mismatch.search.returned import THERE, returned
@@ -104,6 +105,16 @@ def explain(
         sigma = np.sqrt(np.diag(fit.covariance)[part]) * a.typical
         effect = get_effect(a.candidate.name)
         if effect.kind != "setup" and _is_taken_over(fit, accepted, i):
+            continue
+        part_of_it = None
+        if not rows.clustered:
+            part_of_it = acting_part(
+                _judging(outcome, i), accepted, i, outcome.levels, outcome.contrast
+            )
+        if part_of_it is not None:
+            left = _unexplained(outcome, fit, i, (Rival(effect.slug, 1.0 / part_of_it.odds),))
+            follows = f"{effect.follows}, {IN_A_PART}"
+            unexplained.append(replace(left, intervals=(part_of_it.interval,), follows=follows))
             continue
         parameters = {
             n: Quantity(float(v), float(s), parameter_unit(f"{effect.slug}.{n}"))
