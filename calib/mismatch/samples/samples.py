@@ -16,6 +16,7 @@ from calib import faults
 from calib.calibration import Quantity, parameter_unit
 from calib.effects import get_effect
 from calib.effects.axis_error import ORDERS, signed_permutation
+from calib.frozen import find_frozen
 from calib.measured import Measured
 from calib.mismatch.findings.diagnosis import Finding, Interval, Unexplained
 from calib.mismatch.findings.heldout import HeldOut
@@ -74,6 +75,8 @@ SPIKES = "nothing: samples are off course, and back at once"
 
 DOWNWARDS = ORDERS.index(((0, 1, 2), (-1, -1, -1)))
 """How axes lie of which all have the wrong sign."""
+
+FROZEN = "nothing: it is stuck"
 
 STUCK = 0.2
 """Share of the recording for which a channel that is stuck leaves nothing to compare with."""
@@ -226,10 +229,24 @@ def look_at_faults(recording: Recording, moving: BoolArray, *, whole: bool) -> S
         spoilt[start:stop] = True
         stuck += stop - start
         where = (float(recording.time[start]), float(recording.time[stop - 1]))
-        unexplained.append(
-            Unexplained((CHANNELS[c],), (where,), "nothing: it is stuck", faults.FALSE_ALARM)
-        )
+        unexplained.append(Unexplained((CHANNELS[c],), (where,), FROZEN, faults.FALSE_ALARM))
     repeats = np.zeros(0, np.int64) if still else find_repeats(values, moving)
+    known = spoilt.copy()
+    known[repeats] = True
+    frozen: dict[int, list[int]] = {}
+    for c, start, stop in find_frozen(values, moving, clipped=clipped, known=known):
+        spoilt[start:stop] = True
+        frozen.setdefault(c, []).extend(range(start, stop))
+    places = {c: intervals_of(recording.time, np.array(at)) for c, at in frozen.items()}
+    unexplained += [
+        Unexplained(
+            tuple(CHANNELS[c] for c in places if places[c] == where),
+            where,
+            FROZEN,
+            faults.FALSE_ALARM,
+        )
+        for where in dict.fromkeys(places.values())
+    ]
     if repeats.size:
         findings.append(_repeats(recording, repeats))
     findings += _coarse(recording, values, moving, step)
@@ -267,7 +284,7 @@ def join_samples(parts: Sequence[Samples]) -> Samples:
             )
         )
     unexplained = [
-        Unexplained(names, (where,), "nothing: it is stuck", chance)
+        Unexplained(names, (where,), FROZEN, chance)
         for names, intervals in channels.items()
         for where in _join_intervals(intervals)
     ]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calib.mismatch import diagnose_recording
-from calib.mismatch.samples.samples import COPIED, DISAGREES, look_at_samples
+from calib.mismatch.samples.samples import COPIED, DISAGREES, FROZEN, look_at_samples
 from calib.mismatch.samples.thin import tamed
 from calib.model import SensorModel
 from calib.recording import Recording
@@ -29,6 +29,25 @@ def test_a_channel_that_is_stuck_is_said_and_nothing_else() -> None:
         assert found.verdict == "unexplained"
         assert not [f for f in found.findings if f.effect != "quantization"]
         assert [u.channels for u in found.unexplained] == [("accel.z",)]
+
+
+@pytest.mark.parametrize("value", ["last", "nothing"])
+def test_a_channel_that_freezes_in_two_turns_is_said_with_its_moments(value: str) -> None:
+    real = simulated(rate=100.0)
+    poses = find_poses(real)
+    gyro, lsb = real.gyro.copy(), 2.7e-4
+    gyro = lsb * np.round(gyro / lsb)
+    moments = []
+    for turn in (4, 9):
+        a, b = int(poses.stop[turn]), int(poses.start[turn + 1])
+        at = a + int(np.argmax(np.abs(np.diff(gyro[a:b], axis=0)[:, 1])))
+        gyro[at : at + 8, 1] = gyro[at, 1] if value == "last" else 0.0
+        moments.append((float(real.time[at]), float(real.time[at + 7])))
+    found = diagnose_recording(replace(real, gyro=gyro), gravity=GRAVITY)
+    (left,) = found.unexplained
+    assert (left.channels, left.follows) == (("gyro.y",), FROZEN)
+    np.testing.assert_allclose(left.intervals, moments, atol=1.5 * real.interval)
+    assert not found.findings
 
 
 @pytest.mark.parametrize("poses", [1, 30])
