@@ -35,7 +35,7 @@ def test_a_channel_that_is_stuck_is_said_and_nothing_else() -> None:
 def test_a_channel_that_freezes_in_two_turns_is_said_with_its_moments(value: str) -> None:
     real = simulated(rate=100.0)
     poses = find_poses(real)
-    gyro, lsb = real.gyro.copy(), 2.7e-4
+    gyro, lsb = real.gyro.copy(), 5e-5
     gyro = lsb * np.round(gyro / lsb)
     moments = []
     for turn in (4, 9):
