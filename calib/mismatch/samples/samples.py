@@ -192,7 +192,6 @@ def look_at_faults(recording: Recording, moving: BoolArray, *, whole: bool) -> S
     spoilt = np.zeros(len(recording), bool)
     values = faults.values_of(recording)
     findings: list[Finding] = []
-    unexplained: list[Unexplained] = []
     clipped = np.zeros(values.shape, bool)
     step, noise = faults.resolution(values), faults.noise_at_rest(values)
     for first, triad in ((0, "accel"), (3, "gyro")):
@@ -219,6 +218,7 @@ def look_at_faults(recording: Recording, moving: BoolArray, *, whole: bool) -> S
     if still:
         change = np.abs(np.diff(values, axis=0, prepend=values[:1]))
         moving = moving & (change > least_noise(recording.interval)).any(axis=1)
+    stretches: list[tuple[int, int, int]] = []
     stuck = 0
     told = len(recording) if whole or moving.any() else 0
     for c, start, stop in faults.find_stuck(
@@ -226,27 +226,16 @@ def look_at_faults(recording: Recording, moving: BoolArray, *, whole: bool) -> S
     ):
         if (table or not told) and stop - start == len(recording):
             continue
+        stretches.append((c, start, stop))
         spoilt[start:stop] = True
         stuck += stop - start
-        where = (float(recording.time[start]), float(recording.time[stop - 1]))
-        unexplained.append(Unexplained((CHANNELS[c],), (where,), FROZEN, faults.FALSE_ALARM))
     repeats = np.zeros(0, np.int64) if still else find_repeats(values, moving)
     known = spoilt.copy()
     known[repeats] = True
-    frozen: dict[int, list[int]] = {}
     for c, start, stop in find_frozen(values, moving, clipped=clipped, known=known):
+        stretches.append((c, start, stop))
         spoilt[start:stop] = True
-        frozen.setdefault(c, []).extend(range(start, stop))
-    places = {c: intervals_of(recording.time, np.array(at)) for c, at in frozen.items()}
-    unexplained += [
-        Unexplained(
-            tuple(CHANNELS[c] for c in places if places[c] == where),
-            where,
-            FROZEN,
-            faults.FALSE_ALARM,
-        )
-        for where in dict.fromkeys(places.values())
-    ]
+    unexplained = _stuck(recording.time, stretches)
     if repeats.size:
         findings.append(_repeats(recording, repeats))
     findings += _coarse(recording, values, moving, step)
@@ -256,6 +245,22 @@ def look_at_faults(recording: Recording, moving: BoolArray, *, whole: bool) -> S
     spoilt[1:] |= np.diff(recording.time) > GAP * recording.interval
     fatal = stuck > STUCK * len(recording)
     return Samples(tuple(findings), tuple(unexplained), spoilt, fatal, stuck, told)
+
+
+def _stuck(time: FloatArray, stretches: list[tuple[int, int, int]]) -> list[Unexplained]:
+    """Return what is said of stretches ``(channel, start, stop)`` of samples that are stuck.
+
+    One item for each channel, and one for channels that are stuck at the same moments.
+    """
+    own: dict[int, list[Interval]] = {}
+    for c, start, stop in stretches:
+        own.setdefault(c, []).append((float(time[start]), float(time[stop - 1])))
+    places = {c: _join_intervals(intervals) for c, intervals in own.items()}
+    alike = {
+        where: tuple(CHANNELS[c] for c in sorted(places) if places[c] == where)
+        for where in places.values()
+    }
+    return [Unexplained(names, where, FROZEN, faults.FALSE_ALARM) for where, names in alike.items()]
 
 
 def join_samples(parts: Sequence[Samples]) -> Samples:

@@ -41,8 +41,8 @@ def test_a_channel_that_freezes_in_two_turns_is_said_with_its_moments(value: str
     for turn in (4, 9):
         a, b = int(poses.stop[turn]), int(poses.start[turn + 1])
         at = a + int(np.argmax(np.abs(np.diff(gyro[a:b], axis=0)[:, 1])))
-        gyro[at : at + 8, 1] = gyro[at, 1] if value == "last" else 0.0
-        moments.append((float(real.time[at]), float(real.time[at + 7])))
+        gyro[at : at + 6, 1] = gyro[at, 1] if value == "last" else 0.0
+        moments.append((float(real.time[at]), float(real.time[at + 5])))
     found = diagnose_recording(replace(real, gyro=gyro), gravity=GRAVITY)
     (left,) = found.unexplained
     assert (left.channels, left.follows) == (("gyro.y",), FROZEN)
