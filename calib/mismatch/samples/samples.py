@@ -23,6 +23,7 @@ from calib.mismatch.findings.heldout import HeldOut
 from calib.mismatch.noise.hush import least_noise, silent
 from calib.mismatch.samples.losses import Loss
 from calib.mismatch.samples.within import SEVERAL, densest
+from calib.ordering import find_swapped
 from calib.poses import Poses
 from calib.recording import CHANNELS, Recording
 from calib.repeats import find_repeats
@@ -77,6 +78,8 @@ DOWNWARDS = ORDERS.index(((0, 1, 2), (-1, -1, -1)))
 """How axes lie of which all have the wrong sign."""
 
 FROZEN = "nothing: it is stuck"
+
+SWAPPED = "nothing: samples are not in the order they were taken in"
 
 STUCK = 0.2
 """Share of the recording for which a channel that is stuck leaves nothing to compare with."""
@@ -236,6 +239,15 @@ def look_at_faults(recording: Recording, moving: BoolArray, *, whole: bool) -> S
         stretches.append((c, start, stop))
         spoilt[start:stop] = True
     unexplained = _stuck(recording.time, stretches)
+    known[:] = clipped.any(axis=1)
+    known[repeats] = True
+    swapped = [] if still else [(a, b) for a, b in find_swapped(values) if not known[a:b].any()]
+    for start, stop in swapped:
+        spoilt[start:stop] = True
+    if swapped:
+        found = [(float(recording.time[a]), float(recording.time[b - 1])) for a, b in swapped]
+        where = _join_intervals(found)
+        unexplained.append(Unexplained(CHANNELS, where, SWAPPED, faults.FALSE_ALARM))
     if repeats.size:
         findings.append(_repeats(recording, repeats))
     findings += _coarse(recording, values, moving, step)
@@ -269,12 +281,12 @@ def join_samples(parts: Sequence[Samples]) -> Samples:
     Each part was a look of its own, which the p-values count.
     """
     kinds: dict[tuple[str, str], list[Finding]] = {}
-    channels: dict[tuple[str, ...], list[Interval]] = {}
+    odd: dict[tuple[tuple[str, ...], str], list[Interval]] = {}
     for part in parts:
         for item in part.findings:
             kinds.setdefault((item.effect, next(iter(item.parameters))), []).append(item)
         for left in part.unexplained:
-            channels.setdefault(left.channels, []).extend(left.intervals)
+            odd.setdefault((left.channels, left.follows), []).extend(left.intervals)
     chance = min(1.0, faults.FALSE_ALARM * len(parts))
     findings = []
     for items in kinds.values():
@@ -289,8 +301,8 @@ def join_samples(parts: Sequence[Samples]) -> Samples:
             )
         )
     unexplained = [
-        Unexplained(names, (where,), FROZEN, chance)
-        for names, intervals in channels.items()
+        Unexplained(names, (where,), follows, chance)
+        for (names, follows), intervals in odd.items()
         for where in _join_intervals(intervals)
     ]
     stuck, told = sum(part.stuck for part in parts), sum(part.told for part in parts)

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from calib.mismatch import diagnose_recording
-from calib.mismatch.samples.samples import COPIED, DISAGREES, FROZEN, look_at_samples
+from calib.mismatch.samples.samples import COPIED, DISAGREES, FROZEN, SWAPPED, look_at_samples
 from calib.mismatch.samples.thin import tamed
 from calib.model import SensorModel
-from calib.recording import Recording
+from calib.recording import CHANNELS, Recording
 from calib.simulate import simulate
 from calib.simulation.bench import bench_protocol
 from calib.simulation.noise import NoiseModel
@@ -47,6 +47,23 @@ def test_a_channel_that_freezes_in_two_turns_is_said_with_its_moments(value: str
     (left,) = found.unexplained
     assert (left.channels, left.follows) == (("gyro.y",), FROZEN)
     np.testing.assert_allclose(left.intervals, moments, atol=1.5 * real.interval)
+    assert not found.findings
+
+
+def test_packets_that_came_in_the_wrong_order_are_said_with_their_moments() -> None:
+    real = simulated(rate=100.0)
+    poses, order, moments = find_poses(real), np.arange(len(real)), []
+    for turn in (4, 9):
+        at = int(poses.stop[turn] + poses.start[turn + 1]) // 2
+        order[at : at + 10] += 10
+        order[at + 10 : at + 20] -= 10
+        moments.append((float(real.time[at]), float(real.time[at + 19])))
+    found = diagnose_recording(
+        replace(real, accel=real.accel[order], gyro=real.gyro[order]), gravity=GRAVITY
+    )
+    (left,) = found.unexplained
+    assert (left.channels, left.follows) == (CHANNELS, SWAPPED)
+    np.testing.assert_allclose(left.intervals, moments, atol=1e-9)
     assert not found.findings
 
 
