@@ -251,12 +251,18 @@ def look_at_faults(recording: Recording, moving: BoolArray, *, whole: bool) -> S
     if repeats.size:
         findings.append(_repeats(recording, repeats))
     findings += _coarse(recording, values, moving, step)
-    assert recording.lost is not None
-    spoilt |= clipped.any(axis=1) | (recording.lost > 0)
+    spoilt |= clipped.any(axis=1) | after_gaps(recording)
     spoilt[repeats] = True
-    spoilt[1:] |= np.diff(recording.time) > GAP * recording.interval
     fatal = stuck > STUCK * len(recording)
     return Samples(tuple(findings), tuple(unexplained), spoilt, fatal, stuck, told)
+
+
+def after_gaps(recording: Recording) -> BoolArray:
+    """Return which samples some are missing before: the source counted them, or time did, (n,)."""
+    assert recording.lost is not None
+    out = np.asarray(recording.lost > 0)
+    out[1:] |= np.diff(recording.time) > GAP * recording.interval
+    return out
 
 
 def _stuck(time: FloatArray, stretches: list[tuple[int, int, int]]) -> list[Unexplained]:

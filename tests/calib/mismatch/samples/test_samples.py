@@ -135,6 +135,10 @@ def test_a_hole_in_the_time_stamps_is_not_integrated_across() -> None:
     )
     found = diagnose_recording(holed, gravity=GRAVITY)
     assert {f.effect for f in found.findings} <= {"gyro_misalignment"}
+    left = (
+        f"in 1 of {len(poses) - 1} time is missing (those from {recording.time[poses.stop[4]]:.0f}"
+    )
+    assert any(left in item for item in found.missing)
 
 
 def test_what_one_axis_shows_of_the_range_is_the_range_of_all() -> None:
