@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib import faults
+from calib.frozen import find_frozen
 from calib.gravity import STANDARD_GRAVITY as G
 from calib.poses import Poses
 from calib.recording import CHANNELS, Clock, Recording
@@ -216,6 +217,12 @@ def _samples(recording: Recording, at_rest: BoolArray) -> list[Finding]:
                 )
             )
     stuck = faults.find_stuck(values, ~at_rest, interval=recording.interval, clipped=clipped)
+    repeats = find_repeats(values, ~at_rest)
+    known = np.zeros(n, bool)
+    known[repeats] = True
+    for _, start, stop in stuck:
+        known[start:stop] = True
+    stuck += find_frozen(values, ~at_rest, clipped=clipped, known=known)
     for c, start, stop in stuck:
         span = (
             "throughout"
@@ -236,7 +243,6 @@ def _samples(recording: Recording, at_rest: BoolArray) -> list[Finding]:
         span = "throughout" if len(at) == n else f"in {_many(at.size)}"
         message = f"{both[0]} and {both[1]} are the same {span}: a register may be read twice"
         out.append(Finding("copied", message, both, int(at.size), _first(time[at])))
-    repeats = find_repeats(values, ~at_rest)
     if repeats.size:
         out.append(
             Finding(

@@ -40,7 +40,7 @@ from calib.mismatch.rows.uncarried import uncarried
 from calib.mismatch.rows.underway import under_way
 from calib.mismatch.samples.losses import INCOMPLETE, leave_out_unwhole
 from calib.mismatch.samples.resting import look_at_rests, unsaid
-from calib.mismatch.samples.samples import lost_samples
+from calib.mismatch.samples.samples import after_gaps, lost_samples
 from calib.mismatch.samples.thin import Thinned, thin
 from calib.mismatch.search.determined import open_baseline, to_determine
 from calib.mismatch.search.explain import changes, explain, verdict
@@ -69,6 +69,9 @@ RESTLESS = (
 
 SHOWS = {"accel": "means of its rests", "gyro": "its turns"}
 """What shows a triad whose counts are coarse."""
+
+FEW_MOMENTS = 5
+"""Moments that are named one by one, at most."""
 
 LEAST_TURNS = 3
 """Turns below which nothing that shows in motion alone is named."""
@@ -144,6 +147,8 @@ def _diagnose(thinned: Thinned, *, gravity: float, model: SensorModel | None) ->
             f"turns with all of their samples: in {bad} of {number} some are lost, clipped, stuck "
             "or come again, and what shows in these turns cannot be told",
         )
+    elif (torn := _spoilt_turns(grid, recording, after_gaps(recording))).any():
+        missing += (_without_time(grid.interval[torn], number),)
     # What a calibration has, and what so few turns leave open, is fitted with the baseline.
     full = few_turns or (model is not None and bool(model.gyro.misalignment.any()))
     timeless = recording.clock == "invalid"
@@ -333,6 +338,16 @@ def _spoilt_turns(grid: Grid, recording: Recording, spoilt: BoolArray) -> BoolAr
     b = np.searchsorted(recording.time, grid.interval[:, 1], side="right")
     torn = overlapping(grid.interval, find_holes(recording))
     return ~grid.is_rest & ((count[b] > count[a]) | torn)
+
+
+def _without_time(turns: FloatArray, number: int) -> str:
+    """Return what is missing where so many turns (k, 2) have gaps in time: they are left out."""
+    shown = ", ".join(f"{start:.1f}" for start, _ in turns[:FEW_MOMENTS].tolist())
+    more = ", ..." if len(turns) > FEW_MOMENTS else ""
+    return (
+        f"turns with all of their samples: in {len(turns)} of {number} time is missing (those from "
+        f"{shown}{more} s on), and these are left out"
+    )
 
 
 def _unfit(thinned: Thinned, missing: tuple[str, ...], need: str, otherwise: Verdict) -> Diagnosis:

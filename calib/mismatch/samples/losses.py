@@ -35,8 +35,8 @@ from calib.types import BoolArray, FloatArray, IntArray
 SURE = 1000.0
 """Odds of a loss, against a turn that errs by as much for another reason, from which it is one. Of
 such errors, five numbers of any direction, a share of ``(after / before)**5`` is mended as well at
-one place; so many places are tried. Three turns may be looked at in a recording, and at most one in
-two hundred recordings may have a false name."""
+one place; so many places are tried. Three turns may be looked at in vain, and at most one in two
+hundred recordings may have a false name."""
 
 SHARP = 0.5
 """Share of the greatest jump of the signals in a turn from which others are as likely a loss."""
@@ -48,8 +48,11 @@ SHARE = 0.1
 """Of a closure, what may be left of it: samples between fast ones are only interpolated. At a
 thousand looks it is what the odds ask for."""
 
-MOST = 5
-"""Samples lost at once, at most."""
+MOST = 32
+"""Samples lost at once, at most: what a buffer or a packet holds."""
+
+TRIALS = np.array([1, 2, 3, 4, 5, 6, 8, 10, 12, 15, 19, 24, 28, MOST])
+"""How many are tried first: of a few all, of more in steps of a fifth or so."""
 
 PLACES = 400
 """Places in a turn that are tried first."""
@@ -59,7 +62,7 @@ SUSPECT = 5.0
 not close is looked at so: a fit that it takes part in may halve its size."""
 
 TRIED = 3
-"""Turns that are looked at so, at most."""
+"""Turns that are looked at so in vain, at most."""
 
 FEWEST = 6
 """Turns that a scatter is taken from."""
@@ -83,6 +86,9 @@ FREEDOM = 3.0
 
 CONTEXT = 6
 """Samples on either side that those put back are interpolated from."""
+
+ELSEWHERE = 16
+"""Places in a turn that tell how well samples put back are foretold."""
 
 EDGE = 4
 """Samples at the ends of a part of a turn that are not integrated as in the whole: slopes take two
@@ -143,10 +149,8 @@ def find_losses(problem: SelfProblem) -> list[Loss]:
             grid, replace(whole, full_gyro=True), problem.noise, drop=drop, iterations=2
         )
     scores = _Closures(grid, whole, turns, problem.noise).scores
-    out = []
-    for _ in range(TRIED):
-        if scores.max() < NEAR:
-            break
+    out, vain = list[Loss](), 0
+    while vain < TRIED and scores.max() >= NEAR:
         # What one turn misses by, the fit spreads over its neighbours: fit without it.
         s = int(turns[np.argmax(scores)])
         drop[s] = True
@@ -155,6 +159,8 @@ def find_losses(problem: SelfProblem) -> list[Loss]:
         loss = closures.mended(s)
         if loss.stands:
             out.append(loss)
+        else:
+            vain += 1
         scores = np.where(drop[turns], 0.0, closures.scores)
     return out
 
@@ -247,31 +253,55 @@ class _Closures:
         whole = Spans(signals[0], np.array([0, len(signals[0])]))
         path = follow_turns(whole, *signals[1:])
 
-        def tried(places: Iterable[int]) -> FloatArray:
+        def tried(places: Iterable[int], numbers: IntArray = TRIALS) -> FloatArray:
             """Return places, numbers, sizes of what is left, and how unlikely it is, (4, n)."""
-            grid = np.meshgrid(np.fromiter(places, np.int64), np.arange(1, MOST + 1), indexing="ij")
+            grid = np.meshgrid(np.fromiter(places, np.int64), numbers, indexing="ij")
             at, number = (values.ravel() for values in grid)
             mended, longer = _mended(signals, path, at, number)
             duration = signals[0][-1] - signals[0][0] + longer
             turns = np.full(len(at), s)
             size = self._sizes(self._residuals(turns, mended, duration), turns)
-            return np.stack((at, number, size, 5 * size**2 + jump[number, at]))
+            unlikely = 5 * size**2 + jump[number, at] + 2 * np.log(number)
+            return np.stack((at, number, size, unlikely))
 
         # A long shot first; then where the signals themselves jump, and about the better of them.
         sharp = int(np.argmin(jump[1:].min(axis=0)))
         first = tried(range(2, last, stride))
-        places = [int(first[0, np.argmin(first[3])]), min(max(sharp, 2), last - 1)]
-        near = {k for p in places for k in range(max(2, p - stride), min(last, p + stride + 1))}
-        found = np.hstack((first, tried(sorted(near.difference(range(2, last, stride))))))
+        best = first[:, np.argmin(first[3])]
+        places = [int(best[0]), min(max(sharp, 2), last - 1)]
+        near = sorted(
+            {k for p in places for k in range(max(2, p - stride), min(last, p + stride + 1))}
+        )
+        found = np.hstack((first, tried(near)))
+        # Of many, all numbers between those that were tried.
+        at, number = found[:2, np.argmin(found[3])].astype(np.int64)
+        beside = np.searchsorted(TRIALS, number)
+        between = np.arange(
+            TRIALS[max(beside - 1, 0)] + 1, TRIALS[min(beside + 1, len(TRIALS) - 1)]
+        )
+        between = between[~np.isin(between, TRIALS)]
+        if len(between):
+            about = range(max(2, at - number), min(last, at + number + 1))
+            found = np.hstack((found, tried(about, between)))
         at, number, after, least = found[:, np.argmin(found[3])]
         before = float(self.scores[self._turns.tolist().index(s)])
         likely = jump[1:] <= SHARP * jump.min()
-        looks = int(likely.sum() if likely[int(number) - 1, int(at)] else likely.size)
-        weight = np.exp(0.5 * (least - found[3]))
+        if not likely[int(number) - 1, int(at)]:
+            likely[:] = True
+        # Few are lost more often than many: as often as their number is smaller.
+        looks = int(np.ceil(number * (1.0 / np.arange(1, MOST + 1)) @ likely.sum(axis=1)))
+        # What is left is then what interpolating misses, and no two numbers are told apart by less.
+        weight = np.exp(
+            0.5 * (least - found[3] - 5 * (after**2 - found[2] ** 2) * (1 - max(after, 1.0) ** -2))
+        )
         moment = signals[0][found[0].astype(np.int64)]
         here = np.array([signals[0][int(at)], number])
         spread = np.sqrt(np.square(np.stack((moment, found[1])) - here[:, None]) @ weight)
         spread /= np.sqrt(weight.sum())
+        speed = float(np.linalg.norm(signals[2][int(at)]))
+        spread[1] = np.hypot(
+            spread[1], _misjudged(signals, int(at), int(number)) / max(speed, 1e-9)
+        )
         return Loss(
             int(s),
             float(here[0]),
@@ -378,6 +408,26 @@ def _mended(
     return Ended(through @ path.frame[-1], path.velocity[a] + gained + rest), longer
 
 
+def _misjudged(signals: Signals, lost: int, number: int) -> float:
+    """Return by how much, rad/s, rates put back for ``number`` samples at once are off in sum.
+
+    At worst, as samples are missed where motion is fast: by leaving out as many at places all over
+    the turn, but not beside where some are ``lost``.
+    """
+    time, *both = signals
+    n = len(time) - number
+    places = np.unique(np.linspace(2, n - 3, ELSEWHERE).astype(np.int64))
+    off = []
+    for at in places[(places > lost + EDGE) | (places + number < lost - EDGE)].tolist():
+        low, high = max(at - PART, 0), min(at + PART, n)
+        left = [np.delete(values, np.s_[at : at + number], axis=0) for values in both]
+        where = [np.array([k]) for k in (low, high, at, number)]
+        (_, _, rate), *_ = _put_back((time[:n], left[0], left[1]), *where)
+        missing = slice(at - low, at - low + number)
+        off.append(np.linalg.norm((rate[missing] - both[1][at : at + number]).sum(axis=0)))
+    return float(np.max(off)) if off else np.inf
+
+
 def _put_back(
     signals: Signals, low: IntArray, high: IntArray, at: IntArray, count: IntArray
 ) -> tuple[Signals, IntArray, FloatArray]:
@@ -389,8 +439,9 @@ def _put_back(
     step = float(np.median(np.diff(time)))
     both = np.hstack((force, rate))
     longer = np.asarray(count * step, np.float64)
-    put = np.empty((len(at), MOST, both.shape[1]))
-    fresh = time[at - 1, None] + step * np.arange(1, MOST + 1)
+    most = int(count.max())
+    put = np.empty((len(at), most, both.shape[1]))
+    fresh = time[at - 1, None] + step * np.arange(1, most + 1)
     # Near the ends of a turn there is less to interpolate from.
     width = high - low
     for points in np.unique(width):
@@ -398,9 +449,9 @@ def _put_back(
         near = low[own, None] + np.arange(points)
         true = time[near] + longer[own, None] * (near >= at[own, None])
         slopes = spline_slopes(true, both[near])
-        gap = np.repeat(points * np.arange(len(own)) + at[own] - 1 - low[own], MOST)
+        gap = np.repeat(points * np.arange(len(own)) + at[own] - 1 - low[own], most)
         flat = (true.ravel(), both[near.ravel()], slopes.reshape(near.size, -1))
-        put[own] = spline_between(*flat, gap, fresh[own].ravel()).reshape(len(own), MOST, -1)
+        put[own] = spline_between(*flat, gap, fresh[own].ravel()).reshape(len(own), most, -1)
     first = np.append(0, np.cumsum(width + count))
     case = np.repeat(np.arange(len(at)), width + count)
     index = low[case] + np.arange(first[-1]) - first[case]
@@ -411,5 +462,5 @@ def _put_back(
     whole[new] = put[case[new], late[new] - 1]
     clock = time[source] + longer[case] * (late > count[case])
     clock[new] = fresh[case[new], late[new] - 1]
-    clock += case * (time[-1] - time[0] + (MOST + 1) * step)
+    clock += case * (time[-1] - time[0] + (most + 1) * step)
     return (clock, whole[:, :3], whole[:, 3:]), first, longer

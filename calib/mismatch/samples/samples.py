@@ -16,12 +16,14 @@ from calib import faults
 from calib.calibration import Quantity, parameter_unit
 from calib.effects import get_effect
 from calib.effects.axis_error import ORDERS, signed_permutation
+from calib.frozen import find_frozen
 from calib.measured import Measured
 from calib.mismatch.findings.diagnosis import Finding, Interval, Unexplained
 from calib.mismatch.findings.heldout import HeldOut
 from calib.mismatch.noise.hush import least_noise, silent
 from calib.mismatch.samples.losses import Loss
 from calib.mismatch.samples.within import SEVERAL, densest
+from calib.ordering import find_swapped
 from calib.poses import Poses
 from calib.recording import CHANNELS, Recording
 from calib.repeats import find_repeats
@@ -74,6 +76,10 @@ SPIKES = "nothing: samples are off course, and back at once"
 
 DOWNWARDS = ORDERS.index(((0, 1, 2), (-1, -1, -1)))
 """How axes lie of which all have the wrong sign."""
+
+FROZEN = "nothing: it is stuck"
+
+SWAPPED = "nothing: samples are not in the order they were taken in"
 
 STUCK = 0.2
 """Share of the recording for which a channel that is stuck leaves nothing to compare with."""
@@ -189,7 +195,6 @@ def look_at_faults(recording: Recording, moving: BoolArray, *, whole: bool) -> S
     spoilt = np.zeros(len(recording), bool)
     values = faults.values_of(recording)
     findings: list[Finding] = []
-    unexplained: list[Unexplained] = []
     clipped = np.zeros(values.shape, bool)
     step, noise = faults.resolution(values), faults.noise_at_rest(values)
     for first, triad in ((0, "accel"), (3, "gyro")):
@@ -216,6 +221,7 @@ def look_at_faults(recording: Recording, moving: BoolArray, *, whole: bool) -> S
     if still:
         change = np.abs(np.diff(values, axis=0, prepend=values[:1]))
         moving = moving & (change > least_noise(recording.interval)).any(axis=1)
+    stretches: list[tuple[int, int, int]] = []
     stuck = 0
     told = len(recording) if whole or moving.any() else 0
     for c, start, stop in faults.find_stuck(
@@ -223,22 +229,56 @@ def look_at_faults(recording: Recording, moving: BoolArray, *, whole: bool) -> S
     ):
         if (table or not told) and stop - start == len(recording):
             continue
+        stretches.append((c, start, stop))
         spoilt[start:stop] = True
         stuck += stop - start
-        where = (float(recording.time[start]), float(recording.time[stop - 1]))
-        unexplained.append(
-            Unexplained((CHANNELS[c],), (where,), "nothing: it is stuck", faults.FALSE_ALARM)
-        )
     repeats = np.zeros(0, np.int64) if still else find_repeats(values, moving)
+    known = spoilt.copy()
+    known[repeats] = True
+    for c, start, stop in find_frozen(values, moving, clipped=clipped, known=known):
+        stretches.append((c, start, stop))
+        spoilt[start:stop] = True
+    unexplained = _stuck(recording.time, stretches)
+    known[:] = clipped.any(axis=1)
+    known[repeats] = True
+    swapped = [] if still else [(a, b) for a, b in find_swapped(values) if not known[a:b].any()]
+    for start, stop in swapped:
+        spoilt[start:stop] = True
+    if swapped:
+        found = [(float(recording.time[a]), float(recording.time[b - 1])) for a, b in swapped]
+        where = _join_intervals(found)
+        unexplained.append(Unexplained(CHANNELS, where, SWAPPED, faults.FALSE_ALARM))
     if repeats.size:
         findings.append(_repeats(recording, repeats))
     findings += _coarse(recording, values, moving, step)
-    assert recording.lost is not None
-    spoilt |= clipped.any(axis=1) | (recording.lost > 0)
+    spoilt |= clipped.any(axis=1) | after_gaps(recording)
     spoilt[repeats] = True
-    spoilt[1:] |= np.diff(recording.time) > GAP * recording.interval
     fatal = stuck > STUCK * len(recording)
     return Samples(tuple(findings), tuple(unexplained), spoilt, fatal, stuck, told)
+
+
+def after_gaps(recording: Recording) -> BoolArray:
+    """Return which samples some are missing before: the source counted them, or time did, (n,)."""
+    assert recording.lost is not None
+    out = np.asarray(recording.lost > 0)
+    out[1:] |= np.diff(recording.time) > GAP * recording.interval
+    return out
+
+
+def _stuck(time: FloatArray, stretches: list[tuple[int, int, int]]) -> list[Unexplained]:
+    """Return what is said of stretches ``(channel, start, stop)`` of samples that are stuck.
+
+    One item for each channel, and one for channels that are stuck at the same moments.
+    """
+    own: dict[int, list[Interval]] = {}
+    for c, start, stop in stretches:
+        own.setdefault(c, []).append((float(time[start]), float(time[stop - 1])))
+    places = {c: _join_intervals(intervals) for c, intervals in own.items()}
+    alike = {
+        where: tuple(CHANNELS[c] for c in sorted(places) if places[c] == where)
+        for where in places.values()
+    }
+    return [Unexplained(names, where, FROZEN, faults.FALSE_ALARM) for where, names in alike.items()]
 
 
 def join_samples(parts: Sequence[Samples]) -> Samples:
@@ -247,12 +287,12 @@ def join_samples(parts: Sequence[Samples]) -> Samples:
     Each part was a look of its own, which the p-values count.
     """
     kinds: dict[tuple[str, str], list[Finding]] = {}
-    channels: dict[tuple[str, ...], list[Interval]] = {}
+    odd: dict[tuple[tuple[str, ...], str], list[Interval]] = {}
     for part in parts:
         for item in part.findings:
             kinds.setdefault((item.effect, next(iter(item.parameters))), []).append(item)
         for left in part.unexplained:
-            channels.setdefault(left.channels, []).extend(left.intervals)
+            odd.setdefault((left.channels, left.follows), []).extend(left.intervals)
     chance = min(1.0, faults.FALSE_ALARM * len(parts))
     findings = []
     for items in kinds.values():
@@ -267,8 +307,8 @@ def join_samples(parts: Sequence[Samples]) -> Samples:
             )
         )
     unexplained = [
-        Unexplained(names, (where,), "nothing: it is stuck", chance)
-        for names, intervals in channels.items()
+        Unexplained(names, (where,), follows, chance)
+        for (names, follows), intervals in odd.items()
         for where in _join_intervals(intervals)
     ]
     stuck, told = sum(part.stuck for part in parts), sum(part.told for part in parts)

@@ -156,9 +156,7 @@ def explain(
         # Samples come whole: a part of one is something else that happened in this turn.
         broken = any(q.unit == "samples" and not is_whole(q) for q in parameters.values())
         if broken:
-            moment = a.candidate.shape["moment"]
-            turn = rows.interval[np.searchsorted(rows.interval[:, 0], moment, side="right") - 1]
-            where = ((float(turn[0]), float(turn[1])),)
+            where = (_segment(rows, a.candidate.shape["moment"]),)
             left = _unexplained(outcome, fit, i, rivals)
             unexplained.append(replace(left, intervals=where, follows="this one turn"))
             continue
@@ -367,7 +365,17 @@ def _intervals(rows: Rows, a: Accepted) -> tuple[Interval, ...]:
         for item in effect.shape:
             if item.unit == "s" and item.low is None:
                 start = a.candidate.shape[item.name]
+    lost = any(p.unit == "samples" for p in effect.parameters)
+    if lost and not rows.aligned:
+        # By itself a recording shows it in one turn alone; beside a truth all that follows is late.
+        return (_segment(rows, start),)
     return ((start, stop),)
+
+
+def _segment(rows: Rows, moment: float) -> Interval:
+    """Return the rest or turn that a moment lies in."""
+    start, stop = rows.interval[rows.segment_at(moment)].tolist()
+    return start, stop
 
 
 def _proof(

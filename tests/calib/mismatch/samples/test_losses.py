@@ -12,6 +12,7 @@ from calib.mismatch.rows.closure import Spans, follow_turns, integrate_turns
 from calib.mismatch.rows.grid import make_grid
 from calib.mismatch.samples.losses import (
     INCOMPLETE,
+    MOST,
     PART,
     Loss,
     _Closures,
@@ -23,6 +24,7 @@ from calib.mismatch.samples.losses import (
 from calib.mismatch.twin.selfmode import SelfProblem
 from calib.recording import Recording
 from calib.statics import find_poses
+from calib.types import FloatArray
 
 from ..bench import GRAVITY, recording
 
@@ -39,6 +41,13 @@ def without(whole: Recording, at: int, count: int) -> Recording:
     )
 
 
+def smoothed(values: FloatArray) -> FloatArray:
+    """Return signals without what a hand does in less than a tenth of a second."""
+    kernel = np.hanning(41)[1:-1] / np.hanning(41).sum()
+    held = np.pad(values, ((19, 19), (0, 0)), mode="edge")
+    return np.stack([np.convolve(own, kernel, mode="valid") for own in held.T], axis=1)
+
+
 def problem_of(made: Recording) -> SelfProblem:
     return SelfProblem(make_grid(made, find_poses(made)), None, gravity=GRAVITY, full_gyro=False)
 
@@ -53,6 +62,45 @@ def test_where_and_how_many_are_found_to_the_sample() -> None:
         assert loss.number == count
         assert abs(loss.moment - whole.time[at]) < 0.5 * whole.interval
         assert loss.after < 0.05 * loss.before
+
+
+@pytest.mark.parametrize("count", [6, 8, 12, 20, MOST])
+def test_a_packet_that_is_lost_is_counted(count: int) -> None:
+    """In motion that is smooth, which is foretold through so many samples."""
+    whole = recording(rate=200.0, seed=5)
+    smooth = replace(whole, accel=smoothed(whole.accel), gyro=smoothed(whole.gyro))
+    poses = find_poses(smooth)
+    at = int(poses.stop[6] + poses.start[7]) // 2
+    (loss,) = find_losses(problem_of(without(smooth, at, count)))
+    assert abs(loss.number - count) <= 3.0 * loss.spread[1]
+    assert loss.spread[1] < 1.0
+    assert abs(loss.moment - whole.time[at]) < 1.5 * whole.interval
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("count", [8, 20])
+def test_a_packet_that_is_lost_leaves_nothing_else(count: int) -> None:
+    whole = recording(rate=200.0, poses=20, seed=5)
+    whole = replace(whole, accel=smoothed(whole.accel), gyro=smoothed(whole.gyro))
+    poses = find_poses(whole)
+    at = int(poses.stop[6] + poses.start[7]) // 2
+    found = diagnose_recording(without(whole, at, count), gravity=GRAVITY)
+    assert {item.effect for item in found.findings} == {"dropped_samples", "bandwidth"}
+    (lost,) = (item for item in found.findings if item.effect == "dropped_samples")
+    number = lost.parameters["count"]
+    assert abs(number.value - count) <= 3.0 * (number.sigma or 0.0)
+    ((start, stop),) = lost.intervals
+    assert start < whole.time[at] < stop < start + 5.0
+    assert not found.unexplained
+
+
+def test_a_sample_lost_in_each_of_five_turns_is_found_in_all() -> None:
+    made = recording(rate=100.0, poses=24)
+    poses = find_poses(made)
+    turns = [int(a + b) // 2 for a, b in zip(poses.stop[:-1], poses.start[1:], strict=True)]
+    for at in sorted(turns[2:12:2], reverse=True):
+        made = without(made, at, 1)
+    assert [loss.number for loss in find_losses(problem_of(made))] == [1] * 5
 
 
 @pytest.mark.parametrize("seed", [4, 6])

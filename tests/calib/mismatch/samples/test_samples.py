@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from calib.mismatch import diagnose_recording
-from calib.mismatch.samples.samples import COPIED, DISAGREES, look_at_samples
+from calib.mismatch.samples.samples import COPIED, DISAGREES, FROZEN, SWAPPED, look_at_samples
 from calib.mismatch.samples.thin import tamed
 from calib.model import SensorModel
-from calib.recording import Recording
+from calib.recording import CHANNELS, Recording
 from calib.simulate import simulate
 from calib.simulation.bench import bench_protocol
 from calib.simulation.noise import NoiseModel
@@ -29,6 +29,42 @@ def test_a_channel_that_is_stuck_is_said_and_nothing_else() -> None:
         assert found.verdict == "unexplained"
         assert not [f for f in found.findings if f.effect != "quantization"]
         assert [u.channels for u in found.unexplained] == [("accel.z",)]
+
+
+@pytest.mark.parametrize("value", ["last", "nothing"])
+def test_a_channel_that_freezes_in_two_turns_is_said_with_its_moments(value: str) -> None:
+    real = simulated(rate=100.0)
+    poses = find_poses(real)
+    gyro, lsb = real.gyro.copy(), 5e-5
+    gyro = lsb * np.round(gyro / lsb)
+    moments = []
+    for turn in (4, 9):
+        a, b = int(poses.stop[turn]), int(poses.start[turn + 1])
+        at = a + int(np.argmax(np.abs(np.diff(gyro[a:b], axis=0)[:, 1])))
+        gyro[at : at + 6, 1] = gyro[at, 1] if value == "last" else 0.0
+        moments.append((float(real.time[at]), float(real.time[at + 5])))
+    found = diagnose_recording(replace(real, gyro=gyro), gravity=GRAVITY)
+    (left,) = found.unexplained
+    assert (left.channels, left.follows) == (("gyro.y",), FROZEN)
+    np.testing.assert_allclose(left.intervals, moments, atol=1.5 * real.interval)
+    assert not found.findings
+
+
+def test_packets_that_came_in_the_wrong_order_are_said_with_their_moments() -> None:
+    real = simulated(rate=100.0)
+    poses, order, moments = find_poses(real), np.arange(len(real)), []
+    for turn in (4, 9):
+        at = int(poses.stop[turn] + poses.start[turn + 1]) // 2
+        order[at : at + 10] += 10
+        order[at + 10 : at + 20] -= 10
+        moments.append((float(real.time[at]), float(real.time[at + 19])))
+    found = diagnose_recording(
+        replace(real, accel=real.accel[order], gyro=real.gyro[order]), gravity=GRAVITY
+    )
+    (left,) = found.unexplained
+    assert (left.channels, left.follows) == (CHANNELS, SWAPPED)
+    np.testing.assert_allclose(left.intervals, moments, atol=1e-9)
+    assert not found.findings
 
 
 @pytest.mark.parametrize("poses", [1, 30])
@@ -99,6 +135,8 @@ def test_a_hole_in_the_time_stamps_is_not_integrated_across() -> None:
     )
     found = diagnose_recording(holed, gravity=GRAVITY)
     assert {f.effect for f in found.findings} <= {"gyro_misalignment"}
+    left = f"in 1 of {len(poses) - 1} time is missing"
+    assert any(left in item for item in found.missing)
 
 
 def test_what_one_axis_shows_of_the_range_is_the_range_of_all() -> None:
