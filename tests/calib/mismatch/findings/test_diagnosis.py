@@ -9,7 +9,7 @@ from calib.calibration import Gravity
 from calib.document import from_document, to_document
 from calib.effects import get_effect
 from calib.effects.accel_settling import NONE, WHOLE
-from calib.effects.base import PRESENCE, State, Term
+from calib.effects.base import FORM, PRESENCE, State, Term
 from calib.errors import InsufficientMotionError
 from calib.mismatch import diagnose_recording
 from calib.model import SensorModel
@@ -163,7 +163,7 @@ def test_wrong_units_and_axes_are_named_alone(accel, gyro, name):
     assert [f.effect for f in found.findings] == [name]
     if name == "axis_error":
         assert "The gyro's axes show x: y, y: x, z: z." in found.findings[0].sentence
-        assert [q.unit for q in found.findings[0].parameters.values()] == [PRESENCE, ""]
+        assert [q.unit for q in found.findings[0].parameters.values()] == [PRESENCE, FORM]
 
 
 def test_one_pose_cannot_tell():
