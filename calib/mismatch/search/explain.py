@@ -327,14 +327,16 @@ def _unexplained(
     in_time = c.interval is not None or TIME in follows or follows in (THROUGHOUT, FROM_START)
     predicted = a.columns @ fit.step[fit.at[which] : fit.at[which + 1]]
     before, x = _fit_without(outcome, which)[0], TIME if in_time else follows
+    seen = gather(rows, x, predicted, before, fit.left, on=touched(c))
+    at_rest = seen is not None and seen.series[0].channel in CHANNELS
     return Unexplained(
         channels=touched(c),
         intervals=(c.interval or whole,),
         follows=c.name if angle is None else f"{c.name}, by {np.degrees(angle):.2g}°",
         p_value=chance(a.e_value),
         rivals=rivals,
-        evidence=gather(rows, x, predicted, before, fit.left, on=touched(c)),
-        size=_at_rest(rows, before - fit.left, touched(c)),
+        evidence=seen,
+        size=_at_rest(rows, before - fit.left, touched(c)) if at_rest else None,
     )
 
 
