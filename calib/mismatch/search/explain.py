@@ -38,7 +38,7 @@ from calib.mismatch.search.partly import IN_A_PART, acting_part
 from calib.mismatch.search.put_down import WORDS, put_down
 from calib.mismatch.search.ranking import chance
 from calib.mismatch.search.returned import THERE, returned
-from calib.mismatch.search.search import SHOWN, TIE, TWIN, Outcome
+from calib.mismatch.search.search import BEATEN, SHOWN, TIE, TWIN, Outcome
 from calib.mismatch.search.twins import HEADING, too_fast
 from calib.recording import CHANNELS, TRIADS
 from calib.types import BoolArray, FloatArray
@@ -227,8 +227,8 @@ def _left_by_filters(outcome: Outcome, fit: Estimate) -> set[int]:
     """Return the findings that are what a filter of another make leaves of its effect.
 
     No filter is exactly of the forms that are tried. What another form or cut-off would explain
-    better is that of one that was found first, and so is what another explains nearly as well, if
-    it is smaller than what filters are unlike by.
+    better is that of one that was found first (or later, if it is better by far), and so is what
+    another explains nearly as well, if it is smaller than what filters are unlike by.
     """
     rows, accepted = outcome.rows, outcome.accepted
     filters = [i for i, a in enumerate(accepted) if a.candidate.present]
@@ -243,7 +243,7 @@ def _left_by_filters(outcome: Outcome, fit: Estimate) -> set[int]:
         for k in filters:
             b = accepted[k]
             other = a.posterior.get(b.candidate.group, 0.0)
-            if b.candidate.group == a.candidate.group or k > i:
+            if b.candidate.group == a.candidate.group or (k > i and other < BEATEN * own):
                 continue
             if other > own or (other > TIE * own and power[i] < UNLIKE**2 * power[k]):
                 out.add(i)
@@ -328,7 +328,7 @@ def _unexplained(
     predicted = a.columns @ fit.step[fit.at[which] : fit.at[which + 1]]
     before, x = _fit_without(outcome, which)[0], TIME if in_time else follows
     seen = gather(rows, x, predicted, before, fit.left, on=touched(c))
-    at_rest = seen is not None and seen.series[0].channel in CHANNELS
+    at_rest = seen is not None and any(s.channel in CHANNELS for s in seen.series[:1])
     return Unexplained(
         channels=touched(c),
         intervals=(c.interval or whole,),
