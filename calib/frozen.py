@@ -59,13 +59,13 @@ def find_frozen(
     out: list[tuple[int, int, int]] = []
     rest = ~(moving[1:] | moving[:-1])
     floor = np.maximum(np.sqrt(6.0) * noise_at_rest(values), resolution(values))
+    told = np.append(0, np.cumsum(known))
     for c in range(values.shape[1]):
         own = values[:, c]
         equal = own[1:] == own[:-1]
         chance = min(1.0, PEAK * _share(equal[rest]))
         start, stop = runs(equal & moving[1:] & moving[:-1])
         stop = stop + 1
-        told = np.append(0, np.cumsum(known))
         some = (stop - start >= SHORTEST) & (told[stop] == told[start])
         # What is at its range's end is clipped, however short it was there.
         some &= (own[start] < own.max()) & (own[start] > own.min()) & ~clipped[start, c]

@@ -26,7 +26,7 @@ SELDOM = 0.05
 """How probable it is that what looks like a term acts in a part only, rather than throughout."""
 
 SURE = 20.0
-"""Odds from which on it does: half of what a name is worth must not hang on a single turn."""
+"""Odds from which on it does."""
 
 OUTSIDE = 0.25
 """Share of what it would do throughout that a part leaves out, at least: without one turn that
@@ -71,9 +71,8 @@ def acting_part(
     number = len(rows.interval)
     here = rows.segment[:, None] == np.arange(number)
     parts = own.columns[:, None, :] * here[:, :, None]
-    power = np.square(whitener.project(own.columns)).sum()
     each = np.square(whitener.project(parts.reshape(len(y), -1))).reshape(len(y), number, -1)
-    share = np.append(0.0, np.cumsum(each.sum(axis=(0, 2)))) / max(float(power), 1e-300)
+    share = np.append(0.0, np.cumsum(each.sum(axis=(0, 2))))
     first, last = np.triu_indices(number + 1, 1)
     some = share[-1] - (share[last] - share[first]) >= OUTSIDE * share[-1]
     whole = (first == 0) & (last == number)
