@@ -39,8 +39,8 @@ from calib.mismatch.rows.grid import (
 from calib.mismatch.rows.uncarried import uncarried
 from calib.mismatch.rows.underway import under_way
 from calib.mismatch.samples.losses import INCOMPLETE, leave_out_unwhole
+from calib.mismatch.samples.reading import after_gaps, lost_samples
 from calib.mismatch.samples.resting import look_at_rests, unsaid
-from calib.mismatch.samples.samples import after_gaps, lost_samples
 from calib.mismatch.samples.thin import Thinned, thin
 from calib.mismatch.search.determined import open_baseline, to_determine
 from calib.mismatch.search.explain import changes, explain, verdict

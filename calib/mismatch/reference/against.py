@@ -41,8 +41,11 @@ from calib.mismatch.reference.truths import RecordingTruth
 from calib.mismatch.reference.twinned import UNSIGNED, diagnose_twin
 from calib.mismatch.reference.unturned import UNTURNED, with_any_angle
 from calib.mismatch.reference.witnessed import white_noise
+from calib.mismatch.samples.found import Samples
+from calib.mismatch.samples.reading import with_reading
 from calib.mismatch.samples.resting import unsaid
-from calib.mismatch.samples.samples import Samples, axes_beside, look_at_samples, with_reading
+from calib.mismatch.samples.samples import look_at_samples
+from calib.mismatch.samples.units import axes_beside
 from calib.mismatch.samples.within import is_told, look_beside
 from calib.mismatch.search.determined import open_baseline, to_determine
 from calib.mismatch.search.explain import changes, explain, verdict

@@ -16,7 +16,7 @@ from calib.mismatch.reference.alignment import Alignment
 from calib.mismatch.reference.laid import reading
 from calib.mismatch.reference.mounted import both
 from calib.mismatch.reference.truths import RecordingTruth
-from calib.mismatch.samples.samples import axes_beside, factor_beside
+from calib.mismatch.samples.units import axes_beside, factor_beside
 from calib.recording import Recording
 from calib.rotation import nearest_rotation
 

@@ -38,7 +38,9 @@ from calib.mismatch.reference.swaps import swapped
 from calib.mismatch.reference.truths import DEGREE, RecordingTruth, near
 from calib.mismatch.reference.upright import TIPPED, in_words, turn_up, vertical
 from calib.mismatch.reference.witnessed import white_noise
-from calib.mismatch.samples.samples import Samples, look_at_samples, with_reading
+from calib.mismatch.samples.found import Samples
+from calib.mismatch.samples.reading import with_reading
+from calib.mismatch.samples.samples import look_at_samples
 from calib.model import SensorModel
 from calib.recording import Recording
 from calib.rotation import mat_from_quat, quat_multiply, rotate

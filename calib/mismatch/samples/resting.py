@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from calib.effects.base import Term
 from calib.mismatch.findings.diagnosis import Finding, Unexplained
-from calib.mismatch.samples.samples import SPIKES
+from calib.mismatch.samples.found import SPIKES
 from calib.mismatch.samples.spectrum import LINE, LOUDER_THERE, look_at_spectrum
 from calib.mismatch.samples.swings import look_for_swings
 from calib.mismatch.samples.within import OFF_COURSE, PULSES, RESTLESS, look_within

@@ -28,18 +28,10 @@ from calib.mismatch.findings.diagnosis import Unexplained
 from calib.mismatch.noise.hush import audible
 from calib.mismatch.rows.choice import choose_poses
 from calib.mismatch.rows.grid import LONGEST_TURN
-from calib.mismatch.samples.samples import (
-    Samples,
-    intervals_of,
-    join_samples,
-    look_at_faults,
-    look_at_samples,
-    look_at_units,
-    off_course,
-    outside_rests,
-    read_again,
-    with_disagreement,
-)
+from calib.mismatch.samples.found import Samples, intervals_of, join_samples, with_disagreement
+from calib.mismatch.samples.reading import off_course, read_again
+from calib.mismatch.samples.samples import look_at_faults, look_at_samples, outside_rests
+from calib.mismatch.samples.units import look_at_units
 from calib.poses import Poses, average_poses
 from calib.read_once import read_once
 from calib.recording import CHANNELS, Recording, join

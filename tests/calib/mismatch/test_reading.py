@@ -8,7 +8,7 @@ import pytest
 from calib import faults
 from calib.effects.base import Term
 from calib.mismatch import diagnose_recording
-from calib.mismatch.samples.samples import SPIKES
+from calib.mismatch.samples.found import SPIKES
 from calib.recording import CHANNELS, Recording
 from calib.statics import find_poses
 

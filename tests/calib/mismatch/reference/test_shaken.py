@@ -9,8 +9,8 @@ from calib.mismatch import diagnose_against, diagnose_reference
 from calib.mismatch.hypotheses.places import joined
 from calib.mismatch.reference.alignment import Alignment
 from calib.mismatch.reference.shaken import noise_beside
+from calib.mismatch.samples.found import SPIKES
 from calib.mismatch.samples.resting import look_at_rests
-from calib.mismatch.samples.samples import SPIKES
 from calib.mismatch.samples.spectrum import LOUDER_THERE
 from calib.model import SensorModel
 from calib.recording import Recording

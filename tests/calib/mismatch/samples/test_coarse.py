@@ -8,12 +8,17 @@ import pytest
 
 from calib.effects.base import Term
 from calib.mismatch import diagnose_recording
+from calib.mismatch.samples.samples import look_at_samples
 from calib.model import SensorModel, Triad
 from calib.recording import Recording
 from calib.simulate import simulate
 from calib.simulation.bench import bench_protocol
 from calib.simulation.library import make_motion
 from calib.simulation.noise import CONSUMER
+from calib.statics import find_poses
+
+from ..bench import GRAVITY
+from ..bench import recording as simulated
 
 NOISE = {"accel": CONSUMER.accel_noise_density * 5.0, "gyro": CONSUMER.gyro_noise_density * 5.0}
 """Of one sample at 50 Hz."""
@@ -138,3 +143,43 @@ def test_a_full_scale_is_one_if_it_is_reached_but_once(share: float) -> None:
     found = diagnose_recording(replace(made, gyro=np.clip(made.gyro, -limit, limit)), gravity=9.8)
     assert found.findings[0].effect == "saturation"
     assert found.findings[0].parameters["gyro_full_scale"].value == pytest.approx(limit)
+
+
+@pytest.mark.long
+def test_a_bias_that_sticks_to_a_coarse_count_at_rest_is_no_second_finding() -> None:
+    for seed in (3, 5):
+        recording = simulated(seed=seed)
+        lsb = 1.6e-3
+        gyro = np.round(recording.gyro / lsb) * lsb
+        found = diagnose_recording(replace(recording, gyro=gyro), gravity=GRAVITY)
+        assert [f.effect for f in found.findings] == ["quantization"]
+        assert not found.unexplained
+
+
+def test_counts_are_coarse_though_decimals_cut_their_size() -> None:
+    recording = simulated(seed=3)
+    lsb = 2 * np.radians(2000.0) / 65536
+    gyro = np.round(np.round(recording.gyro / 1.5 / lsb) * lsb, 6)
+    (finding,) = look_at_samples(replace(recording, gyro=gyro), find_poses(recording)).findings
+    assert finding.parameters["gyro_lsb"].value == pytest.approx(lsb, rel=1e-4)
+
+
+def test_counts_are_coarse_though_a_rest_has_a_few_jerks() -> None:
+    recording = simulated(seed=3)
+    poses = find_poses(recording)
+    gyro = np.round(recording.gyro / 1.6e-3)
+    gyro[(poses.start + poses.stop) // 2, 2] += 40
+    (finding,) = look_at_samples(replace(recording, gyro=1.6e-3 * gyro), poses).findings
+    assert finding.effect == "quantization"
+    assert finding.channels == ("gyro.x", "gyro.y", "gyro.z")
+
+
+@pytest.mark.long
+def test_means_off_by_coarse_counts_are_no_second_finding() -> None:
+    for seed in (3, 5):
+        recording = simulated(seed=seed)
+        lsb = 0.1
+        accel = np.round(recording.accel / lsb) * lsb
+        found = diagnose_recording(replace(recording, accel=accel), gravity=GRAVITY)
+        assert [f.effect for f in found.findings] == ["quantization"]
+        assert not found.unexplained

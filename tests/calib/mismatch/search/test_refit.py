@@ -9,7 +9,7 @@ from calib.effects.base import Term
 from calib.mismatch import diagnose_recording
 from calib.mismatch.noise.noise import expected_levels
 from calib.mismatch.rows.grid import make_grid
-from calib.mismatch.samples.samples import PUSHED
+from calib.mismatch.samples.found import PUSHED
 from calib.mismatch.search.accepted import accept
 from calib.mismatch.search.joint import solve
 from calib.mismatch.search.ranking import make_stack

@@ -1,0 +1,133 @@
+"""Units and axes that are not those that are given, and turns that none make agree."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from calib import faults
+from calib.effects import get_effect
+from calib.effects.axis_error import ORDERS, signed_permutation
+from calib.mismatch.findings.diagnosis import Finding, Unexplained
+from calib.mismatch.samples.found import (
+    BEYOND,
+    COPIED,
+    DISAGREES,
+    PUSHED,
+    STUCK,
+    fault_finding,
+    intervals_of,
+    join_intervals,
+)
+from calib.poses import Poses
+from calib.recording import CHANNELS, Recording
+from calib.synchrony import STEP, gyro_delay
+from calib.tilts import FEWEST, GYRO_FACTORS, Closure
+from calib.turns import find_turns
+from calib.units import ACCEL_FACTORS, name_of, unit_faults
+
+GYRO = CHANNELS[3:]
+
+HARDEST = 1e3
+"""m/s²: a hand does 5 g, a knock at the bench 50 g for a sample or two, and few accelerometers
+measure 100 g."""
+
+DOWNWARDS = ORDERS.index(((0, 1, 2), (-1, -1, -1)))
+"""How axes lie of which all have the wrong sign."""
+
+
+def look_at_units(
+    recording: Recording, poses: Poses
+) -> tuple[tuple[Finding, ...], tuple[Unexplained, ...]]:
+    """Look for wrong units and axes; and for turns that no unit and no axes make agree.
+
+    A channel that repeats another one, or is dead, makes both look wrong.
+    """
+    values = faults.values_of(recording)
+    for c, d, same in faults.find_copies(values):
+        if same.sum() > STUCK * len(recording):
+            places = intervals_of(recording.time, np.flatnonzero(same))
+            names = CHANNELS[c], CHANNELS[d]
+            return (), (Unexplained(names, places, COPIED, faults.FALSE_ALARM),)
+    dead = np.ptp(values[:, :3], axis=0) == 0.0
+    if dead.any() and not dead.all() and len(recording) >= faults.BLOCK:
+        return (), ()
+    closure = Closure.of(recording, poses) if len(poses) else None
+    late = gyro_delay(recording)
+    if late is not None:
+        # Turns that are compared with others than themselves tell nothing of units and axes.
+        found, spread = {"gyro_delay": late}, {"gyro_delay": STEP}
+        return (fault_finding("time_offset", recording, GYRO, found, spread=spread),), ()
+    wrong = (*_units(recording, poses, closure), *_axes(recording, closure))
+    if wrong or not len(poses):
+        return wrong, ()
+    far = np.abs(np.median(poses.gyro, axis=0)) > faults.FASTEST
+    if far.any():
+        axes = tuple(f"gyro.{a}" for a, off in zip("xyz", far, strict=True) if off)
+        whole = (float(recording.time[0]), float(recording.time[-1]))
+        return (), (Unexplained(axes, (whole,), BEYOND, faults.FALSE_ALARM),)
+    turns = find_turns(recording, poses)
+    spans = zip(turns.start.tolist(), turns.stop.tolist(), strict=True)
+    force = np.array([np.abs(recording.accel[a:b]).max(axis=0) for a, b in spans])
+    hard = np.median(force, axis=0) > HARDEST if len(force) else np.zeros(3, bool)
+    if hard.any():
+        axes = tuple(CHANNELS[c] for c in np.flatnonzero(hard))
+        moved = float(poses.interval[0, 1]), float(poses.interval[-1, 0])
+        return (), (Unexplained(axes, (moved,), PUSHED, faults.FALSE_ALARM),)
+    if closure is None or len(closure) < FEWEST or closure.agrees:
+        return (), ()
+    where = join_intervals([(float(a), float(b)) for a, b in closure.disagreeing])
+    return (), (Unexplained(CHANNELS, where, DISAGREES, faults.FALSE_ALARM),)
+
+
+def _units(recording: Recording, poses: Poses, closure: Closure | None) -> list[Finding]:
+    out = []
+    for fault in unit_faults(recording, poses, closure):
+        own = "" if fault.channel is None else f".{'xyz'[fault.channel]}"
+        channels = tuple(c for c in CHANNELS if c.startswith(fault.triad + own))
+        values = {fault.triad: fault.factor - 1.0}
+        where = () if fault.interval is None else (fault.interval,)
+        out.append(fault_finding("unit_error", recording, channels, values, fault.message, where))
+    return out
+
+
+def _axes(recording: Recording, closure: Closure | None) -> list[Finding]:
+    if closure is None or np.array_equal(closure.axes, np.eye(3)):
+        return []
+    # The closure knows what undoes the mistake; the effect states the mistake.
+    made = closure.axes.T
+    number = next((k for k in range(len(ORDERS)) if np.array_equal(signed_permutation(k), made)), 0)
+    names = tuple(f"gyro.{a}" for a, row in zip("xyz", made - np.eye(3), strict=True) if row.any())
+    found = {"gyro": 1.0, "gyro_axes": float(number)}
+    return [fault_finding("axis_error", recording, names, found)]
+
+
+def axes_beside(
+    recording: Recording, numbers: Mapping[str, int], *, other: str = "simulation"
+) -> Finding:
+    """Return the finding that triads show the axes of the `other` in another order."""
+    values: dict[str, float] = {}
+    names: list[str] = []
+    for triad, number in numbers.items():
+        values |= {triad: 1.0, f"{triad}_axes": float(number)}
+        off = signed_permutation(number) - np.eye(3)
+        names += [f"{triad}.{a}" for a, row in zip("xyz", off, strict=True) if row.any()]
+    whose = f"The two do not have the same axes: mend those of the recording, or of the {other}."
+    found = fault_finding("axis_error", recording, tuple(names), values)
+    words = get_effect("axis_error").in_words(values)
+    if numbers.get("accel") == DOWNWARDS:
+        words += " An accelerometer at rest reads 1 g upwards, and not downwards."
+    return replace(found, sentence=f"{whose} Beside the {other}: {words}")
+
+
+def factor_beside(recording: Recording, triad: str, factor: float, *, other: str) -> Finding:
+    """Return the finding that a triad reads so many times what the `other` has."""
+    channels, known = (CHANNELS[:3], ACCEL_FACTORS) if triad == "accel" else (GYRO, GYRO_FACTORS)
+    found = fault_finding("unit_error", recording, channels, {triad: factor - 1.0})
+    return replace(
+        found,
+        sentence=f"The {triad} reads {factor:.4g} times what the {other} has: check the units and "
+        f"ranges of both{name_of(factor, known)}.",
+    )
