@@ -43,8 +43,9 @@ from calib.mismatch.samples.reading import after_gaps, lost_samples
 from calib.mismatch.samples.resting import look_at_rests, unsaid
 from calib.mismatch.samples.thin import Thinned, thin
 from calib.mismatch.search.determined import open_baseline, to_determine
-from calib.mismatch.search.explain import changes, explain, verdict
+from calib.mismatch.search.explain import explain, verdict
 from calib.mismatch.search.jolted import jolted
+from calib.mismatch.search.proof import changes
 from calib.mismatch.search.search import Outcome, search
 from calib.mismatch.twin.selfmode import SelfProblem
 from calib.model import SensorModel

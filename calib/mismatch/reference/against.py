@@ -48,7 +48,8 @@ from calib.mismatch.samples.samples import look_at_samples
 from calib.mismatch.samples.units import axes_beside
 from calib.mismatch.samples.within import is_told, look_beside
 from calib.mismatch.search.determined import open_baseline, to_determine
-from calib.mismatch.search.explain import changes, explain, verdict
+from calib.mismatch.search.explain import explain, verdict
+from calib.mismatch.search.proof import changes
 from calib.mismatch.search.search import Outcome, search
 from calib.model import SensorModel
 from calib.recording import AXES, Recording

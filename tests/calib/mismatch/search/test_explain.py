@@ -5,25 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.effects import get_effect
 from calib.effects.base import Term
 from calib.effects.earth_rate import components
 from calib.mismatch import diagnose_recording
-from calib.mismatch.findings.diagnosis import Rival
 from calib.mismatch.hypotheses.candidates import Candidate
 from calib.mismatch.search.accepted import Accepted, accept
 from calib.mismatch.search.estimate import Estimate, Windows
-from calib.mismatch.search.explain import (
-    _OF_MOTION,
-    _is_taken_over,
-    _least_squares,
-    _of_windows,
-    _rivals,
-    to_separate,
-)
+from calib.mismatch.search.explain import _is_taken_over, _of_windows, _rivals
 from calib.mismatch.search.ranking import make_stack
 from calib.mismatch.search.search import SHOWN
-from calib.mismatch.search.twins import HEADING
 from calib.model import SensorModel
 from calib.simulate import simulate
 from calib.simulation.bench import bench_protocol
@@ -31,34 +21,6 @@ from calib.simulation.noise import CONSUMER
 
 from ..bench import GRAVITY, motion_of, problem, recording, with_added
 from .stacked import candidate
-
-
-def test_what_two_columns_share_is_not_determined():
-    rng = np.random.default_rng(4)
-    design = rng.normal(size=(20, 3))
-    design = np.column_stack((design, design[:, 0] - 2.0 * design[:, 1]))
-    y = design @ [1.0, 2.0, 3.0, 0.0]
-    solution, determined = _least_squares(design, y)
-    np.testing.assert_array_equal(determined, [False, False, True, False])
-    np.testing.assert_allclose(solution, np.linalg.lstsq(design, y, rcond=1e-9)[0], atol=1e-12)
-    assert _least_squares(design[:, :3], y)[1].all()
-
-
-def test_every_rival_comes_with_what_to_record():
-    _, made = problem()
-    stack = make_stack(made.rows(), skip=(), reference=False)
-    groups = sorted({c.group for c in stack if not c.physical})
-    own = get_effect("gyro_scale_asymmetry")
-    for group in groups:
-        said = to_separate(own, (Rival(group, 0.2),))
-        assert own.needs in said
-        assert f"{group}: " in said
-    # Those that follow the motion have words of their own, and no words are left over.
-    followed = {g.rpartition(" ")[0] for g in groups}
-    assert set(_OF_MOTION) <= {HEADING, *followed}
-    assert "markers" in to_separate(own, (Rival(HEADING, 1.0),))
-    assert "turns at several rates" in to_separate(own, (Rival("its own rate gyro.z", 0.2),))
-    assert "happened once" in to_separate(own, (Rival("bias in a window gyro.z", 0.2),))
 
 
 def test_few_windows_tell_less_than_many(stacked):
@@ -87,7 +49,7 @@ def test_a_rival_of_what_has_come_to_nothing_is_so_much_more_probable_at_least()
     gone = replace(
         accept(stack, first, 10.0), posterior={first.group: 0.0, "bandwidth": 1.0, "other": 1e-4}
     )
-    (rival,) = _rivals(gone)
+    (rival,) = _rivals(gone, ())
     assert rival.effect == "bandwidth"
     assert rival.odds == pytest.approx(1.0 / SHOWN)
 

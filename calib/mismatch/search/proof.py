@@ -1,0 +1,140 @@
+"""What a finding changes: what had absorbed it, and how much better what was left out is said."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from calib.calibration import parameter_unit
+from calib.mismatch.findings.diagnosis import Absorbed, Change
+from calib.mismatch.findings.heldout import HeldOut, LeftOut, held_out, pose_levels
+from calib.mismatch.noise.noise import make_whitener
+from calib.mismatch.rows.rows import Kind, Rows
+from calib.mismatch.search.accepted import Accepted, fitted
+from calib.mismatch.search.estimate import Estimate, pseudo_inverse, unique
+from calib.mismatch.search.joint import scaled
+from calib.mismatch.search.search import Outcome
+from calib.types import BoolArray, FloatArray
+
+FEW_POSES = float(np.log(100.0))
+"""Held-out log-likelihood that a name must gain where poses are too few for one to be left out."""
+
+
+def prove(
+    outcome: Outcome,
+    fit: Estimate,
+    which: int,
+    names: tuple[str, ...],
+    after: Callable[[], LeftOut],
+) -> tuple[tuple[Absorbed, ...], HeldOut, FloatArray]:
+    """Return what had absorbed a finding, its held-out worth, and the residuals without it.
+
+    ``after`` is what the fit of all findings says of blocks that are left out of it.
+    """
+    own, rows = outcome.accepted[which], judging(outcome, which)
+    mean = fitted(rows, _others(outcome, which))
+    left, without, determined = fit_without(outcome, which)
+    sigma = np.sqrt(np.diag(fit.covariance))
+    absorbed = []
+    for j, name in enumerate(names):
+        shift = float(without[j] - fit.step[j])
+        if determined[j] and sigma[j] > 0 and abs(shift) > sigma[j]:
+            absorbed.append(Absorbed(name, shift, parameter_unit(name), abs(shift) / sigma[j]))
+    absorbed.sort(key=lambda item: -item.standard_errors)
+    proof = held_out(
+        rows,
+        mean,
+        own.columns,
+        rows.residual,
+        levels=outcome.levels,
+        contrast=outcome.contrast,
+        channels=own.candidate.channels,
+        after=after() if rows is outcome.rows else None,
+    )
+    return tuple(absorbed[:8]), proof, left
+
+
+def only_levels(outcome: Outcome, which: int, proof: HeldOut) -> bool:
+    """Whether a finding's worth is gone beside free levels of the few poses there are."""
+    own = outcome.accepted[which]
+    levels = pose_levels(outcome.rows, own.candidate.channels)
+    if not levels.shape[1]:
+        return False
+    others = fitted(outcome.rows, _others(outcome, which))
+    beside = held_out(
+        outcome.rows,
+        np.hstack((others, levels)),
+        own.columns,
+        outcome.rows.residual,
+        levels=outcome.levels,
+        contrast=outcome.contrast,
+        channels=own.candidate.channels,
+    )
+    return beside.gain < FEW_POSES <= proof.gain
+
+
+def judging(outcome: Outcome, which: int) -> Rows:
+    """Return the rows that judge one finding."""
+    own = outcome.accepted[which].candidate
+    return outcome.rows.judging(own.name) if own.physical else outcome.rows
+
+
+def _others(outcome: Outcome, which: int) -> list[Accepted]:
+    return [a for i, a in enumerate(outcome.accepted) if i != which]
+
+
+def fit_without(outcome: Outcome, which: int) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Return what is left without one finding, the coefficients, and which are determined."""
+    rows = judging(outcome, which)
+    unit, scale = scaled(fitted(rows, _others(outcome, which)))
+    whitener = make_whitener(rows, outcome.levels, outcome.contrast, unit[:, :0])
+    without, determined = _least_squares(whitener.whiten(unit), whitener.whiten(rows.residual))
+    return rows.residual - unit @ without, without / scale, determined
+
+
+def _least_squares(design: FloatArray, y: FloatArray) -> tuple[FloatArray, BoolArray]:
+    """Return the shortest solution, and which of its elements are the same in all of them."""
+    inverse = pseudo_inverse(design)
+    return inverse @ y, unique(inverse, design)
+
+
+def changes(outcome: Outcome) -> tuple[tuple[Change, ...], tuple[float, float]]:
+    """Return residual RMS and log-likelihood before and after, on the rows that were fitted."""
+    rows = outcome.rows
+    residual = rows.residual
+    before = np.hstack((rows.baseline, rows.nuisance))
+    after = fitted(rows, outcome.accepted)
+    out: dict[str, list[float]] = {}
+    units = {}
+    likelihood = []
+    for mean in (before, after):
+        whitener = make_whitener(rows, outcome.levels, outcome.contrast, mean)
+        white = whitener.project(residual)
+        likelihood.append(-0.5 * float(white @ white))
+        fit = whitener.whiten(residual)
+        coefficients = np.linalg.lstsq(whitener.whiten(mean), fit, rcond=1e-10)[0]
+        left = residual - mean @ coefficients
+        floor = np.append(rows.variance(outcome.levels), outcome.contrast)
+        keep = 1.0 - whitener.basis.shape[1] / len(residual)
+        for label, unit, own in _row_kinds(rows):
+            out.setdefault(label, []).append(float(np.sqrt(np.mean(np.square(left[own])))))
+            units[label] = (unit, float(np.sqrt(np.mean(floor[own]) * keep)))
+    found = tuple(
+        Change(label, units[label][0], v[0], v[1], units[label][1]) for label, v in out.items()
+    )
+    return found, (likelihood[0], likelihood[1])
+
+
+def _row_kinds(rows: Rows) -> list[tuple[str, str, FloatArray]]:
+    where = "at rest" if rows.is_rest.any() else "over windows"
+    out = []
+    for label, unit, own in (
+        (f"accel {where}", "m/s²", (rows.kind <= Kind.CONTRAST) & (rows.channel // 3 == 0)),
+        (f"gyro {where}", "rad/s", (rows.kind <= Kind.CONTRAST) & (rows.channel // 3 == 1)),
+        ("attitude after turns", "rad", rows.kind == Kind.ATTITUDE),
+        ("velocity after turns", "m/s", rows.kind == Kind.VELOCITY),
+    ):
+        if own.any():
+            out.append((label, unit, own))
+    return out
