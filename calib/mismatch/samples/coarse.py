@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+
 import numpy as np
 
 from calib import faults
 from calib.effects import get_effect
 from calib.mismatch.findings.diagnosis import Finding
+from calib.mismatch.noise.rounded import Rounding, look_at_counts
 from calib.mismatch.samples.found import fault_finding
-from calib.recording import CHANNELS, Recording
+from calib.recording import CHANNELS, TRIADS, Recording
 from calib.types import BoolArray, FloatArray
 
 COARSE = 0.5
 """A count larger than the noise over this: rounding is no longer hidden by noise."""
+
+SHOWS = {"accel": "means of its rests", "gyro": "its turns"}
+"""What shows a triad whose counts are coarse."""
 
 MANY = 100_000
 """Samples that are looked at for whether they step in counts."""
@@ -72,3 +78,39 @@ def _counts(change: FloatArray, lsb: FloatArray) -> tuple[FloatArray, BoolArray]
     """Return changes (n, 3) in counts of `lsb`, and which are whole ones."""
     count = np.rint(change / np.where(lsb > 0, lsb, 1.0))
     return count, np.asarray(np.abs(change - count * lsb) < 0.01 * lsb)
+
+
+def coarse_channels(
+    recording: Recording, rests: FloatArray, findings: Sequence[Finding]
+) -> dict[int, Rounding]:
+    """Return the channels whose counts were found to be coarse, with what that does to rests.
+
+    These are (r, 2) intervals.
+    """
+    out = {}
+    start = np.searchsorted(recording.time, rests[:, 0])
+    stop = np.searchsorted(recording.time, rests[:, 1], side="right")
+    for f in findings:
+        if f.effect == "quantization":
+            (lsb,) = (q.value for name, q in f.parameters.items() if name.endswith("_lsb"))
+            for channel in f.channels:
+                values = recording.channel(channel)
+                parts = [values[a:b] for a, b in zip(start, stop, strict=True)]
+                out[CHANNELS.index(channel)] = look_at_counts(parts, lsb)
+    return out
+
+
+def unhidden_triads(coarse: Mapping[int, Rounding], *, few_turns: bool) -> tuple[str, ...]:
+    """Return the triads whose means at rest tell where between two counts they are.
+
+    Of a gyroscope that does not turn they are all there is, and if its bias moves by many counts
+    they tell of that.
+    """
+    out = []
+    for triad in TRIADS:
+        own = [r for c, r in coarse.items() if CHANNELS[c].startswith(triad) and not r.hidden]
+        if triad == "gyro" and few_turns:
+            own = [r for r in own if not r.swept]
+        if own:
+            out.append(triad)
+    return tuple(out)

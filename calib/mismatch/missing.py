@@ -1,0 +1,88 @@
+"""What a recording lacks for a diagnosis by itself."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from calib.effects import effects
+from calib.mismatch.findings.diagnosis import Finding
+from calib.mismatch.rows.choice import distinct_directions
+from calib.mismatch.search.search import Outcome
+from calib.poses import Poses
+from calib.recording import CHANNELS, Recording
+from calib.types import FloatArray
+
+RESTLESS = (
+    "a moment of rest: without gravity to compare with, only a simulation or a reference can tell "
+    "what is wrong (--against, --reference)"
+)
+
+LEANING = (
+    "another pose: in one, what the sensor lies on may lean where its accelerometer seems to drift"
+)
+
+FEW_MOMENTS = 5
+"""Moments that are named one by one, at most."""
+
+LEAST_DIRECTIONS = 9
+"""Distinct directions of gravity below which the rests leave the accelerometer's nine parameters
+open."""
+
+POSES = "enough poses"
+"""What is missing then."""
+
+
+def lacking(recording: Recording, poses: Poses) -> tuple[str, ...]:
+    """Return what a recording with such poses lacks."""
+    out = []
+    directions = distinct_directions(poses.accel)
+    if directions < LEAST_DIRECTIONS:
+        out.append(
+            f"{POSES}: it has {directions} distinct one{'s' if directions != 1 else ''}, and "
+            f"the accelerometer's scale and alignment need {LEAST_DIRECTIONS}"
+        )
+    if len(poses) < 4:
+        turns = max(len(poses) - 1, 0)
+        out.append(f"turns between rests: it has {turns}, and the gyroscope's scale needs several")
+    if recording.clock == "invalid":
+        out.append("a valid clock: only the order of samples is known, so times are not seconds")
+    if recording.temperature is None:
+        out.append("temperature: effects of temperature cannot be told from drift")
+    elif np.ptp(recording.temperature) == 0:
+        out.append("a temperature that changes: its reading is stuck at one value")
+    elif directions == 1:
+        out.append(
+            "another pose at these temperatures: in one, a bias and a scale factor that follow "
+            "temperature look alike"
+        )
+    return tuple(out)
+
+
+def without_time(turns: FloatArray, number: int) -> str:
+    """Return what is missing where so many turns (k, 2) have gaps in time: they are left out."""
+    shown = ", ".join(f"{start:.1f}" for start, _ in turns[:FEW_MOMENTS].tolist())
+    more = ", ..." if len(turns) > FEW_MOMENTS else ""
+    return (
+        f"turns with all of their samples: in {len(turns)} of {number} time is missing (those from "
+        f"{shown}{more} s on), and these are left out"
+    )
+
+
+def across_gravity(findings: Sequence[Finding], poses: Poses) -> bool:
+    """Whether in one pose an accelerometer was found to change across gravity."""
+    if distinct_directions(poses.accel) != 1:
+        return False
+    along = CHANNELS[int(np.argmax(np.abs(poses.accel.mean(axis=0))))]
+    channels = {c for f in findings if f.held_out is not None for c in f.channels}
+    return any(c.startswith("accel") and c != along for c in channels)
+
+
+def hidden_effects(outcome: Outcome) -> dict[str, str]:
+    """Return the effects that these rows cannot show, with what they would need."""
+    return {
+        slug: effect.needs
+        for slug, effect in effects().items()
+        if slug not in outcome.tried and effect.kind == "sensor"
+    }
