@@ -30,6 +30,9 @@ CLAIM = 1e-4
 HIDDEN = 0.5
 """Noise in counts below which its power depends on where between two of them a signal is."""
 
+SPREAD = 3
+"""Bins on either side that a line whose pace is not quite steady has power in."""
+
 _HERE = 0.01
 """P-value below which one rest has what is known to be in the recording, a line or a burst."""
 
@@ -106,9 +109,9 @@ def look_at_spectrum(recording: Recording, poses: Poses) -> tuple[Unexplained, .
         # Where rounding leaves a channel constant there is no floor to compare with.
         noisy = own.all(axis=0)
         own, rest = own[:, noisy], pose[noisy]
-        line = _lines(recording, poses, own, rest, channel, held)
+        line, spread = _lines(recording, poses, own, rest, channel, held)
         narrow = not line and not held.any()
-        bursts = _bursts(poses, own, rest, channel, narrow=narrow)
+        bursts = _bursts(poses, np.delete(own, spread, axis=0), rest, channel, narrow=narrow)
         out += line + (bursts or _changes(recording, poses, own, rest, channel))
     return tuple(_merged(out))
 
@@ -226,11 +229,12 @@ def _lines(
     pose: IntArray,
     channel: str,
     held: BoolArray,
-) -> list[Unexplained]:
-    """A line: mean power over all rests, compared with that of its neighbours in frequency.
+) -> tuple[list[Unexplained], IntArray]:
+    """A line, and the frequencies that it spreads over, where its power is that of no burst.
 
-    It reaches from the first to the last rest that has it by itself. What is ``held`` trembles, and
-    so does what only falls on from there: no resonance ends where hands do.
+    That is mean power over all rests, compared with that of its neighbours in frequency. It reaches
+    from the first to the last rest that has it by itself. What is ``held`` trembles, and so does
+    what only falls on from there: no resonance ends where hands do.
     """
     bins = len(power)
     mean, floor, p = _above(power)
@@ -240,7 +244,7 @@ def _lines(
     # A Hann window spreads a line over three frequencies.
     near = slice(max(k - 1, 0), k + 2)
     if held[k] or p[k] >= CLAIM or (mean - floor)[near].sum() < FAINTEST * floor.sum():
-        return []
+        return [], np.zeros(0, np.int64)
     frequency = (_peak(np.maximum(mean - floor, 0.0), k) + 2) / (LENGTH * recording.interval)
     found, of = np.unique(pose, return_inverse=True)
     # Beside the frequencies that the line spreads over, each rest shows its own floor.
@@ -253,7 +257,10 @@ def _lines(
     # In most of them: throughout.
     if 0 < len(here) < 0.8 * len(found):
         where = (float(poses.interval[here[0], 0]), float(poses.interval[here[-1], 1]))
-    return [Unexplained((channel,), (where,), f"{LINE}{frequency:.3g} Hz", float(p[k]))]
+    line = Unexplained((channel,), (where,), f"{LINE}{frequency:.3g} Hz", float(p[k]))
+    # What it spreads over by itself, and by whatever its pace is unsteady.
+    spread = k + np.arange(-SPREAD, SPREAD + 1)
+    return [line], spread[(spread >= 0) & (spread < bins)]
 
 
 def lines_of(item: Unexplained) -> dict[str, float]:
