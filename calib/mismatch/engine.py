@@ -24,8 +24,8 @@ from calib.mismatch.hypotheses.places import gathered, joined
 from calib.mismatch.missing import (
     LEANING,
     LEAST_DIRECTIONS,
+    NO_REST,
     POSES,
-    RESTLESS,
     across_gravity,
     hidden_effects,
     lacking,
@@ -47,7 +47,7 @@ from calib.mismatch.rows.underway import under_way
 from calib.mismatch.samples.coarse import SHOWS, coarse_channels, unhidden_triads
 from calib.mismatch.samples.losses import INCOMPLETE, leave_out_unwhole
 from calib.mismatch.samples.reading import after_gaps, lost_samples
-from calib.mismatch.samples.resting import look_at_rests, unsaid
+from calib.mismatch.samples.resting import look_at_rests, told_once, unsaid
 from calib.mismatch.samples.thin import Thinned, thin
 from calib.mismatch.search.determined import open_baseline, to_determine
 from calib.mismatch.search.estimate import Estimate
@@ -66,6 +66,9 @@ from calib.types import BoolArray, FloatArray
 
 SPOILT = 0.1
 """Share of a rest's samples that no model can explain above which its means are not looked at."""
+
+MOST_RESTLESS = 0.5
+"""Share of the recording in which one channel is disturbed above which nothing else is said."""
 
 LEAST_TURNS = 3
 """Turns below which nothing that shows in motion alone is named."""
@@ -110,16 +113,20 @@ def diagnose_thinned(
 
 def _diagnose(thinned: Thinned, *, gravity: float, model: SensorModel | None) -> Diagnosis:
     recording, seen = thinned.recording, thinned.seen
+    disturbed = seen.restless > MOST_RESTLESS * thinned.samples
     if not len(thinned.poses):
-        return _unfit(thinned, (), RESTLESS, "undetermined")
+        return _unfit(thinned, (), seen.need if disturbed else NO_REST, "undetermined")
     missing = lacking(recording, thinned.poses)
     if seen.fatal:
         return _unfit(thinned, missing, seen.need, "explained")
     poses = uncarried(recording, thinned.poses)
-    noisy = look_at_rests(recording, poses)
+    said, noisy = told_once(seen.unexplained, look_at_rests(recording, poses))
+    if disturbed:
+        thinned = replace(thinned, seen=seen._replace(unexplained=said))
+        return _unfit(thinned, missing, seen.need, "unexplained")
     poses = _usable(recording, poses, seen.spoilt)
     if not len(poses):
-        return _unfit(thinned, missing, RESTLESS, "undetermined")
+        return _unfit(thinned, missing, NO_REST, "undetermined")
     grid, spoilt, gone = _make_grid(thinned, poses)
     missing += gone
     few_turns = int((~grid.is_rest & ~spoilt).sum()) < LEAST_TURNS
@@ -159,7 +166,7 @@ def _diagnose(thinned: Thinned, *, gravity: float, model: SensorModel | None) ->
         findings = [by_sample(f, thinned.samples) if is_rate(f.effect) else f for f in findings]
     lost = [lost_samples(recording, loss, grid.interval[loss.segment]) for loss in losses]
     findings = [*seen.findings, *lost, *findings]
-    noisy = unsaid(noisy, findings, seen.unexplained, problem.given)
+    noisy = unsaid(noisy, findings, said, problem.given)
     noisy = (*noisy, *misclosed(outcome.rows, outcome.levels))
     # What such counts leave follows where between two of them a signal is, and so whatever it does.
     left = gathered(joined([*unexplained, *noisy]))
@@ -167,7 +174,7 @@ def _diagnose(thinned: Thinned, *, gravity: float, model: SensorModel | None) ->
     if broken:
         where = tuple((float(a), float(b)) for a, b in grid.interval[sorted(broken)])
         left.insert(0, Unexplained(CHANNELS, where, INCOMPLETE, FALSE_ALARM))
-    unexplained = [*seen.unexplained, *left]
+    unexplained = [*said, *left]
     if across_gravity(findings, poses):
         missing += (LEANING,)
     change, likelihood = changes(outcome)

@@ -14,7 +14,7 @@ from calib.poses import Poses
 from calib.recording import CHANNELS, Recording
 from calib.types import FloatArray
 
-RESTLESS = (
+NO_REST = (
     "a moment of rest: without gravity to compare with, only a simulation or a reference can tell "
     "what is wrong (--against, --reference)"
 )

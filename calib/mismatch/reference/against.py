@@ -43,7 +43,7 @@ from calib.mismatch.reference.unturned import UNTURNED, with_any_angle
 from calib.mismatch.reference.witnessed import white_noise
 from calib.mismatch.samples.found import Samples
 from calib.mismatch.samples.reading import with_reading
-from calib.mismatch.samples.resting import unsaid
+from calib.mismatch.samples.resting import told_once, unsaid
 from calib.mismatch.samples.samples import look_at_samples
 from calib.mismatch.samples.units import axes_beside
 from calib.mismatch.samples.within import is_told, look_beside
@@ -291,9 +291,10 @@ def conclude(
     left = problem.left()
     if left is not None:
         noisy = (*noisy, *look_beside(*left, exact=not problem.noisy and not another))
-    noisy = unsaid(noisy, findings, seen.unexplained, problem.given)
-    noisy = tuple(item for item in noisy if not is_told(item, [*seen.unexplained, *unexplained]))
-    unexplained = [*seen.unexplained, *gathered(joined([*unexplained, *noisy]))]
+    said, noisy = told_once(seen.unexplained, noisy)
+    noisy = unsaid(noisy, findings, said, problem.given)
+    noisy = tuple(item for item in noisy if not is_told(item, [*said, *unexplained]))
+    unexplained = [*said, *gathered(joined([*unexplained, *noisy]))]
     slugs = {f.effect for f in findings}
     keep = [i for i, n in enumerate(known) if n in problem.names or n.split(".")[0] in slugs]
     known, covariance = tuple(known[i] for i in keep), covariance[np.ix_(keep, keep)]

@@ -37,11 +37,15 @@ FROZEN = "nothing: it is stuck"
 
 SWAPPED = "nothing: samples are not in the order they were taken in"
 
+RESTLESS = "the time: it is restless there"
+"""What a channel follows that is alone with a disturbance, for a part of the time or throughout."""
+
 NEEDED = {
     DISAGREES: "a gyroscope and an accelerometer that agree on the turns",
     BEYOND: "a gyroscope that reads less at rest",
     PUSHED: "an accelerometer that reads what moves it: a cable or a register gives something else",
     COPIED: "channels of their own: a register may be read twice",
+    RESTLESS: "a channel that is still at rest, as the other five are",
 }
 """What a recording lacks that ends with its samples, by what they are off by."""
 
@@ -53,7 +57,8 @@ class Samples(NamedTuple):
     """What the samples show. ``fatal`` means that nothing else can be said until it is mended.
 
     ``spoilt`` marks samples that no model of the sensor can explain: a turn with one is not closed.
-    ``stuck`` counts the samples at which a channel is stuck, of ``told`` where that can be seen.
+    ``stuck`` counts the samples at which a channel is stuck, of ``told`` where that can be seen;
+    ``restless`` those at which one channel alone is disturbed by far more than its noise.
     """
 
     findings: tuple[Finding, ...]
@@ -62,6 +67,7 @@ class Samples(NamedTuple):
     fatal: bool
     stuck: int = 0
     told: int = 0
+    restless: int = 0
 
     @property
     def need(self) -> str:
@@ -112,9 +118,11 @@ def join_samples(parts: Sequence[Samples]) -> Samples:
         for (names, follows), intervals in odd.items()
         for where in join_intervals(intervals)
     ]
-    stuck, told = sum(part.stuck for part in parts), sum(part.told for part in parts)
-    none = np.zeros(0, bool)
-    return Samples(tuple(findings), tuple(unexplained), none, stuck > STUCK * told, stuck, told)
+    stuck, told, restless = (
+        sum(getattr(part, name) for part in parts) for name in ("stuck", "told", "restless")
+    )
+    none, fatal = np.zeros(0, bool), stuck > STUCK * told
+    return Samples(tuple(findings), tuple(unexplained), none, fatal, stuck, told, restless)
 
 
 def _common(name: str, found: list[Quantity]) -> Quantity:

@@ -7,10 +7,10 @@ from dataclasses import replace
 
 from calib.effects.base import Term
 from calib.mismatch.findings.diagnosis import Finding, Unexplained
-from calib.mismatch.samples.found import SPIKES
+from calib.mismatch.samples.found import RESTLESS, SPIKES
 from calib.mismatch.samples.spectrum import LINE, LOUDER_THERE, look_at_spectrum
 from calib.mismatch.samples.swings import look_for_swings
-from calib.mismatch.samples.within import OFF_COURSE, PULSES, RESTLESS, look_within
+from calib.mismatch.samples.within import OFF_COURSE, PULSES, look_within
 from calib.poses import Poses
 from calib.recording import Recording
 
@@ -31,13 +31,32 @@ def look_at_rests(recording: Recording, poses: Poses) -> tuple[Unexplained, ...]
 
 def _is_line(item: Unexplained, lines: Sequence[Unexplained]) -> bool:
     """Whether a stretch is restless by a line that has been found on the same channel there."""
-    (a, b), *_ = item.intervals
     return item.follows == RESTLESS and any(
-        line.follows.startswith(LINE)
-        and set(item.channels) <= set(line.channels)
-        and min(b, end) > max(a, begin)
-        for line in lines
-        for begin, end in line.intervals
+        line.follows.startswith(LINE) and _meet(item, line) for line in lines
+    )
+
+
+def told_once(
+    said: Sequence[Unexplained], noisy: Sequence[Unexplained]
+) -> tuple[tuple[Unexplained, ...], tuple[Unexplained, ...]]:
+    """Return what samples show, and what rests show, each large disturbance in one of them only.
+
+    What rests show of it, a line or noise, is in the words of these, and in the window of that.
+    """
+    left, own = list(noisy), []
+    for item in said:
+        same = [u for u in left if item.follows == RESTLESS and _meet(item, u)]
+        words = sorted((u.follows for u in same), key=lambda w: not w.startswith(LINE))
+        own.append(replace(item, follows=words[0]) if words else item)
+        left = [u for u in left if u not in same]
+    return tuple(own), tuple(left)
+
+
+def _meet(item: Unexplained, other: Unexplained) -> bool:
+    """Whether something is on channels of another one, where and when that is."""
+    (a, b), *_ = item.intervals
+    return set(item.channels) <= set(other.channels) and any(
+        min(b, end) > max(a, begin) for begin, end in other.intervals
     )
 
 

@@ -17,6 +17,7 @@ from calib.mismatch.noise.hush import least_noise, silent
 from calib.mismatch.samples.coarse import find_coarse
 from calib.mismatch.samples.found import (
     FROZEN,
+    RESTLESS,
     STUCK,
     SWAPPED,
     Samples,
@@ -27,6 +28,7 @@ from calib.mismatch.samples.found import (
 )
 from calib.mismatch.samples.reading import after_gaps, repeated
 from calib.mismatch.samples.units import look_at_units
+from calib.mismatch.samples.unrest import find_unrest
 from calib.ordering import find_swapped
 from calib.poses import Poses
 from calib.recording import CHANNELS, Recording
@@ -89,14 +91,22 @@ def look_at_faults(recording: Recording, moving: BoolArray, *, whole: bool) -> S
         where = [(float(recording.time[a]), float(recording.time[b - 1])) for a, b in swapped]
         packets = Unexplained(CHANNELS, join_intervals(where), SWAPPED, faults.FALSE_ALARM)
         unexplained.append(packets)
+    restless = [] if still else find_unrest(values, recording.interval)
+    for c, start, stop in restless:
+        when = (float(recording.time[start]), float(recording.time[stop - 1]))
+        unexplained.append(Unexplained((CHANNELS[c],), (when,), RESTLESS, faults.FALSE_ALARM))
     if repeats.size:
         findings.append(repeated(recording, repeats))
     findings += find_coarse(recording, values, moving, step)
     spoilt = known | after_gaps(recording)
-    spoilt |= _marked(len(recording), [*(run[1:] for run in (*stuck, *frozen)), *swapped])
+    # What is disturbed all along is told beside a truth as it is.
+    brief = [run for run in restless if run[2] - run[1] < len(recording) / 2]
+    gone = [run[1:] for run in (*stuck, *frozen, *brief)]
+    spoilt |= _marked(len(recording), [*gone, *swapped])
     count = sum(stop - start for _, start, stop in stuck)
     fatal = count > STUCK * len(recording)
-    return Samples(tuple(findings), tuple(unexplained), spoilt, fatal, count, told)
+    most = max((stop - start for _, start, stop in restless), default=0)
+    return Samples(tuple(findings), tuple(unexplained), spoilt, fatal, count, told, most)
 
 
 def _marked(n: int, runs: Iterable[tuple[int, int]]) -> BoolArray:

@@ -24,6 +24,7 @@ from calib.faults import OTHERS, ROBUST, resolution, values_of
 from calib.mismatch.findings.diagnosis import Interval, Unexplained
 from calib.mismatch.hypotheses.ends import expected_overlap
 from calib.mismatch.hypotheses.windows import windows
+from calib.mismatch.samples.found import RESTLESS
 from calib.mismatch.samples.spectrum import SHARE
 from calib.poses import Poses
 from calib.recording import CHANNELS, Recording
@@ -58,9 +59,6 @@ JOLTED = "the time: a jolt there"
 
 OFF_COURSE = "the time: single samples are off course there"
 """What single samples that no others go with follow."""
-
-RESTLESS = "the time: it is restless there"
-"""What a stretch of rests that differs in kind follows."""
 
 MOST_SPIKES = 500
 """Single samples of a channel that are looked at, at most; of more, every second or third."""

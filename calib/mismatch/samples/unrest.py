@@ -1,0 +1,122 @@
+"""Channels that are alone with a disturbance so large that rests are hidden by it, or useless.
+
+What finds rests needs both triads to be still. A channel that hums, or is pulled about, hides those
+of its window, and what is left of the recording is in order. So where the other five are as quiet
+as they ever are, and one is not, for seconds, in several poses, that one is disturbed: nothing
+moves a sensor along or about one of its own axes alone, however it lies. What a bench that shakes
+does, it does to other axes in other poses.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from calib.faults import noise_at_rest, resolution
+from calib.stillness import runs
+from calib.types import BoolArray, FloatArray
+
+WINDOWS, FEWEST = (0.5, 2.0), 8
+"""s, and samples at least, in which a channel is quiet or not."""
+
+ALIKE = 3.0
+"""Times as noisy as the others of its triad a channel is at most: what is more is no noise."""
+
+QUIET, LOUD = 3.0, 10.0
+"""Standard deviation in a window, in noises of the channel, up to which it is quiet, and from which
+it is not: of less, the rests are found, and looked at."""
+
+QUARTILES = 1.349
+"""Between those of a normal distribution, in standard deviations."""
+
+LONG = 1.0
+"""s for which one channel alone is loud in a pose."""
+
+POSES, APART = 2, 0.1
+"""Poses in which it is, and rad between them."""
+
+MOST = 0.8
+"""Share of the moments without motion, by the other triad, in which it is alone."""
+
+TURNED = 0.02
+"""Angle by which a hand that holds still wanders, rad: a gyroscope that shows more may be right,
+unless gravity would be seen to move."""
+
+
+def find_unrest(values: FloatArray, interval: float) -> list[tuple[int, int, int]]:
+    """Return ``(channel, start, stop)`` of channels that are alone with a large disturbance.
+
+    Parameters
+    ----------
+    values : (n, 6) array
+    interval : float, s
+    """
+    found: dict[int, tuple[int, int]] = {}
+    if interval > 0:
+        for width in WINDOWS:
+            for c, start, stop in _alone(values, interval, max(round(width / interval), FEWEST)):
+                a, b = found.get(c, (start, stop))
+                found[c] = min(a, start), max(b, stop)
+    return [(c, *found[c]) for c in sorted(found)]
+
+
+def _alone(values: FloatArray, interval: float, size: int) -> list[tuple[int, int, int]]:
+    """Return what `find_unrest` does, by windows of so many samples."""
+    number, least = len(values) // size, max(round(LONG / (size * interval)), 1)
+    if number < POSES * least:
+        return []
+    parts = values[: number * size].reshape(number, size, 6)
+    mean, scatter = parts.mean(axis=1), parts.std(axis=1)
+    floor = np.minimum(noise_at_rest(values), _hiss(values))
+    usual = np.repeat(np.median(floor.reshape(2, 3), axis=1), 3)
+    floor = np.maximum(np.minimum(floor, ALIKE * usual), 0.5 * resolution(values))
+    # By its quartiles, as a turn that begins at the window's end is no disturbance of all of it.
+    low, high = np.quantile(parts, (0.25, 0.75), axis=1)
+    quiet, loud = scatter <= QUIET * floor, high - low > QUARTILES * LOUD * floor
+    out = []
+    for c in range(6):
+        alone = loud[:, c] & np.delete(quiet, c, axis=1).all(axis=1)
+        spans = _long_runs(alone, least)
+        if c >= 3:
+            seen = QUIET * float(np.linalg.norm(floor[:3]))
+            spans = [
+                (a, b)
+                for a, b in spans
+                if _is_no_turn(parts[a:b, :, c], mean[a:b, :3].mean(axis=0), c - 3, interval, seen)
+            ]
+        if not spans:
+            continue
+        whole = slice(spans[0][0], spans[-1][1])
+        motionless = quiet[whole, 3:] if c < 3 else quiet[whole, :3]
+        if alone[whole].sum() < MOST * motionless.all(axis=1).sum():
+            continue
+        up = np.array([mean[a:b, :3].mean(axis=0) for a, b in spans])
+        up /= np.linalg.norm(up, axis=1, keepdims=True)
+        turned = np.einsum("ij,ij->i", up[1:], up[:-1]) < np.cos(APART)
+        if 1 + turned.sum() >= POSES:
+            out.append((c, whole.start * size, whole.stop * size))
+    return out
+
+
+def _long_runs(flags: BoolArray, least: int) -> list[tuple[int, int]]:
+    start, stop = runs(flags)
+    return [(a, b) for a, b in zip(start.tolist(), stop.tolist(), strict=True) if b - a >= least]
+
+
+def _is_no_turn(
+    rate: FloatArray, force: FloatArray, axis: int, interval: float, seen: float
+) -> bool:
+    """Whether what a gyroscope shows is less than a hand wanders, or moves no gravity.
+
+    A turn about its axis by an angle moves specific force (3,) by that times what is across it;
+    accelerometers that are quiet show less than ``seen``.
+    """
+    own = rate.ravel() - rate.mean()
+    angle = float(np.ptp(np.cumsum(own)) * interval)
+    return angle <= TURNED or angle * float(np.linalg.norm(np.delete(force, axis))) > 2.0 * seen
+
+
+def _hiss(values: FloatArray) -> FloatArray:
+    """Return the noise of each channel from sample to sample, (6,): slow swings are none."""
+    change = np.abs(np.diff(values, axis=0))
+    # Of a normal difference the lower quartile is 0.3186, and its spread that of noise by sqrt(2).
+    return np.asarray(np.quantile(change, 0.25, axis=0) / (0.3186 * np.sqrt(2.0)))
