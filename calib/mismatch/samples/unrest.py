@@ -19,7 +19,8 @@ WINDOWS, FEWEST = (0.5, 2.0), 8
 """s, and samples at least, in which a channel is quiet or not."""
 
 ALIKE = 3.0
-"""Times as noisy as the others of its triad a channel is at most: what is more is no noise."""
+"""Times as noisy as the others of its triad a channel is at most, and they as it: what is more is
+no noise, and what is less is stuck."""
 
 QUIET, LOUD = 3.0, 10.0
 """Standard deviation in a window, in noises of the channel, up to which it is quiet, and from which
@@ -68,7 +69,7 @@ def _alone(values: FloatArray, interval: float, size: int) -> list[tuple[int, in
     mean, scatter = parts.mean(axis=1), parts.std(axis=1)
     floor = np.minimum(noise_at_rest(values), _hiss(values))
     usual = np.repeat(np.median(floor.reshape(2, 3), axis=1), 3)
-    floor = np.maximum(np.minimum(floor, ALIKE * usual), 0.5 * resolution(values))
+    floor = np.maximum(np.clip(floor, usual / ALIKE, ALIKE * usual), 0.5 * resolution(values))
     # By its quartiles, as a turn that begins at the window's end is no disturbance of all of it.
     low, high = np.quantile(parts, (0.25, 0.75), axis=1)
     quiet, loud = scatter <= QUIET * floor, high - low > QUARTILES * LOUD * floor
