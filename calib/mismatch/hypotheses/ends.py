@@ -139,7 +139,8 @@ def _sums(
         some &= (first > 0) & (last < number)
     first, last = first[some], last[some]
     out = np.full((number + 1, number + 1), -np.inf)
-    out[first, last] = of_windows(parts, whitener, y, first, last)
+    white = whitener.project(parts.reshape(len(y), -1)).reshape(parts.shape)
+    out[first, last] = of_windows(white, y, first, last)
     return out
 
 
@@ -161,12 +162,13 @@ def _may_stay(candidate: Candidate) -> bool:
     return candidate.name == GAIN and not candidate.shape
 
 
-def of_windows(
-    parts: FloatArray, whitener: Whitener, y: FloatArray, first: IntArray, last: IntArray
-) -> FloatArray:
-    """Return log B of windows ``[first, last)``, the sums of (m, n, k) columns over their parts."""
-    m, number, k = parts.shape
-    white = whitener.project(parts.reshape(m, -1))
+def of_windows(white: FloatArray, y: FloatArray, first: IntArray, last: IntArray) -> FloatArray:
+    """Return log B of windows ``[first, last)``, the sums of (m, n, k) columns over their parts.
+
+    Columns and residuals y (m,) are whitened, and have the baseline projected out.
+    """
+    m, number, k = white.shape
+    white = white.reshape(m, -1)
     gram = (white.T @ white).reshape(number, k, number, k).transpose(0, 2, 1, 3)
     total = np.zeros((number + 1, number + 1, k, k))
     total[1:, 1:] = gram.cumsum(axis=0).cumsum(axis=1)
@@ -189,7 +191,8 @@ def _place_turned(rows: Rows, candidate: Candidate, whitener: Whitener, y: Float
     stays = last == number
     some = (first > 0) & (stays | ((last - first <= number // 2) & (not candidate.shape)))
     first, last = first[some], last[some]
-    value = of_windows(parts, whitener, y, first, last)
+    white = whitener.project(parts.reshape(len(y), -1)).reshape(parts.shape)
+    value = of_windows(white, y, first, last)
     weight = softmax(value + of_place(first, last, number, 1.0))
     where = expected_overlap(edges[first], edges[last], weight)
     return moved_window(candidate, *where)

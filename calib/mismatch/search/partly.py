@@ -71,14 +71,14 @@ def acting_part(
     number = len(rows.interval)
     here = rows.segment[:, None] == np.arange(number)
     parts = own.columns[:, None, :] * here[:, :, None]
-    each = np.square(whitener.project(parts.reshape(len(y), -1))).reshape(len(y), number, -1)
-    share = np.append(0.0, np.cumsum(each.sum(axis=(0, 2))))
+    white = whitener.project(parts.reshape(len(y), -1)).reshape(parts.shape)
+    share = np.append(0.0, np.cumsum(np.square(white).sum(axis=(0, 2))))
     first, last = np.triu_indices(number + 1, 1)
     some = share[-1] - (share[last] - share[first]) >= OUTSIDE * share[-1]
     whole = (first == 0) & (last == number)
     if not some.any():
         return None
-    value = of_windows(parts, whitener, y, first[some | whole], last[some | whole])
+    value = of_windows(white, y, first[some | whole], last[some | whole])
     all_of_it = float(value[whole[some | whole]][0])
     first, last, value = first[some], last[some], value[some[some | whole]]
     weight = value + of_place(first, last, number, STAYS)
