@@ -41,13 +41,13 @@ def told_once(
 ) -> tuple[tuple[Unexplained, ...], tuple[Unexplained, ...]]:
     """Return what samples show, and what rests show, each large disturbance in one of them only.
 
-    What rests show of it, a line or noise, is in the words of these, and in the window of that.
+    A line that rests show is in the words of these, and in the window of that.
     """
     left, own = list(noisy), []
     for item in said:
         same = [u for u in left if item.follows == RESTLESS and _meet(item, u)]
-        words = sorted((u.follows for u in same), key=lambda w: not w.startswith(LINE))
-        own.append(replace(item, follows=words[0]) if words else item)
+        lines = [u.follows for u in same if u.follows.startswith(LINE)]
+        own.append(replace(item, follows=lines[0]) if lines else item)
         left = [u for u in left if u not in same]
     return tuple(own), tuple(left)
 
