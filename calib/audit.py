@@ -9,6 +9,7 @@ import numpy as np
 from calib import faults
 from calib.frozen import find_frozen
 from calib.gravity import STANDARD_GRAVITY as G
+from calib.lsb import find_stuck_bits
 from calib.poses import Poses
 from calib.recording import CHANNELS, Clock, Recording
 from calib.repeats import find_repeats
@@ -238,6 +239,10 @@ def _samples(recording: Recording, at_rest: BoolArray) -> list[Finding]:
                 (float(time[start]),),
             )
         )
+    for c, size in find_stuck_bits(values, step):
+        unit = UNITS[CHANNELS[c].split(".")[0]]
+        message = f"a bit of {CHANNELS[c]}, of {size:.3g} {unit}, never changes"
+        out.append(Finding("bit", message, (CHANNELS[c],), n))
     for c, d, where in faults.find_copies(values):
         both, at = (CHANNELS[c], CHANNELS[d]), np.flatnonzero(where)
         span = "throughout" if len(at) == n else f"in {_many(at.size)}"

@@ -8,6 +8,7 @@ import numpy as np
 
 from calib import faults
 from calib.effects import get_effect
+from calib.lsb import refined
 from calib.mismatch.findings.diagnosis import Finding
 from calib.mismatch.noise.rounded import Rounding, look_at_counts
 from calib.mismatch.samples.found import fault_finding
@@ -40,7 +41,7 @@ def find_coarse(
     out = []
     for first, triad in ((0, "accel"), (3, "gyro")):
         part, whole = change[:, first : first + 3], moved[:, first : first + 3]
-        lsb = _refined(whole, step[first : first + 3])
+        lsb = refined(whole, step[first : first + 3])
         count, grid = _counts(part, lsb)
         every = _counts(whole, lsb)[1]
         # Differences of white noise have twice its variance; rounding adds a twelfth of a count².
@@ -59,19 +60,6 @@ def find_coarse(
             found = {triad: 1.0, f"{triad}_lsb": size}
             out.append(fault_finding("quantization", recording, names, found))
     return out
-
-
-def _refined(change: FloatArray, lsb: FloatArray) -> FloatArray:
-    """Return the size of a count (3,) as changes of many counts (n, 3) tell it, step by step.
-
-    A size that is off by a thousandth, as decimals make it, is off by half a count in 500.
-    """
-    for most in (4.0, 32.0, 256.0, 2048.0):
-        count = np.rint(change / np.where(lsb > 0, lsb, 1.0))
-        own = np.where(count <= most, count, 0.0)
-        square = np.square(own).sum(axis=0)
-        lsb = np.where(square > 0, (own * change).sum(axis=0) / np.maximum(square, 1.0), lsb)
-    return np.asarray(lsb)
 
 
 def _counts(change: FloatArray, lsb: FloatArray) -> tuple[FloatArray, BoolArray]:

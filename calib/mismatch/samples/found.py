@@ -40,11 +40,14 @@ SWAPPED = "nothing: samples are not in the order they were taken in"
 RESTLESS = "the time: it is restless there"
 """What a channel follows that is alone with a disturbance, for a part of the time or throughout."""
 
+STUCK_BIT = "nothing: a bit of its counts never changes"
+
 NEEDED = {
     DISAGREES: "a gyroscope and an accelerometer that agree on the turns",
     BEYOND: "a gyroscope that reads less at rest",
     PUSHED: "an accelerometer that reads what moves it: a cable or a register gives something else",
     COPIED: "channels of their own: a register may be read twice",
+    STUCK_BIT: "counts with all of their bits: a line of a bus may be broken, or a mask wrong",
     RESTLESS: "a channel that is still at rest, as the other five are",
 }
 """What a recording lacks that ends with its samples, by what they are off by."""

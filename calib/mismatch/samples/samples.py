@@ -12,6 +12,7 @@ import numpy as np
 
 from calib import faults
 from calib.frozen import find_frozen
+from calib.lsb import find_stuck_bits
 from calib.mismatch.findings.diagnosis import Finding, Interval, Unexplained
 from calib.mismatch.noise.hush import least_noise, silent
 from calib.mismatch.samples.coarse import find_coarse
@@ -19,6 +20,7 @@ from calib.mismatch.samples.found import (
     FROZEN,
     RESTLESS,
     STUCK,
+    STUCK_BIT,
     SWAPPED,
     Samples,
     fault_finding,
@@ -82,37 +84,63 @@ def look_at_faults(recording: Recording, moving: BoolArray, *, whole: bool) -> S
     repeats = np.zeros(0, np.int64) if still else find_repeats(values, moving)
     again = np.zeros(len(recording), bool)
     again[repeats] = True
-    known = again | _marked(len(recording), [run[1:] for run in stuck])
+    known = again | _marked(len(recording), stuck)
     frozen = find_frozen(values, moving, clipped=clipped, known=known)
-    unexplained = _stuck(recording.time, [*stuck, *frozen])
     known = again | clipped.any(axis=1)
     swapped = [] if still else [(a, b) for a, b in find_swapped(values) if not known[a:b].any()]
-    if swapped:
-        where = [(float(recording.time[a]), float(recording.time[b - 1])) for a, b in swapped]
-        packets = Unexplained(CHANNELS, join_intervals(where), SWAPPED, faults.FALSE_ALARM)
-        unexplained.append(packets)
     restless = [] if still else find_unrest(values, recording.interval)
-    for c, start, stop in restless:
-        when = (float(recording.time[start]), float(recording.time[stop - 1]))
-        unexplained.append(Unexplained((CHANNELS[c],), (when,), RESTLESS, faults.FALSE_ALARM))
+    bits = [] if still else find_stuck_bits(values, step)
     if repeats.size:
         findings.append(repeated(recording, repeats))
     findings += find_coarse(recording, values, moving, step)
-    spoilt = known | after_gaps(recording)
     # What is disturbed all along is told beside a truth as it is.
     brief = [run for run in restless if run[2] - run[1] < len(recording) / 2]
-    gone = [run[1:] for run in (*stuck, *frozen, *brief)]
-    spoilt |= _marked(len(recording), [*gone, *swapped])
+    spoilt = known | after_gaps(recording)
+    packets = [(0, start, stop) for start, stop in swapped]
+    spoilt |= _marked(len(recording), [*stuck, *frozen, *brief, *packets])
     count = sum(stop - start for _, start, stop in stuck)
-    fatal = count > STUCK * len(recording)
-    most = max((stop - start for _, start, stop in restless), default=0)
-    return Samples(tuple(findings), tuple(unexplained), spoilt, fatal, count, told, most)
+    # A bit that is less than the noise is filled in by it.
+    noise = faults.noise_at_rest(values)
+    if any(size > noise[c] for c, size in bits):
+        count = len(recording)
+    return Samples(
+        findings=tuple(findings),
+        unexplained=(
+            *_stuck(recording.time, [*stuck, *frozen]),
+            *_swapped(recording.time, swapped),
+            *(_alone(recording.time, run, RESTLESS) for run in restless),
+            *(
+                _alone(recording.time, (c, 0, len(recording)), STUCK_BIT)
+                for c in {c for c, _ in bits}
+            ),
+        ),
+        spoilt=spoilt,
+        fatal=count > STUCK * len(recording),
+        stuck=count,
+        told=told,
+        restless=max((stop - start for _, start, stop in restless), default=0),
+    )
 
 
-def _marked(n: int, runs: Iterable[tuple[int, int]]) -> BoolArray:
-    """Return where so many samples are within one of the runs ``(start, stop)``."""
+def _alone(time: FloatArray, run: tuple[int, int, int], follows: str) -> Unexplained:
+    """Return what is said of one channel in one run of samples ``(channel, start, stop)``."""
+    c, start, stop = run
+    where = (float(time[start]), float(time[stop - 1]))
+    return Unexplained((CHANNELS[c],), (where,), follows, faults.FALSE_ALARM)
+
+
+def _swapped(time: FloatArray, packets: list[tuple[int, int]]) -> list[Unexplained]:
+    """Return what is said of samples ``(start, stop)`` that are in the wrong order, if any are."""
+    found = [(float(time[a]), float(time[b - 1])) for a, b in packets]
+    if not found:
+        return []
+    return [Unexplained(CHANNELS, join_intervals(found), SWAPPED, faults.FALSE_ALARM)]
+
+
+def _marked(n: int, runs: Iterable[tuple[int, int, int]]) -> BoolArray:
+    """Return where so many samples are within a run ``(channel, start, stop)`` of any channel."""
     out = np.zeros(n, bool)
-    for start, stop in runs:
+    for _, start, stop in runs:
         out[start:stop] = True
     return out
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calib.mismatch import diagnose_recording
-from calib.mismatch.samples.found import FROZEN, SWAPPED
+from calib.mismatch.samples.found import FROZEN, STUCK_BIT, SWAPPED
 from calib.mismatch.samples.samples import look_at_samples
 from calib.mismatch.samples.thin import tamed
 from calib.model import SensorModel
@@ -182,3 +182,19 @@ def test_samples_left_out_count_as_lost() -> None:
     assert part.lost[49] == 6
     assert part.lost.sum() == 8
     assert [u.channels for u in what] == [("gyro.z",)]
+
+
+def test_a_bit_of_more_than_the_noise_ends_a_diagnosis_and_one_of_less_does_not() -> None:
+    real = simulated(seed=1)
+    lsb = GRAVITY / 8192
+    counts = np.rint(real.accel / lsb).astype(np.int64)
+    for bit in (7, 1):
+        own = counts.copy()
+        own[:, 1] &= ~(1 << bit)
+        found = diagnose_recording(replace(real, accel=lsb * own), gravity=GRAVITY)
+        assert found.verdict == "unexplained"
+        assert not found.findings
+        (left,) = found.unexplained
+        assert (left.channels, left.follows) == (("accel.y",), STUCK_BIT)
+        mended = any("all of their bits" in item for item in found.missing)
+        assert mended == (bit == 7)
