@@ -25,7 +25,7 @@ from calib.stillness import (
     runs,
     spill,
 )
-from calib.types import BoolArray, FloatArray
+from calib.types import BoolArray, FloatArray, IntArray
 
 NORM = 7.0
 """FACTOR for the length of a vector of three, in standard deviations of one of them."""
@@ -42,6 +42,9 @@ GROUP = 20
 POSES, APART = 3, 0.1
 """Poses through which a bias is seen to have stepped, and the angle between two, rad. They are most
 of what is between the first of them and the last."""
+UNMOVED, CLEARLY = 50.0, 4.0
+"""How much worse a turn explains the change of specific force than rest does for fewer poses to be
+at rest: by chi-squared, and as a ratio."""
 STEPS = 8
 """Times that it steps, at most."""
 ONSET = 4.0
@@ -105,7 +108,8 @@ def refine(
     flat = [segment for segments in pieces for segment in segments]
     if not flat:
         return []
-    off = blocks.gyro - _rate_at_rest(blocks, flat, float(np.median(noise)), units)
+    usual = float(np.median(noise)), float(np.median(force))
+    off = blocks.gyro - _rate_at_rest(blocks, flat, usual, units)
     # Poses differ in rate by g-sensitivity and drift.
     centre = [np.linalg.norm(np.median(off[a:b], axis=0)) for a, b in flat]
     spread = max(3.0 * float(np.median(centre)), DRIFT / units.rate if units.rate else 0.0)
@@ -120,14 +124,15 @@ def refine(
 
 
 def _rate_at_rest(
-    blocks: Blocks, segments: list[tuple[int, int]], noise: float, units: Units
+    blocks: Blocks, segments: list[tuple[int, int]], noise: tuple[float, float], units: Units
 ) -> FloatArray:
     """Return the gyroscope's bias at each block, (n, 3): where most rates are, following drift.
 
     Stretches of about 1 s of the segments give a median each. The bias is where they lie densest:
     rests share one rate, slow turns do not. From there it is followed through its drift. What is
     off that and shares another rate through several poses is at rest too: the bias has stepped, as
-    nothing turns a sensor in its own frame as before from pose to pose.
+    nothing turns a sensor in its own frame as before from pose to pose. So is what would turn
+    gravity where none is seen to turn, be it in one pose.
     """
     width = max(WIDTH, round(1.0 / blocks.duration))
     pieces, rates, forces = [], [], []
@@ -141,7 +146,7 @@ def _rate_at_rest(
     at = 0.5 * (piece[:, 0] + piece[:, 1] - 1)
     up = np.array(forces)
     up /= np.maximum(np.linalg.norm(up, axis=1), 1e-300)[:, None]
-    near = NORM * noise
+    near = NORM * noise[0]
     reach = near if units.rate is None else max(near, DRIFT / units.rate)
     bias, left = np.empty((len(blocks), 3)), np.arange(len(rate))
     first, last = 0, len(blocks)
@@ -156,10 +161,58 @@ def _rate_at_rest(
         path = np.column_stack([np.interp(at[left], when, own) for own in smooth.T])
         left = left[np.linalg.norm(rate[left] - path, axis=1) <= reach]
         turned = np.einsum("ij,ij->i", up[left[1:]], up[left[:-1]]) < np.cos(APART)
-        if 1 + turned.sum() < POSES or 2 * len(left) <= left[-1] - left[0] + 1:
+        if 1 + turned.sum() < POSES:
+            stepped = rate[left] - bias[at[left].astype(int)]
+            if not _moves_nothing(blocks, piece[left], stepped, noise[1], units):
+                break
+        if 2 * len(left) <= left[-1] - left[0] + 1:
             break
         first, last = piece[left[0], 0], piece[left[-1], 1]
     return bias
+
+
+def _moves_nothing(
+    blocks: Blocks, piece: IntArray, rate: FloatArray, noise: float, units: Units
+) -> bool:
+    """Whether gravity stays where it would turn if pieces (k, 2) turned at rates (k, 3).
+
+    That is compared over whole stretches of pieces.
+    """
+    if units.rate is None:
+        return False
+    ends = np.append(np.flatnonzero(piece[1:, 0] != piece[:-1, 1]), len(piece) - 1)
+    total, first = np.zeros(2), 0
+    for last in ends.tolist():
+        a, b = int(piece[first, 0]), int(piece[last, 1])
+        own = units.rate * rate[first : last + 1].mean(axis=0)
+        total += misfits(blocks.accel[a:b], own, blocks.duration, noise)
+        first = last + 1
+    return unmoved(total)
+
+
+def misfits(accel: FloatArray, rate: FloatArray, interval: float, noise: float) -> FloatArray:
+    """Return how badly specific force (n, 3) agrees with rest, and with a turn at a rate: (2,).
+
+    These are chi-squared. In a sensor's frame it changes by ``f x w`` in unit time, of which about
+    the vertical nothing is left.
+
+    Parameters
+    ----------
+    accel : (n, 3) array
+        ``interval`` s apart, with a standard deviation of ``noise`` on each axis.
+    rate : (3,) array, rad/s
+    """
+    third = max(len(accel) // 3, 1)
+    change = accel[-third:].mean(axis=0) - accel[:third].mean(axis=0)
+    turned = np.cross(accel.mean(axis=0), rate * (len(accel) - third) * interval)
+    left = np.stack((change, change - turned))
+    return np.asarray(np.square(left).sum(axis=1) * third / (2.0 * noise**2))
+
+
+def unmoved(misfit: FloatArray) -> bool:
+    """Whether misfits of rest and of a turn (2,) say that there was no turn."""
+    rest, turn = misfit.tolist()
+    return bool(turn - rest > UNMOVED and turn > CLEARLY * rest)
 
 
 def _followed(

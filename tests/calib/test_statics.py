@@ -262,11 +262,28 @@ def test_a_bias_that_steps_back_loses_no_rest() -> None:
     assert len(poses) == 17
 
 
-def test_a_rate_that_only_two_poses_share_is_a_slow_turn() -> None:
-    """A sensor that is turned about its own axis, slowly, and from one more pose again."""
+@pytest.mark.parametrize("pose", [0, 1, 15, 16])
+@pytest.mark.parametrize("size", [0.01, 0.05])
+def test_a_bias_that_steps_beside_the_first_or_the_last_poses_loses_no_rest(
+    size: float, pose: int
+) -> None:
+    """Nothing turns where gravity stays."""
+    made, _ = recording(*TURNS * 4, noise=0.3)
+    same = find_poses(made)
+    moment = float(same.interval[pose, 1]) + 0.2
+    if pose == 16:
+        moment = float(same.interval[pose, 0]) - 0.2
+    bias = size * (made.time > moment)[:, None] * np.array([0.6, -0.48, 0.64])
+    poses = find_poses(Recording(made.time, made.accel, made.gyro + bias, "device"))
+    assert len(poses) == len(same) == 17
+
+
+def test_a_rate_that_only_two_poses_have_is_a_slow_turn() -> None:
+    """A sensor that is turned about the vertical, slowly, and in one more pose again."""
     made, _ = recording(*TURNS * 4, noise=0.3)
     poses = find_poses(made)
     gyro = made.gyro.copy()
     for k in (7, 8):
-        gyro[poses.start[k] : poses.stop[k], 2] += 0.02
+        up = poses.accel[k] / np.linalg.norm(poses.accel[k])
+        gyro[poses.start[k] : poses.stop[k]] += 0.02 * up
     assert len(find_poses(Recording(made.time, made.accel, gyro, "device"))) == 15

@@ -17,6 +17,7 @@ from calib.effects.base import SLOPE_WINDOW, line_slope, windows
 from calib.mismatch.rows.closure import Spans
 from calib.poses import Poses, average_poses
 from calib.recording import Recording
+from calib.rests import misfits, unmoved
 from calib.thermometer import smooth_temperature
 from calib.turns import turns_and_shaking
 from calib.types import BoolArray, FloatArray, IntArray
@@ -257,12 +258,26 @@ def steady(recording: Recording, poses: Poses) -> Poses:
     gyro = louder(poses.gyro_covariance)
     off = np.linalg.norm(poses.gyro - np.median(poses.gyro, axis=0), axis=1)
     out = off > 6 * np.median(off)
+    # But for a bias that steps: nothing turns where gravity stays.
+    stepped = np.array([o and _stays(recording, poses, k) for k, o in enumerate(out.tolist())])
+    out, gyro = out & ~stepped, gyro & ~stepped
     held = gyro & out
     for k in np.flatnonzero(out & ~held).tolist():
         if np.ptp(poses.interval[k]) < BRIEF:
             held[k] = off[k] < 3.0 * _sway(recording.gyro[poses.start[k] : poses.stop[k]])
     loud = gyro | louder(poses.accel_covariance)
     return poses.select(~(held | loud if loud.mean() <= FEW else held))
+
+
+def _stays(recording: Recording, poses: Poses, k: int) -> bool:
+    """Whether gravity stays in a pose in which it would turn at the mean rate."""
+    own = slice(int(poses.start[k]), int(poses.stop[k]))
+    accel = recording.accel[own]
+    noise = float(np.sqrt(np.mean(np.square(np.diff(accel, axis=0))) / 2.0))
+    rate = poses.gyro[k] - np.median(poses.gyro, axis=0)
+    if not noise > 0:
+        return False
+    return unmoved(misfits(accel, rate, recording.interval, noise))
 
 
 def _sway(rate: FloatArray) -> float:

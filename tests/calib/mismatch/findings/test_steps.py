@@ -39,3 +39,20 @@ def test_a_step_within_a_rest_is_one_finding_at_its_moment(seed, which, share, r
     when = found.findings[0].parameters["moment"]
     assert when.sigma < 1.0
     assert abs(when.value - moment) < 3.0 * when.sigma
+
+
+@pytest.mark.parametrize("share", [0.08, 0.15, 0.92])
+def test_a_step_of_a_gyroscope_beside_the_first_or_last_rests_is_found(share: float) -> None:
+    """Of more than a bias drifts: rests with a rate of their own were none, and it was lost."""
+    rng = np.random.default_rng(1)
+    motion = bench_protocol(rng, poses=12)
+    moment = share * motion.duration
+    size = dict(zip(("bx", "by", "bz"), np.radians([0.5, -0.3, 0.2]), strict=True))
+    step = Term("gyro_bias_step", {"moment": moment, **size})
+    real = simulate(motion, SensorModel(terms=(step,)), CONSUMER, rng=rng, rate=100.0)
+    found = diagnose_recording(real, gravity=GRAVITY)
+    (finding,) = found.findings
+    assert finding.effect == "gyro_bias_step"
+    assert abs(finding.parameters["moment"].value - moment) < 1.0
+    for name, true in size.items():
+        assert abs(finding.parameters[name].value - true) < 4.0 * finding.parameters[name].sigma
