@@ -8,6 +8,7 @@ import numpy as np
 
 from calib import faults
 from calib.frozen import find_frozen
+from calib.gated import find_gated
 from calib.gravity import STANDARD_GRAVITY as G
 from calib.lsb import find_stuck_bits
 from calib.poses import Poses
@@ -239,6 +240,9 @@ def _samples(recording: Recording, at_rest: BoolArray) -> list[Finding]:
                 (float(time[start]),),
             )
         )
+    for c in find_gated(values, ~at_rest):
+        message = f"{CHANNELS[c]} is set to one value at rest: a dead band, or a zero-rate update"
+        out.append(Finding("gated", message, (CHANNELS[c],), n))
     for c, size in find_stuck_bits(values, step):
         unit = UNITS[CHANNELS[c].split(".")[0]]
         message = f"a bit of {CHANNELS[c]}, of {size:.3g} {unit}, never changes"

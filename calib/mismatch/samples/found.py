@@ -40,6 +40,8 @@ SWAPPED = "nothing: samples are not in the order they were taken in"
 RESTLESS = "the time: it is restless there"
 """What a channel follows that is alone with a disturbance, for a part of the time or throughout."""
 
+GATED = "nothing: it is set to one value at rest"
+
 STUCK_BIT = "nothing: a bit of its counts never changes"
 
 NEEDED = {
@@ -47,6 +49,7 @@ NEEDED = {
     BEYOND: "a gyroscope that reads less at rest",
     PUSHED: "an accelerometer that reads what moves it: a cable or a register gives something else",
     COPIED: "channels of their own: a register may be read twice",
+    GATED: "a gyroscope as it is at rest: its driver has a dead band, or sets it to zero there",
     STUCK_BIT: "counts with all of their bits: a line of a bus may be broken, or a mask wrong",
     RESTLESS: "a channel that is still at rest, as the other five are",
 }

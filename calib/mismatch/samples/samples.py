@@ -12,12 +12,14 @@ import numpy as np
 
 from calib import faults
 from calib.frozen import find_frozen
+from calib.gated import find_gated
 from calib.lsb import find_stuck_bits
 from calib.mismatch.findings.diagnosis import Finding, Interval, Unexplained
 from calib.mismatch.noise.hush import least_noise, silent
 from calib.mismatch.samples.coarse import find_coarse
 from calib.mismatch.samples.found import (
     FROZEN,
+    GATED,
     RESTLESS,
     STUCK,
     STUCK_BIT,
@@ -77,6 +79,15 @@ def look_at_faults(recording: Recording, moving: BoolArray, *, whole: bool) -> S
     if still:
         change = np.abs(np.diff(values, axis=0, prepend=values[:1]))
         moving = moving & (change > least_noise(recording.interval)).any(axis=1)
+    gated = [] if still else find_gated(values, moving)
+    if gated:
+        # What is stuck, or off course, is so by that.
+        whole_of_it = ((float(recording.time[0]), float(recording.time[-1])),)
+        item = Unexplained(
+            tuple(CHANNELS[c] for c in gated), whole_of_it, GATED, faults.FALSE_ALARM
+        )
+        spoilt = np.zeros(len(recording), bool)
+        return Samples(tuple(findings), (item,), spoilt, True, len(recording), len(recording))
     told = len(recording) if whole or moving.any() else 0
     stuck = faults.find_stuck(values, moving, interval=recording.interval, clipped=clipped)
     if not told or (still and (np.ptp(values[:, 3:], axis=0) == 0.0).sum() >= 2):

@@ -124,6 +124,8 @@ def test_a_moment_of_a_turn_is_no_rest(seconds: float, axes: tuple[int, ...], ke
     sway = 0.05 + 0.05 * np.sin(2 * np.pi * np.arange(stop[3] - start[3]) / rate / seconds)
     gyro[own, axes] += sway[:, None]
     accel = np.array([0.0, 0.0, GRAVITY]) + 0.01 * rng.standard_normal((6000, 3))
+    # It turns about x, and gravity with it.
+    accel[own, 1] += GRAVITY * np.cumsum(sway) / rate
     recording = Recording(np.arange(6000) / rate, accel, gyro, clock="device")
     poses = average_poses(recording, start, stop)
     left = steady(recording, poses)

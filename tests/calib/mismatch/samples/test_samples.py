@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calib.mismatch import diagnose_recording
-from calib.mismatch.samples.found import FROZEN, STUCK_BIT, SWAPPED
+from calib.mismatch.samples.found import FROZEN, GATED, STUCK_BIT, SWAPPED
 from calib.mismatch.samples.samples import look_at_samples
 from calib.mismatch.samples.thin import tamed
 from calib.model import SensorModel
@@ -198,3 +198,14 @@ def test_a_bit_of_more_than_the_noise_ends_a_diagnosis_and_one_of_less_does_not(
         assert (left.channels, left.follows) == (("accel.y",), STUCK_BIT)
         mended = any("all of their bits" in item for item in found.missing)
         assert mended == (bit == 7)
+
+
+def test_a_gyroscope_that_is_set_to_zero_at_rest_is_to_be_read_as_it_is() -> None:
+    real = simulated(seed=1)
+    gyro = real.gyro.copy()
+    gyro[np.abs(gyro) < 0.02] = 0.0
+    found = diagnose_recording(replace(real, gyro=gyro), gravity=GRAVITY)
+    assert found.verdict == "unexplained"
+    assert not found.findings
+    assert found.unexplained[-1].follows == GATED
+    assert any("dead band" in item for item in found.missing)
