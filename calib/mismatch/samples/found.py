@@ -42,6 +42,8 @@ RESTLESS = "the time: it is restless there"
 
 GATED = "nothing: it is set to one value at rest"
 
+WEIGHTLESS = "nothing: it would have been falling"
+
 STUCK_BIT = "nothing: a bit of its counts never changes"
 
 NEEDED = {
@@ -89,7 +91,9 @@ class Samples(NamedTuple):
 def with_disagreement(seen: Samples, odd: tuple[Unexplained, ...]) -> Samples:
     """Return what the samples show with turns that disagree, if nothing seen in them does it."""
     known = {f.effect for f in seen.findings} & {"saturation", "dropped_samples"}
-    if not odd or seen.unexplained or (known and odd[0].follows == DISAGREES):
+    # A channel that repeats another one reads too little in some poses.
+    others = [u for u in seen.unexplained if u.follows != WEIGHTLESS]
+    if not odd or others or (known and odd[0].follows == DISAGREES):
         return seen
     return seen._replace(unexplained=odd, fatal=True)
 

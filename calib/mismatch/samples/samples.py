@@ -24,6 +24,7 @@ from calib.mismatch.samples.found import (
     STUCK,
     STUCK_BIT,
     SWAPPED,
+    WEIGHTLESS,
     Samples,
     fault_finding,
     intervals_of,
@@ -38,6 +39,7 @@ from calib.poses import Poses
 from calib.recording import CHANNELS, Recording
 from calib.repeats import find_repeats
 from calib.types import BoolArray, FloatArray, IntArray
+from calib.weightless import find_weightless
 
 
 def look_at_samples(recording: Recording, poses: Poses) -> Samples:
@@ -100,6 +102,7 @@ def look_at_faults(recording: Recording, moving: BoolArray, *, whole: bool) -> S
     known = again | clipped.any(axis=1)
     swapped = [] if still else [(a, b) for a, b in find_swapped(values) if not known[a:b].any()]
     restless = [] if still else find_unrest(values, recording.interval)
+    light = [] if stuck else find_weightless(values[:, :3], recording.interval)
     bits = [] if still else find_stuck_bits(values, step)
     if repeats.size:
         findings.append(repeated(recording, repeats))
@@ -107,7 +110,7 @@ def look_at_faults(recording: Recording, moving: BoolArray, *, whole: bool) -> S
     # What is disturbed all along is told beside a truth as it is.
     brief = [run for run in restless if run[2] - run[1] < len(recording) / 2]
     spoilt = known | after_gaps(recording)
-    packets = [(0, start, stop) for start, stop in swapped]
+    packets = [(0, start, stop) for start, stop in (*swapped, *light)]
     spoilt |= _marked(len(recording), [*stuck, *frozen, *brief, *packets])
     count = sum(stop - start for _, start, stop in stuck)
     # A bit that is less than the noise is filled in by it.
@@ -118,7 +121,8 @@ def look_at_faults(recording: Recording, moving: BoolArray, *, whole: bool) -> S
         findings=tuple(findings),
         unexplained=(
             *_stuck(recording.time, [*stuck, *frozen]),
-            *_swapped(recording.time, swapped),
+            *_of_triads(recording.time, swapped, CHANNELS, SWAPPED),
+            *_of_triads(recording.time, light, CHANNELS[:3], WEIGHTLESS),
             *(_alone(recording.time, run, RESTLESS) for run in restless),
             *(
                 _alone(recording.time, (c, 0, len(recording)), STUCK_BIT)
@@ -140,12 +144,14 @@ def _alone(time: FloatArray, run: tuple[int, int, int], follows: str) -> Unexpla
     return Unexplained((CHANNELS[c],), (where,), follows, faults.FALSE_ALARM)
 
 
-def _swapped(time: FloatArray, packets: list[tuple[int, int]]) -> list[Unexplained]:
-    """Return what is said of samples ``(start, stop)`` that are in the wrong order, if any are."""
-    found = [(float(time[a]), float(time[b - 1])) for a, b in packets]
+def _of_triads(
+    time: FloatArray, parts: list[tuple[int, int]], channels: tuple[str, ...], follows: str
+) -> list[Unexplained]:
+    """Return what is said of channels in samples ``(start, stop)``, if there are any."""
+    found = [(float(time[a]), float(time[b - 1])) for a, b in parts]
     if not found:
         return []
-    return [Unexplained(CHANNELS, join_intervals(found), SWAPPED, faults.FALSE_ALARM)]
+    return [Unexplained(channels, join_intervals(found), follows, faults.FALSE_ALARM)]
 
 
 def _marked(n: int, runs: Iterable[tuple[int, int, int]]) -> BoolArray:

@@ -145,7 +145,8 @@ def _judge(case: _Case, which: int) -> Finding | Unexplained | None:
         return None
     rivals = _rivals(a, outcome.tried)
     left = partial(_unexplained, outcome, fit, which, rivals)
-    if not a.candidate.physical:
+    if not a.candidate.physical or sum(r.odds for r in rivals) > BEATEN:
+        # Of what so many others explain as well, none is said to be it.
         return left()
     effect = get_effect(a.candidate.name)
     if effect.kind != "setup" and _is_taken_over(fit, outcome.accepted, which):
