@@ -19,9 +19,9 @@ LEAST = 256
 MOST = 0.95
 """Share of them that have the one value."""
 
-FINEST = 1e-4
-"""rad/s of a count below which noise and drift are seen at rest: quiet MEMS gyroscopes have 0.002
-(°/s)/√Hz, which is 2.5e-4 rad/s in 50 Hz."""
+FINEST = 1.5e-4
+"""rad/s of a count below which noise is seen at rest: twice that of quiet MEMS gyroscopes, 0.002
+(°/s)/√Hz, in 5 Hz."""
 
 
 def find_gated(values: FloatArray, moving: BoolArray) -> list[int]:

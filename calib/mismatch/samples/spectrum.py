@@ -176,14 +176,14 @@ def _trembling(power: FloatArray, interval: float, gravity: float) -> BoolArray:
 
     The gyroscopes stand above their floor there, and so do the accelerometers, by what the angle
     makes of gravity or more. That is motion, which both follow, and no disturbance of either. Of a
-    hand that sways as well, gyroscopes show the whole band alike: above what is faster than hands.
+    hand that sways as well, one or both show the whole band alike: above what is faster than hands.
     """
     bins = len(power)
     frequency = (np.arange(bins) + 2) / (LENGTH * interval)
     hand = (frequency >= HAND[0]) & (frequency <= HAND[1])
     faster = frequency > HAND[1]
     excess, seen = np.zeros((bins, 2)), np.zeros((bins, 2), bool)
-    sways, sway = np.zeros(bins, bool), np.zeros(bins)
+    sways, sway = np.zeros((bins, 2), bool), np.zeros((bins, 2))
     axes = np.zeros(len(CHANNELS), bool)
     for c in range(len(CHANNELS)):
         own = power[:, power[:, :, c].all(axis=0), c]
@@ -192,19 +192,21 @@ def _trembling(power: FloatArray, interval: float, gravity: float) -> BoolArray:
             excess[:, c // 3] += np.maximum(mean - floor, 0.0)
             seen[:, c // 3] |= p < CLAIM
             axes[c] = (p[hand] < CLAIM).any()
-            if c >= 3 and faster.any():
+            if faster.any():
                 level = float(np.median(mean[faster]))
-                sways |= mean > _LOUDER * level
-                sway += np.maximum(mean - level, 0.0)
+                sways[:, c // 3] |= mean > _LOUDER * level
+                sway[:, c // 3] += np.maximum(mean - level, 0.0)
     if min(axes[:3].sum(), axes[3:].sum()) > 1:
         # Several axes of both: the arm swings at one frequency, and the wrist at another.
         return hand
     heavy = SWING * np.square(gravity / (2 * np.pi * frequency))
     moves = hand & seen.all(axis=1) & (excess[:, 0] > heavy * excess[:, 1])
     at = np.flatnonzero(moves)
-    held = hand & seen[:, 0] & sways & (excess[:, 0] > heavy * sway)
-    whole = np.convolve(held, np.ones(SEVERAL + 1), mode="valid") > SEVERAL
-    if (len(at) and np.ptp(at) >= SEVERAL) or whole.any():
+    held = hand & seen[:, 0] & sways[:, 1] & (excess[:, 0] > heavy * sway[:, 1])
+    # And where the band is so wide that nothing in it stands out beside it.
+    both = hand & sways.all(axis=1) & (sway[:, 0] > heavy * sway[:, 1])
+    wide = [np.convolve(own, np.ones(SEVERAL + 1), mode="valid") > SEVERAL for own in (held, both)]
+    if (len(at) and np.ptp(at) >= SEVERAL) or np.any(wide):
         # No single machine: a hand, which trembles at other frequencies about other axes.
         return hand
     # A window spreads each over its neighbours, and a hand has several.
