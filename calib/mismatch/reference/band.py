@@ -22,7 +22,7 @@ from calib.mismatch.reference.alignment import Alignment
 from calib.mismatch.reference.corners import MOVES, ORDER, is_common, shared_jumps, unfollowed
 from calib.mismatch.reference.floor import audible_beside
 from calib.mismatch.reference.scatter import LOUD, QUIETEST
-from calib.mismatch.reference.truths import REACH, RecordingTruth
+from calib.mismatch.reference.truths import DEGREE, REACH, UNEVEN, RecordingTruth
 from calib.recording import Recording
 from calib.types import BoolArray, FloatArray, IntArray
 
@@ -433,12 +433,43 @@ def filtered(
         What it changes lasts a few of its periods: longer gaps are cut to that, and all are bridged
         by straight lines.
     """
-    step = float(np.median(np.diff(time)))
-    at = _places(time, int(np.ceil(FELT / (slowest * step))))
+    step = np.diff(time)
+    own = step[step < 1.5 * np.median(step)]
+    interval = float(own.mean())
+    at = _places(time, int(np.ceil(FELT / (slowest * interval))))
+    if own.std() > UNEVEN * interval:
+        return _passed_uneven(time, at, values, lambda f: response(f / interval), interval)
     if at[-1] >= len(at):
         whole = np.arange(at[-1] + 1)
         values = np.stack([np.interp(whole, at, column) for column in values.T], axis=1)
-    return _passed(values, lambda f: response(f / step))[at]
+    return _passed(values, lambda f: response(f / interval))[at]
+
+
+def _passed_uneven(
+    time: FloatArray,
+    place: IntArray,
+    values: FloatArray,
+    response: Callable[[FloatArray], FloatArray],
+    interval: float,
+) -> FloatArray:
+    """Return values at uneven times through a filter: by splines, at even ones in between.
+
+    ``place`` (n,) are their places among even ones; gaps have as many as they tell.
+    """
+    from scipy.interpolate import make_interp_spline
+
+    step = np.minimum(np.diff(time) / interval, np.diff(place) + 0.5)
+    at = np.append(0.0, np.cumsum(step))
+    first = np.flatnonzero(np.diff(place) > 1)
+    # Gaps are bridged by straight lines.
+    inside = [at[k] + np.arange(1, place[k + 1] - place[k]) for k in first.tolist()]
+    bridge = np.concatenate([np.zeros(0), *inside])
+    filled = np.stack([np.interp(bridge, at, column) for column in values.T], axis=1)
+    order = np.argsort(known := np.append(at, bridge))
+    even = np.arange(int(np.ceil(at[-1])) + 1)
+    seen = make_interp_spline(known[order], np.vstack((values, filled))[order], k=DEGREE)
+    out = _passed(seen(np.minimum(even, at[-1])), response)
+    return np.asarray(make_interp_spline(even, out, k=DEGREE)(at))
 
 
 def denoised(values: FloatArray, noise: float) -> FloatArray:

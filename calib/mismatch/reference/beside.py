@@ -62,7 +62,9 @@ def motion_beside(
     if seen.fatal:
         said = [f.sentence for f in seen.findings] or [u.follows for u in seen.unexplained]
         raise UnitError("the recording cannot be placed beside the reference: " + "; ".join(said))
-    problem, _, used = compared(real, reference.evened(), seen, gravity=gravity, model=model)
+    problem, _, used = compared(
+        real, reference.evened().regular(), seen, gravity=gravity, model=model
+    )
     assert isinstance(used, ReferenceMotion)
     time = problem.setup.alignment.moments(used.time)
     part = real.slice(*np.searchsorted(real.time, time[used.known][[0, -1]]).tolist())

@@ -35,7 +35,7 @@ from calib.mismatch.reference.mounted import UNLIKE, mounting
 from calib.mismatch.reference.oriented import oriented_at_rests
 from calib.mismatch.reference.shaken import noise_beside
 from calib.mismatch.reference.swaps import swapped
-from calib.mismatch.reference.truths import DEGREE, RecordingTruth, near
+from calib.mismatch.reference.truths import DEGREE, UNEVEN, RecordingTruth, near
 from calib.mismatch.reference.upright import TIPPED, in_words, turn_up, vertical
 from calib.mismatch.reference.witnessed import white_noise
 from calib.mismatch.samples.found import Samples
@@ -183,6 +183,32 @@ class ReferenceMotion:
         time = even_times(self.time, self.quat * _one_sign(self.quat, self.known))
         return self if time is None else replace(self, time=time)
 
+    def regular(self) -> ReferenceMotion:
+        """Return it at even times, by splines through what it saw, if its own are uneven.
+
+        Whatever filters it, or tells the colour of its noise, counts on even times.
+        """
+        good, step = self.known, np.diff(self.time)
+        own = step[step < 1.5 * np.median(step)] if len(step) else step
+        if good.sum() < FEWEST or own.std() < UNEVEN * own.mean():
+            return self
+        from scipy.interpolate import make_interp_spline
+
+        interval = float(np.median(step))
+        seen = self.time[good]
+        even = seen[0] + interval * np.arange(int((seen[-1] - seen[0]) / interval) + 1)
+        values = self.quat * _one_sign(self.quat, good)
+        if self.position is not None:
+            values = np.hstack((values, self.position))
+        values = make_interp_spline(seen - seen[0], values[good], k=DEGREE)(even - seen[0])
+        values[:, :4] /= np.linalg.norm(values[:, :4], axis=1, keepdims=True)
+        k = np.clip(np.searchsorted(seen, even), 1, len(seen) - 1)
+        before, after = even - seen[k - 1], seen[k] - even
+        unseen = (before + after > 2.5 * interval) & (np.minimum(before, after) > 0.5 * interval)
+        values[unseen] = np.nan
+        position = None if self.position is None else values[:, 4:]
+        return replace(self, time=even, quat=values[:, :4], position=position)
+
     def truth(self, *, gravity: float, bandwidth: float | None = None) -> RecordingTruth:
         """Return what a perfect sensor at its point, in its frame, would have recorded.
 
@@ -268,6 +294,8 @@ def diagnose_reference(
     else:
         reference, stamps = reference.evened(), reference.time
     clocks = np.hypot(clock_errors(read.stamps, real.time), clock_errors(stamps, reference.time))
+    if isinstance(reference, ReferenceMotion):
+        reference = reference.regular()
     heard = audible(real)
     poses = find_poses(heard)
     seen = with_reading(look_at_samples(real, poses), given, read)

@@ -15,6 +15,9 @@ from calib.types import BoolArray, FloatArray
 if TYPE_CHECKING:
     from scipy.interpolate import BSpline
 
+UNEVEN = 0.01
+"""Of an interval: scatter of the steps from which on times are not even."""
+
 DEGREE = 7
 """Of the interpolating spline: a sinusoid at a fifth of the rate is off by 5e-6; by a cubic one 0.3
 %, which would show in the differences as a bandwidth."""
