@@ -18,6 +18,7 @@ from calib.statics import find_poses
 from calib.tilts import Closure
 from calib.types import BoolArray, FloatArray
 from calib.units import check_units, unit_faults
+from calib.wrapped import find_wrapped
 
 __all__ = ["Audit", "Finding", "audit", "check_units"]
 
@@ -240,6 +241,9 @@ def _samples(recording: Recording, at_rest: BoolArray) -> list[Finding]:
                 (float(time[start]),),
             )
         )
+    for c, start, stop in find_wrapped(values):
+        message = f"{CHANNELS[c]} wraps around at the end of its range in {_many(stop - start)}"
+        out.append(Finding("wrapped", message, (CHANNELS[c],), stop - start, (float(time[start]),)))
     for c in find_gated(values, ~at_rest):
         message = f"{CHANNELS[c]} is set to one value at rest: a dead band, or a zero-rate update"
         out.append(Finding("gated", message, (CHANNELS[c],), n))

@@ -42,6 +42,8 @@ RESTLESS = "the time: it is restless there"
 
 GATED = "nothing: it is set to one value at rest"
 
+WRAPPED = "nothing: it wraps around at the end of its range"
+
 WEIGHTLESS = "nothing: it would have been falling"
 
 STUCK_BIT = "nothing: a bit of its counts never changes"

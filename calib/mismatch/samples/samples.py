@@ -25,6 +25,7 @@ from calib.mismatch.samples.found import (
     STUCK_BIT,
     SWAPPED,
     WEIGHTLESS,
+    WRAPPED,
     Samples,
     fault_finding,
     intervals_of,
@@ -40,6 +41,7 @@ from calib.recording import CHANNELS, Recording
 from calib.repeats import find_repeats
 from calib.types import BoolArray, FloatArray, IntArray
 from calib.weightless import find_weightless
+from calib.wrapped import find_wrapped
 
 
 def look_at_samples(recording: Recording, poses: Poses) -> Samples:
@@ -104,6 +106,7 @@ def look_at_faults(recording: Recording, moving: BoolArray, *, whole: bool) -> S
     restless = [] if still else find_unrest(values, recording.interval)
     light = [] if stuck else find_weightless(values[:, :3], recording.interval)
     bits = [] if still else find_stuck_bits(values, step)
+    wrapped = find_wrapped(values)
     if repeats.size:
         findings.append(repeated(recording, repeats))
     findings += find_coarse(recording, values, moving, step)
@@ -111,7 +114,7 @@ def look_at_faults(recording: Recording, moving: BoolArray, *, whole: bool) -> S
     brief = [run for run in restless if run[2] - run[1] < len(recording) / 2]
     spoilt = known | after_gaps(recording)
     packets = [(0, start, stop) for start, stop in (*swapped, *light)]
-    spoilt |= _marked(len(recording), [*stuck, *frozen, *brief, *packets])
+    spoilt |= _marked(len(recording), [*stuck, *frozen, *brief, *packets, *wrapped])
     count = sum(stop - start for _, start, stop in stuck)
     # A bit that is less than the noise is filled in by it.
     noise = faults.noise_at_rest(values)
@@ -120,7 +123,8 @@ def look_at_faults(recording: Recording, moving: BoolArray, *, whole: bool) -> S
     return Samples(
         findings=tuple(findings),
         unexplained=(
-            *_stuck(recording.time, [*stuck, *frozen]),
+            *_runs_of(recording.time, [*stuck, *frozen], FROZEN),
+            *_runs_of(recording.time, wrapped, WRAPPED),
             *_of_triads(recording.time, swapped, CHANNELS, SWAPPED),
             *_of_triads(recording.time, light, CHANNELS[:3], WEIGHTLESS),
             *(_alone(recording.time, run, RESTLESS) for run in restless),
@@ -191,10 +195,12 @@ def _clipping(
     return clipped, findings
 
 
-def _stuck(time: FloatArray, stretches: list[tuple[int, int, int]]) -> list[Unexplained]:
-    """Return what is said of stretches ``(channel, start, stop)`` of samples that are stuck.
+def _runs_of(
+    time: FloatArray, stretches: list[tuple[int, int, int]], follows: str
+) -> list[Unexplained]:
+    """Return what is said of stretches ``(channel, start, stop)`` of samples.
 
-    One item for each channel, and one for channels that are stuck at the same moments.
+    One item for each channel, and one for channels that have the same moments.
     """
     own: dict[int, list[Interval]] = {}
     for c, start, stop in stretches:
@@ -204,7 +210,9 @@ def _stuck(time: FloatArray, stretches: list[tuple[int, int, int]]) -> list[Unex
         where: tuple(CHANNELS[c] for c in sorted(places) if places[c] == where)
         for where in places.values()
     }
-    return [Unexplained(names, where, FROZEN, faults.FALSE_ALARM) for where, names in alike.items()]
+    return [
+        Unexplained(names, where, follows, faults.FALSE_ALARM) for where, names in alike.items()
+    ]
 
 
 def _saturation(recording: Recording, clipped: BoolArray, triad: str, limit: float) -> Finding:

@@ -1,0 +1,52 @@
+"""Channels that wrap around: beyond its range a counter of counts goes on at the other end.
+
+From one sample to the next such a channel jumps by all of its range, from one end to the other, and
+is on its course again if that range is added. What is clipped stays at the end instead.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from calib.faults import noise_at_rest
+from calib.stillness import runs
+from calib.types import FloatArray
+
+ENDS = 0.8
+"""Of the largest value that a channel reads: what jumps reaches it on both sides."""
+
+ON_COURSE = 0.2
+"""Of the jump: how far a signal may go in one sample when the range is added."""
+
+LOUD = 100.0
+"""Noises that such a jump is, at least."""
+
+
+def find_wrapped(values: FloatArray) -> list[tuple[int, int, int]]:
+    """Return ``(channel, start, stop)`` of samples (n, 6) that are a range off their course.
+
+    How many ranges a channel is off is counted from jump to jump; it is none most of the time.
+    """
+    out: list[tuple[int, int, int]] = []
+    noise = noise_at_rest(values)
+    for c in range(values.shape[1]):
+        own = values[:, c]
+        largest = float(np.abs(own).max(initial=0.0))
+        far = np.minimum(np.abs(own[1:]), np.abs(own[:-1])) > ENDS * largest
+        at = np.flatnonzero(far & (own[1:] * own[:-1] < 0))
+        if len(at) < 2 or largest <= LOUD * noise[c]:
+            continue
+        jump = own[at + 1] - own[at]
+        span = float(np.abs(jump).max())
+        if (np.abs(np.abs(jump) - span) > ON_COURSE * span).any():
+            continue
+        ranges = np.zeros(len(own), np.int64)
+        ranges[at + 1] = np.sign(jump).astype(np.int64)
+        ranges = np.cumsum(ranges)
+        # What shakes from one end to the other moves as far in the samples beside.
+        beside = np.clip([at - 1, at, at + 1], 0, len(own) - 2)
+        if np.abs(np.diff(own - span * ranges))[beside].max() > ON_COURSE * span:
+            continue
+        off = ranges != np.bincount(ranges - ranges.min()).argmax() + ranges.min()
+        out += [(c, a, b) for a, b in zip(*(x.tolist() for x in runs(off)), strict=True)]
+    return out
