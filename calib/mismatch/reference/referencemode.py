@@ -34,6 +34,7 @@ from calib.mismatch.reference.misread import MisreadError, misread
 from calib.mismatch.reference.mounted import UNLIKE, mounting
 from calib.mismatch.reference.oriented import oriented_at_rests
 from calib.mismatch.reference.shaken import noise_beside
+from calib.mismatch.reference.sized import with_scale
 from calib.mismatch.reference.swaps import swapped
 from calib.mismatch.reference.truths import DEGREE, UNEVEN, RecordingTruth, near
 from calib.mismatch.reference.upright import TIPPED, in_words, turn_up, vertical
@@ -327,7 +328,7 @@ def diagnose_reference(
     summary |= problem.notes
     other = reference if isinstance(reference, Recording) else None
     noisy = noise_beside(heard, poses, other, problem.setup.alignment)
-    return conclude(
+    found = conclude(
         problem,
         seen,
         summary,
@@ -338,6 +339,8 @@ def diagnose_reference(
         skip=skip,
         missing=missing,
     )
+    placed = isinstance(reference, ReferenceMotion) and reference.position is not None
+    return with_scale(found, gravity=gravity) if placed else found
 
 
 def compare_reference(

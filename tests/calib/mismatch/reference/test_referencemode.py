@@ -11,6 +11,7 @@ from calib.errors import NoCommonMotionError
 from calib.mismatch import ReferenceMotion, diagnose_reference
 from calib.mismatch.reference.band import BEYOND, limited
 from calib.mismatch.reference.referencemode import compare_reference
+from calib.mismatch.reference.sized import SCALE
 from calib.mismatch.reference.upright import turn_up
 from calib.mismatch.samples.samples import look_at_samples
 from calib.model import SensorModel, Triad
@@ -223,6 +224,21 @@ def test_gravity_is_not_what_it_is_nowhere_on_earth(error, possible):
     found = diagnose_reference(real, captured(start=0.0), gravity=GRAVITY)
     assert ("gravity_magnitude" in named(found)) == possible
     assert found.findings or found.unexplained
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("scale", "assumed"), [(0.99, GRAVITY), (1.0, GRAVITY - 0.08)])
+def test_the_scale_of_positions_is_the_rival_of_another_gravity(scale, assumed):
+    """The better one, if no place on Earth has it."""
+    exact = captured(start=0.0)
+    assert exact.position is not None
+    seen = replace(exact, position=scale * exact.position)
+    found = diagnose_reference(recorded(), seen, gravity=assumed)
+    (item,) = [f for f in found.findings if f.effect == "gravity_magnitude"]
+    assert item.rivals[0].effect == SCALE
+    assert "a rod" in item.to_separate
+    lack = [m for m in found.missing if m.startswith("positions in metres")]
+    assert (item.rivals[0].odds > 1.0) == bool(lack) == (scale != 1.0)
 
 
 def test_noise_of_angles_makes_no_slow_force_of_the_noise_of_positions():
