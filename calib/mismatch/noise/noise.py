@@ -328,7 +328,7 @@ def find_levels(rows: Rows, mean: FloatArray, start: FloatArray) -> Levels:
     if worst >= MOSTLY_WHITE and not np.array_equal(start, above):
         found.append(_climbed(rows, basis, above))
     best = max(found, key=lambda levels: levels.log_likelihood)
-    if _penalty(rows, best.values) > STRAINED:
+    if level_penalty(rows, best.values) > STRAINED:
         leaning = expected_levels(rows)
         leaning[[c.group == LEAN for c in rows.components]] *= LEANS
         best = max(best, _climbed(rows, basis, leaning), key=lambda levels: levels.log_likelihood)
@@ -452,6 +452,12 @@ class Whitener:
             rest[own] = known.root @ (rest[own] - told)
         return np.concatenate((self.factor.solve(values[: self.n_dense]), rest))
 
+    @property
+    def log_det(self) -> float:
+        """The logarithm of the determinant of the covariance of all rows."""
+        total = self.factor.log_det + 2.0 * float(np.log(self.scale).sum())
+        return total - 2.0 * sum(float(np.log(np.diag(k.root)).sum()) for k in self.foretold)
+
     def unwhiten_transposed(self, values: FloatArray) -> FloatArray:
         """Return the transposed whitening applied to (m, k) rows: ``inv(L)' values``."""
         first = self.factor.solve_transposed(values[: self.n_dense])
@@ -531,10 +537,10 @@ def level_likelihood(rows: Rows, basis: FloatArray, levels: FloatArray) -> float
     """
     both = np.column_stack((basis, rows.residual[rows_of_levels(rows)]))
     likelihood, _, _ = _factored(Weighing.of(rows, levels), both)
-    return likelihood - _penalty(rows, levels)
+    return likelihood - level_penalty(rows, levels)
 
 
-def _penalty(rows: Rows, levels: FloatArray) -> float:
+def level_penalty(rows: Rows, levels: FloatArray) -> float:
     """Return how far levels are from what is expected of them, in nats of the prior."""
     logs = np.log(levels / expected_levels(rows))
     return 0.5 * float(logs @ prior_precision(rows) @ logs)

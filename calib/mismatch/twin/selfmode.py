@@ -10,6 +10,7 @@ import numpy as np
 from calib.calibration import parameter_unit
 from calib.effects import get_effect
 from calib.effects.base import PRESENCE, State, Term
+from calib.mismatch.noise.leaning import leaning
 from calib.mismatch.noise.rounded import Rounding
 from calib.mismatch.noise.sensornoise import sample_noise
 from calib.mismatch.rows.grid import Grid
@@ -61,6 +62,8 @@ class SelfProblem:
         self.coarse: Mapping[int, Rounding] = {}
         """Channels whose counts are coarse: at rest they stick to one, so that the
         bias of a gyro that is seen there is not that of turns, and means are off in each pose."""
+        self.leaning = 1.0
+        """Share of the variance expected of a lean that is expected here (`leaning.lean_share`)."""
         self.restless = False
         """Whether the gyroscope is judged by its turns alone."""
 
@@ -109,6 +112,7 @@ class SelfProblem:
         stuck = [c for c, rounding in self.coarse.items() if not rounding.hidden]
         out |= (rows.kind == Kind.CONTRAST) & np.isin(rows.channel, stuck)
         rows = rows if self.jolted is None else rows.jolted(self.jolted)
+        rows = leaning(rows, self.leaning)
         rows = replace(rows, prior=self._prior(rows.nuisance.shape[1]))
         return rows.without(out) if out.any() else rows
 

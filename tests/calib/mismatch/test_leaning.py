@@ -7,7 +7,16 @@ import pytest
 from scipy.ndimage import gaussian_filter1d
 
 from calib.mismatch import diagnose_recording
+from calib.mismatch.noise.leaning import lean_share
+from calib.mismatch.rows.grid import make_grid
+from calib.mismatch.search.accepted import fitted
+from calib.mismatch.twin.selfmode import SelfProblem
+from calib.model import SensorModel
 from calib.recording import Recording
+from calib.simulate import simulate
+from calib.simulation.bench import bench_protocol
+from calib.simulation.noise import CONSUMER
+from calib.statics import find_poses
 from calib.types import FloatArray
 
 GRAVITY = 9.80665
@@ -60,3 +69,29 @@ def test_in_one_pose_a_drift_across_gravity_may_be_a_lean(axis: int, said: bool)
     found = diagnose_recording(recording, gravity=GRAVITY)
     assert [f.effect for f in found.findings] == ["accel_warm_up"]
     assert any("may lean" in need for need in found.missing) == said
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("seed", [1, 3])
+def test_a_table_does_not_lean_through_a_night(seed: int) -> None:
+    """Rests of minutes: what is expected of a lean grows with their square, and what drifts does
+    other things to a rest's start, middle and end than it would. It was a fluctuation."""
+    rng = np.random.default_rng(seed)
+    motion = bench_protocol(rng, poses=30, pose_duration=(60.0, 400.0))
+    real = simulate(motion, SensorModel(), CONSUMER, rng=rng, rate=12.5)
+    found = diagnose_recording(real, gravity=GRAVITY)
+    assert not found.findings
+    assert not [u for u in found.unexplained if u.follows.startswith("fluctuation")]
+    # A few samples a turn may leave something of one.
+    assert min((u.p_value for u in found.unexplained), default=1.0) > 1e-6
+
+
+def test_a_body_that_sways_leans_all_the_same() -> None:
+    shares = []
+    for degrees in (0.02, 0.1):
+        real = standing(10, np.deg2rad(degrees))
+        grid = make_grid(real, find_poses(real))
+        problem = SelfProblem(grid, None, gravity=GRAVITY, full_gyro=True)
+        rows = problem.rows()
+        shares.append(lean_share(rows, fitted(rows, [])))
+    assert shares == [1.0, 1.0]
