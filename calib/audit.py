@@ -241,7 +241,7 @@ def _samples(recording: Recording, at_rest: BoolArray) -> list[Finding]:
                 (float(time[start]),),
             )
         )
-    for c, start, stop in find_wrapped(values):
+    for c, start, stop in find_wrapped(values, time, recording.interval):
         message = f"{CHANNELS[c]} wraps around at the end of its range in {_many(stop - start)}"
         out.append(Finding("wrapped", message, (CHANNELS[c],), stop - start, (float(time[start]),)))
     for c in find_gated(values, ~at_rest):

@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from calib.faults import noise_at_rest
+from calib.gravity import STANDARD_GRAVITY
 from calib.stillness import runs
 from calib.types import FloatArray
 
@@ -18,23 +19,41 @@ ENDS = 0.8
 ON_COURSE = 0.2
 """Of the jump: how far a signal may go in one sample when the range is added."""
 
+LEAST = 1.5
+"""Of gravity: no accelerometer has a range of less, and one that is turned over between two samples
+of a slow log jumps by twice gravity."""
+
+GAP = 1.5
+"""Intervals from which on samples are not neighbours."""
+
 LOUD = 100.0
 """Noises that such a jump is, at least."""
 
 
-def find_wrapped(values: FloatArray) -> list[tuple[int, int, int]]:
-    """Return ``(channel, start, stop)`` of samples (n, 6) that are a range off their course.
+def find_wrapped(
+    values: FloatArray, time: FloatArray, interval: float
+) -> list[tuple[int, int, int]]:
+    """Return ``(channel, start, stop)`` of samples that are a range off their course.
 
     How many ranges a channel is off is counted from jump to jump; it is none most of the time.
+
+    Parameters
+    ----------
+    values : (n, 6) array, m/s² and rad/s
+    time : (n,) array, s
+        Across a gap anything may have moved.
+    interval : float, s
     """
     out: list[tuple[int, int, int]] = []
     noise = noise_at_rest(values)
+    beside = np.diff(time) < GAP * interval
     for c in range(values.shape[1]):
         own = values[:, c]
         largest = float(np.abs(own).max(initial=0.0))
         far = np.minimum(np.abs(own[1:]), np.abs(own[:-1])) > ENDS * largest
         at = np.flatnonzero(far & (own[1:] * own[:-1] < 0))
-        if len(at) < 2 or largest <= LOUD * noise[c]:
+        least = max(LOUD * noise[c], LEAST * STANDARD_GRAVITY if c < 3 else 0.0)
+        if len(at) < 2 or largest <= least or not beside[at].all():
             continue
         jump = own[at + 1] - own[at]
         span = float(np.abs(jump).max())
@@ -44,8 +63,8 @@ def find_wrapped(values: FloatArray) -> list[tuple[int, int, int]]:
         ranges[at + 1] = np.sign(jump).astype(np.int64)
         ranges = np.cumsum(ranges)
         # What shakes from one end to the other moves as far in the samples beside.
-        beside = np.clip([at - 1, at, at + 1], 0, len(own) - 2)
-        if np.abs(np.diff(own - span * ranges))[beside].max() > ON_COURSE * span:
+        near = np.clip([at - 1, at, at + 1], 0, len(own) - 2)
+        if np.abs(np.diff(own - span * ranges))[near].max() > ON_COURSE * span:
             continue
         off = ranges != np.bincount(ranges - ranges.min()).argmax() + ranges.min()
         out += [(c, a, b) for a, b in zip(*(x.tolist() for x in runs(off)), strict=True)]

@@ -106,7 +106,7 @@ def look_at_faults(recording: Recording, moving: BoolArray, *, whole: bool) -> S
     restless = [] if still else find_unrest(values, recording.interval)
     light = [] if stuck else find_weightless(values[:, :3], recording.interval)
     bits = [] if still else find_stuck_bits(values, step)
-    wrapped = find_wrapped(values)
+    wrapped = find_wrapped(values, recording.time, recording.interval)
     if repeats.size:
         findings.append(repeated(recording, repeats))
     findings += find_coarse(recording, values, moving, step)
