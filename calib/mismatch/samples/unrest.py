@@ -91,7 +91,7 @@ def _alone(values: FloatArray, interval: float, size: int) -> list[tuple[int, in
         if alone[whole].sum() < MOST * motionless.all(axis=1).sum():
             continue
         up = np.array([mean[a:b, :3].mean(axis=0) for a, b in spans])
-        up /= np.linalg.norm(up, axis=1, keepdims=True)
+        up /= np.maximum(np.linalg.norm(up, axis=1, keepdims=True), np.finfo(float).tiny)
         turned = np.einsum("ij,ij->i", up[1:], up[:-1]) < np.cos(APART)
         if 1 + turned.sum() >= POSES:
             out.append((c, whole.start * size, whole.stop * size))

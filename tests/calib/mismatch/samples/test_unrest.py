@@ -103,3 +103,8 @@ def test_short_and_unclocked_recordings_have_none() -> None:
     real = simulated(rate=RATE)
     assert find_unrest(values_of(real)[:90], real.interval) == []
     assert find_unrest(values_of(real), 0.0) == []
+
+
+def test_beside_a_dead_accelerometer_nobody_can_tell() -> None:
+    real = humming(simulated(rate=RATE), "gyro.x", frequency=5.0, noises=60.0, window=(20.0, 60.0))
+    assert find_unrest(values_of(replace(real, accel=0.0 * real.accel)), real.interval) == []
