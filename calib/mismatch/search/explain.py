@@ -145,8 +145,7 @@ def _judge(case: _Case, which: int) -> Finding | Unexplained | None:
         return None
     rivals = _rivals(a, outcome.tried)
     left = partial(_unexplained, outcome, fit, which, rivals)
-    if not a.candidate.physical or sum(r.odds for r in rivals) > BEATEN:
-        # Of what so many others explain as well, none is said to be it.
+    if not a.candidate.physical:
         return left()
     effect = get_effect(a.candidate.name)
     if effect.kind != "setup" and _is_taken_over(fit, outcome.accepted, which):
@@ -156,6 +155,9 @@ def _judge(case: _Case, which: int) -> Finding | Unexplained | None:
         rivals = (Rival(effect.slug, 1.0 / part.odds),)
         follows = f"{effect.follows}, {IN_A_PART}"
         return replace(left(), rivals=rivals, intervals=(part.interval,), follows=follows)
+    if sum(r.odds for r in rivals) > BEATEN:
+        # Of what so many others explain as well, none is said to be it.
+        return replace(left(), follows=effect.follows)
     parameters = _parameters(a, effect, fit, which)
     if a.candidate.present:
         (name,) = a.candidate.parameters

@@ -1,17 +1,26 @@
 """What the numbers of a finding must be for its name to stand."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from calib.effects import get_effect
 from calib.effects.base import Term
 from calib.effects.earth_rate import components
 from calib.mismatch import diagnose_recording
+from calib.mismatch.findings.diagnosis import Unexplained
 from calib.mismatch.hypotheses.candidates import Candidate
 from calib.mismatch.search.accepted import Accepted, accept
 from calib.mismatch.search.estimate import Estimate, Windows
-from calib.mismatch.search.explain import _is_taken_over, _of_windows, _rivals
+from calib.mismatch.search.explain import (
+    _Case,
+    _is_taken_over,
+    _judge,
+    _of_windows,
+    _rivals,
+)
 from calib.mismatch.search.ranking import make_stack
 from calib.mismatch.search.search import SHOWN
 from calib.model import SensorModel
@@ -74,6 +83,33 @@ def test_of_a_step_that_later_wandering_took_over_nothing_is_said():
     assert not _is_taken_over(fit(5.0), [step, wanders], 0)
     assert not _is_taken_over(fit(0.5), [step, elsewhere], 0)
     assert not _is_taken_over(fit(0.5), [wanders, step], 1)
+
+
+def test_a_name_that_others_beat_by_ten_is_none_and_nothing_at_all_if_little_is_left(monkeypatch):
+    own = Candidate(
+        "gyro_bias_step", np.zeros(0, np.int64), 0.1, True, ("gyro.x",), parameters=("bx",)
+    )
+    none, told, left = np.zeros((0, 1)), np.ones(2, bool), np.zeros(0)
+    step = Accepted(own, none, np.ones(1), np.zeros(1), False, 1e9)
+    step = replace(step, posterior={own.group: 0.05, "accel_cubic": 0.45, "accel_quadratic": 0.4})
+    rough = replace(own, name="direction of gravity", physical=False)
+    wanders = Accepted(rough, none, np.ones(1), np.zeros(1), False, 1e9)
+
+    def said(_outcome, _fit, which, rivals):
+        return Unexplained(("gyro.x",), ((0.0, 1.0),), f"number {which}", 1e-3, rivals)
+
+    def judged(size: float):
+        rows = SimpleNamespace(clustered=True)
+        outcome = SimpleNamespace(accepted=[step, wanders], tried=frozenset(), rows=rows)
+        fit = Estimate(np.array([size, 9.0]), np.eye(2), (0, 1, 2), {}, {}, {}, left, told)
+        return _judge(_Case(outcome, fit, (), {}, set(), set(), lambda: None), 0)
+
+    monkeypatch.setattr("calib.mismatch.search.explain._unexplained", said)
+    item = judged(5.0)
+    assert isinstance(item, Unexplained)
+    assert item.follows == get_effect("gyro_bias_step").follows
+    assert [r.effect for r in item.rivals] == ["accel_cubic", "accel_quadratic"]
+    assert judged(0.5) is None
 
 
 @pytest.mark.long
