@@ -36,7 +36,6 @@ def find_gated(values: FloatArray, moving: BoolArray) -> list[int]:
     rest = ~moving
     if min(rest.sum(), moving.sum()) < LEAST or _without_noise(values[:, :3], rest):
         return []
-    lsb = refined(np.abs(np.diff(values, axis=0)), resolution(values))
     out = []
     for c in range(3, 6):
         found, count = np.unique(values[rest, c], return_counts=True)
@@ -44,7 +43,9 @@ def find_gated(values: FloatArray, moving: BoolArray) -> list[int]:
         off = values[:, c] != value
         if count.max() < MOST * rest.sum() or off[moving].mean() < 1.0 - MOST:
             continue
-        if 0 < lsb[c] < FINEST or _leaves_by_far(values[:, c], value, off, float(lsb[c])):
+        own = values[:, c : c + 1]
+        (lsb,) = refined(np.abs(np.diff(own, axis=0)), resolution(own)).tolist()
+        if 0 < lsb < FINEST or _leaves_by_far(values[:, c], value, off, lsb):
             out.append(c)
     return out
 

@@ -50,7 +50,6 @@ from calib.mismatch.samples.losses import INCOMPLETE, leave_out_unwhole
 from calib.mismatch.samples.reading import after_gaps, lost_samples
 from calib.mismatch.samples.resting import look_at_rests, told_once, unsaid
 from calib.mismatch.samples.thin import Thinned, thin
-from calib.mismatch.search.accepted import fitted
 from calib.mismatch.search.determined import open_baseline, to_determine
 from calib.mismatch.search.estimate import Estimate
 from calib.mismatch.search.explain import explain, verdict
@@ -150,9 +149,9 @@ def _diagnose(thinned: Thinned, *, gravity: float, model: SensorModel | None) ->
     )
     losses, broken = ([], []) if timeless or unhidden else leave_out_unwhole(problem)
     skip = _hopeless(full=full, timeless=timeless, few_turns=few_turns)
-    problem.jolted = jolted(problem.rows(), skip=skip)
     rows = problem.rows()
-    problem.leaning = lean_share(rows, fitted(rows, []))
+    problem.jolted = jolted(rows, skip=skip)
+    problem.leaning = lean_share(rows if problem.jolted is None else problem.rows())
     outcome = search(problem, skip=skip)
     if outcome.undetermined:
         missing += (to_determine(outcome.undetermined),)

@@ -34,14 +34,11 @@ SURE = float(np.log(20.0))
 """Log-likelihood by which next to none has to be ahead."""
 
 
-def lean_share(rows: Rows, mean: FloatArray) -> float:
-    """Return what of the variance that is expected of a lean the rows allow: 1, or `NONE`.
-
-    ``mean`` has the (m, p) columns that are fitted in any case.
-    """
+def lean_share(rows: Rows) -> float:
+    """Return what of the variance that is expected of a lean the rows allow: 1, or `NONE`."""
     if all(c.group != LEAN for c in rows.components) or len(telling(rows)):
         return 1.0
-    contrast = contrast_variance(rows)
+    contrast, mean = contrast_variance(rows), np.hstack((rows.baseline, rows.nuisance))
     value = {share: _likelihood(leaning(rows, share), mean, contrast) for share in (1.0, NONE)}
     return NONE if value[NONE] > value[1.0] + SURE else 1.0
 

@@ -22,7 +22,7 @@ from calib.mismatch.reference.alignment import Alignment
 from calib.mismatch.reference.corners import MOVES, ORDER, is_common, shared_jumps, unfollowed
 from calib.mismatch.reference.floor import audible_beside
 from calib.mismatch.reference.scatter import LOUD, QUIETEST
-from calib.mismatch.reference.truths import DEGREE, REACH, UNEVEN, RecordingTruth
+from calib.mismatch.reference.truths import DEGREE, REACH, RecordingTruth, is_uneven
 from calib.recording import Recording
 from calib.types import BoolArray, FloatArray, IntArray
 
@@ -433,11 +433,9 @@ def filtered(
         What it changes lasts a few of its periods: longer gaps are cut to that, and all are bridged
         by straight lines.
     """
-    step = np.diff(time)
-    own = step[step < 1.5 * np.median(step)]
-    interval = float(own.mean())
+    interval = float(np.median(np.diff(time)))
     at = _places(time, int(np.ceil(FELT / (slowest * interval))))
-    if own.std() > UNEVEN * interval:
+    if is_uneven(time):
         return _passed_uneven(time, at, values, lambda f: response(f / interval), interval)
     if at[-1] >= len(at):
         whole = np.arange(at[-1] + 1)

@@ -36,7 +36,7 @@ from calib.mismatch.reference.oriented import oriented_at_rests
 from calib.mismatch.reference.shaken import noise_beside
 from calib.mismatch.reference.sized import with_scale
 from calib.mismatch.reference.swaps import swapped
-from calib.mismatch.reference.truths import DEGREE, UNEVEN, RecordingTruth, near
+from calib.mismatch.reference.truths import DEGREE, RecordingTruth, is_uneven, near
 from calib.mismatch.reference.upright import TIPPED, in_words, turn_up, vertical
 from calib.mismatch.reference.witnessed import white_noise
 from calib.mismatch.samples.found import Samples
@@ -189,13 +189,12 @@ class ReferenceMotion:
 
         Whatever filters it, or tells the colour of its noise, counts on even times.
         """
-        good, step = self.known, np.diff(self.time)
-        own = step[step < 1.5 * np.median(step)] if len(step) else step
-        if good.sum() < FEWEST or own.std() < UNEVEN * own.mean():
+        good = self.known
+        if good.sum() < FEWEST or not is_uneven(self.time):
             return self
         from scipy.interpolate import make_interp_spline
 
-        interval = float(np.median(step))
+        interval = float(np.median(np.diff(self.time)))
         seen = self.time[good]
         even = seen[0] + interval * np.arange(int((seen[-1] - seen[0]) / interval) + 1)
         values = self.quat * _one_sign(self.quat, good)

@@ -15,8 +15,9 @@ from calib.types import BoolArray, FloatArray
 if TYPE_CHECKING:
     from scipy.interpolate import BSpline
 
-UNEVEN = 0.01
-"""Of an interval: scatter of the steps from which on times are not even."""
+MISSING, UNEVEN = 1.5, 0.01
+"""Intervals from which on something is missing in a step, and the scatter of the others, of an
+interval, from which on times are not even."""
 
 DEGREE = 7
 """Of the interpolating spline: a sinusoid at a fifth of the rate is off by 5e-6; by a cubic one 0.3
@@ -45,6 +46,13 @@ def near(known: FloatArray, time: FloatArray, limit: float | None = None) -> Boo
     after = np.clip(np.searchsorted(known, time), 1, len(known) - 1)
     inside = (time >= known[0]) & (time <= known[-1])
     return np.asarray(inside & (known[after] - known[after - 1] <= limit))
+
+
+def is_uneven(time: FloatArray) -> bool:
+    """Whether samples that follow each other, none of them missing, do so at uneven steps."""
+    step = np.diff(time)
+    own = step[step < MISSING * np.median(step)]
+    return bool(own.std() > UNEVEN * own.mean())
 
 
 @dataclass(frozen=True, eq=False)

@@ -74,7 +74,7 @@ def look_at_faults(recording: Recording, moving: BoolArray, *, whole: bool) -> S
         Whether there is no more of it. In a part without motion a coarse channel may well be
         constant: that it is stuck can then not be told.
     """
-    values = faults.values_of(recording)
+    values, n = faults.values_of(recording), len(recording)
     step = faults.resolution(values)
     clipped, findings = _clipping(recording, values, step)
     # Without noise, samples are alike because nothing happens: at rest, or beside a turn about one
@@ -86,20 +86,16 @@ def look_at_faults(recording: Recording, moving: BoolArray, *, whole: bool) -> S
     gated = [] if still else find_gated(values, moving)
     if gated:
         # What is stuck, or off course, is so by that.
-        whole_of_it = ((float(recording.time[0]), float(recording.time[-1])),)
-        item = Unexplained(
-            tuple(CHANNELS[c] for c in gated), whole_of_it, GATED, faults.FALSE_ALARM
-        )
-        spoilt = np.zeros(len(recording), bool)
-        return Samples(tuple(findings), (item,), spoilt, True, len(recording), len(recording))
-    told = len(recording) if whole or moving.any() else 0
+        said = _there(recording.time, [(0, n)], tuple(CHANNELS[c] for c in gated), GATED)
+        return Samples(tuple(findings), tuple(said), np.zeros(n, bool), True, n, n)
+    told = n if whole or moving.any() else 0
     stuck = faults.find_stuck(values, moving, interval=recording.interval, clipped=clipped)
     if not told or (still and (np.ptp(values[:, 3:], axis=0) == 0.0).sum() >= 2):
-        stuck = [run for run in stuck if run[2] - run[1] < len(recording)]
+        stuck = [run for run in stuck if run[2] - run[1] < n]
     repeats = np.zeros(0, np.int64) if still else find_repeats(values, moving)
-    again = np.zeros(len(recording), bool)
+    again = np.zeros(n, bool)
     again[repeats] = True
-    known = again | _marked(len(recording), stuck)
+    known = again | _marked(n, stuck)
     frozen = find_frozen(values, moving, clipped=clipped, known=known)
     known = again | clipped.any(axis=1)
     swapped = [] if still else [(a, b) for a, b in find_swapped(values) if not known[a:b].any()]
@@ -111,44 +107,33 @@ def look_at_faults(recording: Recording, moving: BoolArray, *, whole: bool) -> S
         findings.append(repeated(recording, repeats))
     findings += find_coarse(recording, values, moving, step)
     # What is disturbed all along is told beside a truth as it is.
-    brief = [run for run in restless if run[2] - run[1] < len(recording) / 2]
+    brief = [run for run in restless if run[2] - run[1] < n / 2]
     spoilt = known | after_gaps(recording)
     packets = [(0, start, stop) for start, stop in (*swapped, *light)]
-    spoilt |= _marked(len(recording), [*stuck, *frozen, *brief, *packets, *wrapped])
+    spoilt |= _marked(n, [*stuck, *frozen, *brief, *packets, *wrapped])
     count = sum(stop - start for _, start, stop in stuck)
     # A bit that is less than the noise is filled in by it.
-    noise = faults.noise_at_rest(values)
-    if any(size > noise[c] for c, size in bits):
-        count = len(recording)
+    if any(size > faults.noise_at_rest(values)[c] for c, size in bits):
+        count = n
     return Samples(
         findings=tuple(findings),
         unexplained=(
             *_runs_of(recording.time, [*stuck, *frozen], FROZEN),
             *_runs_of(recording.time, wrapped, WRAPPED),
-            *_of_triads(recording.time, swapped, CHANNELS, SWAPPED),
-            *_of_triads(recording.time, light, CHANNELS[:3], WEIGHTLESS),
-            *(_alone(recording.time, run, RESTLESS) for run in restless),
-            *(
-                _alone(recording.time, (c, 0, len(recording)), STUCK_BIT)
-                for c in {c for c, _ in bits}
-            ),
+            *_there(recording.time, swapped, CHANNELS, SWAPPED),
+            *_there(recording.time, light, CHANNELS[:3], WEIGHTLESS),
+            *_runs_of(recording.time, restless, RESTLESS),
+            *_runs_of(recording.time, [(c, 0, n) for c in sorted({c for c, _ in bits})], STUCK_BIT),
         ),
         spoilt=spoilt,
-        fatal=count > STUCK * len(recording),
+        fatal=count > STUCK * n,
         stuck=count,
         told=told,
         restless=max((stop - start for _, start, stop in restless), default=0),
     )
 
 
-def _alone(time: FloatArray, run: tuple[int, int, int], follows: str) -> Unexplained:
-    """Return what is said of one channel in one run of samples ``(channel, start, stop)``."""
-    c, start, stop = run
-    where = (float(time[start]), float(time[stop - 1]))
-    return Unexplained((CHANNELS[c],), (where,), follows, faults.FALSE_ALARM)
-
-
-def _of_triads(
+def _there(
     time: FloatArray, parts: list[tuple[int, int]], channels: tuple[str, ...], follows: str
 ) -> list[Unexplained]:
     """Return what is said of channels in samples ``(start, stop)``, if there are any."""

@@ -52,24 +52,26 @@ def find_unrest(values: FloatArray, interval: float) -> list[tuple[int, int, int
     interval : float, s
     """
     found: dict[int, tuple[int, int]] = {}
-    if interval > 0:
-        for width in WINDOWS:
-            for c, start, stop in _alone(values, interval, max(round(width / interval), FEWEST)):
-                a, b = found.get(c, (start, stop))
-                found[c] = min(a, start), max(b, stop)
+    if interval <= 0 or len(values) < FEWEST:
+        return []
+    floor = _floor(values)
+    for width in WINDOWS:
+        size = max(round(width / interval), FEWEST)
+        for c, start, stop in _alone(values, floor, interval, size):
+            a, b = found.get(c, (start, stop))
+            found[c] = min(a, start), max(b, stop)
     return [(c, *found[c]) for c in sorted(found)]
 
 
-def _alone(values: FloatArray, interval: float, size: int) -> list[tuple[int, int, int]]:
-    """Return what `find_unrest` does, by windows of so many samples."""
+def _alone(
+    values: FloatArray, floor: FloatArray, interval: float, size: int
+) -> list[tuple[int, int, int]]:
+    """Return what `find_unrest` does, by windows of so many samples beside their noise (6,)."""
     number, least = len(values) // size, max(round(LONG / (size * interval)), 1)
     if number < POSES * least:
         return []
     parts = values[: number * size].reshape(number, size, 6)
     mean, scatter = parts.mean(axis=1), parts.std(axis=1)
-    floor = np.minimum(noise_at_rest(values), _hiss(values))
-    usual = np.repeat(np.median(floor.reshape(2, 3), axis=1), 3)
-    floor = np.maximum(np.clip(floor, usual / ALIKE, ALIKE * usual), 0.5 * resolution(values))
     # By its quartiles, as a turn that begins at the window's end is no disturbance of all of it.
     low, high = np.quantile(parts, (0.25, 0.75), axis=1)
     quiet, loud = scatter <= QUIET * floor, high - low > QUARTILES * LOUD * floor
@@ -114,6 +116,14 @@ def _is_no_turn(
     own = rate.ravel() - rate.mean()
     angle = float(np.ptp(np.cumsum(own)) * interval)
     return angle <= TURNED or angle * float(np.linalg.norm(np.delete(force, axis))) > 2.0 * seen
+
+
+def _floor(values: FloatArray) -> FloatArray:
+    """Return the noise of each channel, (6,), as far as it is that of its triad."""
+    floor = np.minimum(noise_at_rest(values), _hiss(values))
+    usual = np.repeat(np.median(floor.reshape(2, 3), axis=1), 3)
+    least = 0.5 * resolution(values)
+    return np.asarray(np.maximum(np.clip(floor, usual / ALIKE, ALIKE * usual), least))
 
 
 def _hiss(values: FloatArray) -> FloatArray:

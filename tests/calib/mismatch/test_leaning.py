@@ -9,7 +9,6 @@ from scipy.ndimage import gaussian_filter1d
 from calib.mismatch import diagnose_recording
 from calib.mismatch.noise.leaning import lean_share
 from calib.mismatch.rows.grid import make_grid
-from calib.mismatch.search.accepted import fitted
 from calib.mismatch.twin.selfmode import SelfProblem
 from calib.model import SensorModel
 from calib.recording import Recording
@@ -92,6 +91,5 @@ def test_a_body_that_sways_leans_all_the_same() -> None:
         real = standing(10, np.deg2rad(degrees))
         grid = make_grid(real, find_poses(real))
         problem = SelfProblem(grid, None, gravity=GRAVITY, full_gyro=True)
-        rows = problem.rows()
-        shares.append(lean_share(rows, fitted(rows, [])))
+        shares.append(lean_share(problem.rows()))
     assert shares == [1.0, 1.0]
