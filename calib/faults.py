@@ -385,6 +385,9 @@ def find_spikes(values: FloatArray, *, lsb: FloatArray) -> list[tuple[int, int, 
     if len(values) < 2 * BLOCK:
         return []
     floor = np.maximum(noise_at_rest(values), lsb)[:, None]
+    # What moves is off by more than noise, which short rests of few samples show in few.
+    unit = np.maximum(np.minimum(_quietest(values, NEARBY), noise_at_rest(values)), lsb)
+    unit = np.where(unit > 0, unit, np.inf)
     # Channel by channel samples lie side by side, and parts of them stay in a processor's cache.
     rows = np.ascontiguousarray(values.T)
     found: list[tuple[int, int, int]] = []
@@ -392,16 +395,19 @@ def find_spikes(values: FloatArray, *, lsb: FloatArray) -> list[tuple[int, int, 
         first = max(begin - 2 * NEARBY, 0)
         part = rows[:, first : begin + SPIKES_PART + 2 * NEARBY]
         for length in range(1, LONGEST_SPIKE + 1):
-            for start, stop, c in _spikes(part, length, floor, lsb[:, None]):
+            for start, stop, c in _spikes(part, length, floor, lsb[:, None], unit):
                 if begin <= first + start < begin + SPIKES_PART:
                     found.append((first + start, first + stop, c))
     return sorted(found)
 
 
 def _spikes(
-    values: FloatArray, length: int, floor: FloatArray, lsb: FloatArray
+    values: FloatArray, length: int, floor: FloatArray, lsb: FloatArray, unit: FloatArray
 ) -> list[tuple[int, int, int]]:
-    """Return the spikes of so many samples of (6, n) values, beside noise of `floor` (6, 1)."""
+    """Return the spikes of so many samples of (6, n) values, beside noise of `floor` (6, 1).
+
+    In units of `unit` (6,), other channels show none of one.
+    """
     n = values.shape[1]
     number, count = n - length - 3, n // NEARBY
     sides = (2, 1, -length, -length - 1)
@@ -435,7 +441,6 @@ def _spikes(
         returns = values[c, k + length - 1] - values[c, k + length]
         others = np.delete(np.arange(len(values)), c)
         alone = (ratio[others, max(0, k - 1) : k + 2] < OTHERS).all()
-        unit = np.where(floor[:, 0] > 0, floor[:, 0], np.inf)
         # Of the others all of it counts: what moves is not off its course to one side.
         alone &= (most[:, k] / unit)[others].max() < max(OTHERS, SHARED * rest[c, k] / unit[c])
         back = leaves * returns > 0 and min(abs(leaves), abs(returns)) > 0.5 * rest[c, k]
@@ -454,10 +459,15 @@ def resolution(values: FloatArray, *, sample: int = 100_000) -> FloatArray:
 
 def noise_at_rest(values: FloatArray) -> FloatArray:
     """Return the scatter of each channel in the quietest tenth of the recording, (k,)."""
-    count = len(values) // BLOCK
+    return _quietest(values, BLOCK)
+
+
+def _quietest(values: FloatArray, block: int) -> FloatArray:
+    """Return the scatter of each channel, (k,), within which a tenth of the blocks are."""
+    count = len(values) // block
     if not count:
         return np.asarray(values.std(axis=0), np.float64)
-    scatter = values[: count * BLOCK].reshape(count, BLOCK, -1).std(axis=1)
+    scatter = values[: count * block].reshape(count, block, -1).std(axis=1)
     return np.asarray(np.quantile(scatter, 0.1, axis=0), np.float64)
 
 

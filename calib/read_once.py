@@ -42,6 +42,11 @@ FEW = 4
 BEYOND = 2.0
 """Times as many come again as by chance, at least."""
 
+NOW_AND_THEN = 2.0
+"""Times a sample comes again where only some do, at most. Those of a sensor that is read several
+times as often as it measures nearly all do; where coarse counts show no noise, so do those of
+rests, between the last step of one turn and the first one of the next."""
+
 
 def read_once(recording: Recording) -> tuple[Recording, IntArray]:
     """Return a recording as its sensors sampled, and which samples of it were read again.
@@ -87,6 +92,9 @@ def find_rereads(values: FloatArray) -> BoolArray:
     at, between = at[between < faults.BLOCK], between[between < faults.BLOCK]
     parts = faults.block_sums(between[:, None] > 0)
     if len(at) < FEW * faults.BLOCK or (parts > 0).mean() < THROUGHOUT:
+        return out
+    often = between > 0
+    if np.median(between[often]) > NOW_AND_THEN and often.mean() < THROUGHOUT:
         return out
     count = int(between.sum())
     number = np.bincount(at // faults.BLOCK, between + 1, -(-len(same) // faults.BLOCK))

@@ -50,6 +50,7 @@ from calib.mismatch.samples.losses import INCOMPLETE, leave_out_unwhole
 from calib.mismatch.samples.reading import after_gaps, lost_samples
 from calib.mismatch.samples.resting import look_at_rests, told_once, unsaid
 from calib.mismatch.samples.thin import Thinned, thin
+from calib.mismatch.search.aliased import FASTER, tells_nothing
 from calib.mismatch.search.determined import open_baseline, to_determine
 from calib.mismatch.search.estimate import Estimate
 from calib.mismatch.search.explain import explain, verdict
@@ -57,6 +58,7 @@ from calib.mismatch.search.jolted import jolted
 from calib.mismatch.search.proof import changes
 from calib.mismatch.search.search import Outcome, search
 from calib.mismatch.timeless import CLOCKED, UNKNOWN_DRIFT, by_sample, is_rate, without_rates
+from calib.mismatch.twin.residuals import is_aliased
 from calib.mismatch.twin.selfmode import SelfProblem
 from calib.model import SensorModel
 from calib.poses import Poses
@@ -130,15 +132,23 @@ def _diagnose(thinned: Thinned, *, gravity: float, model: SensorModel | None) ->
         return _unfit(thinned, missing, NO_REST, "undetermined")
     grid, spoilt, gone = _make_grid(thinned, poses)
     missing += gone
-    few_turns = int((~grid.is_rest & ~spoilt).sum()) < LEAST_TURNS
-    # What a calibration has, and what so few turns leave open, is fitted with the baseline.
-    full = few_turns or (model is not None and bool(model.gyro.misalignment.any()))
     timeless = recording.clock == "invalid"
-    problem = SelfProblem(
-        grid, model, gravity=gravity, full_gyro=full, spread=UNKNOWN_DRIFT if timeless else None
-    )
-    # And out of the twin: a rest that only a clipped turn joins to the others would lean with it.
-    problem.leave_out(np.flatnonzero(spoilt).tolist())
+
+    def twin() -> tuple[SelfProblem, bool, bool]:
+        few_turns = int((~grid.is_rest & ~spoilt).sum()) < LEAST_TURNS
+        # What a calibration has, and what so few turns leave open, is fitted with the baseline.
+        full = few_turns or (model is not None and bool(model.gyro.misalignment.any()))
+        drift = UNKNOWN_DRIFT if timeless else None
+        problem = SelfProblem(grid, model, gravity=gravity, full_gyro=full, spread=drift)
+        # A rest that only a clipped turn joins to the others would lean with it in the twin, too.
+        problem.leave_out(np.flatnonzero(spoilt).tolist())
+        return problem, few_turns, full
+
+    problem, few_turns, full = twin()
+    if is_aliased(grid) and not timeless and tells_nothing(problem.rows()):
+        missing += (FASTER.format(rate=1.0 / recording.interval),)
+        spoilt = spoilt | ~grid.is_rest
+        problem, few_turns, full = twin()
     coarse = coarse_channels(recording, grid.interval[grid.is_rest], seen.findings)
     unhidden = unhidden_triads(coarse, few_turns=few_turns)
     problem.rounded(coarse, restless="gyro" in unhidden)

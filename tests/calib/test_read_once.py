@@ -11,8 +11,12 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from calib import faults
+from calib.model import SensorModel
 from calib.read_once import HELD, find_rereads, read_once
 from calib.recording import Recording
+from calib.simulate import simulate
+from calib.simulation.bench import bench_protocol
+from calib.simulation.noise import CONSUMER
 from calib.timing import evened
 from calib.types import FloatArray
 
@@ -67,6 +71,15 @@ def test_chance_repeats_of_a_coarse_sensor_are_not_read_again(lsb: float) -> Non
     coarse = lsb * np.round(faults.values_of(real) / lsb)
     assert not find_rereads(coarse[:, :3]).any()
     assert not find_rereads(coarse[:, 3:]).any()
+
+
+def test_short_rests_of_coarse_counts_are_not_read_again() -> None:
+    """Ten samples a second, and rests of a second or two between turns as short."""
+    rng = RNG(2)
+    hands = bench_protocol(rng, poses=50, pose_duration=(1.2, 2.0), turn_duration=(0.8, 2.5))
+    made = simulate(hands, SensorModel(), CONSUMER.scaled(0.3), rng=rng, rate=10.0)
+    coarse = replace(made, gyro=1e-3 * np.round(made.gyro / 1e-3))
+    assert read_once(coarse)[0] is coarse
 
 
 def test_a_coarse_sensor_that_is_read_twice() -> None:

@@ -37,7 +37,7 @@ def misclosed(rows: Rows, levels: FloatArray) -> tuple[Unexplained, ...]:
         closed = c.name.split(" ")[0]
         if c.name.endswith(SAMPLING):
             # Nor is that what samples do not resolve: of a rate an angle, of a force a velocity.
-            closed = {"rate": "attitude", "force": "velocity"}[closed]
+            closed = {"rate": "attitude", "force": "velocity"}.get(closed, closed)
         if closed not in CLOSES or not c.variance.size:
             continue
         beyond = float(np.log(level / expected)) / c.spread

@@ -48,13 +48,14 @@ WHOLE = 0.05
 class Rounding(NamedTuple):
     """Counts of ``lsb``, the noise ``sigma`` before, and by how much the means of r rests err.
 
-    Which of them err the same way is known better than how far: of that is the ``covariance``
-    (r, r), about zero. What counts leave open by themselves is the ``variance`` (r,). The noise of
-    the samples comes on top.
+    The ``error`` (r,) is what is expected of mean minus level. How large the noise was nobody knows
+    for sure, and all errors go with it: of that is the ``covariance`` (r, r). What counts leave
+    open by themselves is the ``variance`` (r,). The noise of the samples comes on top.
     """
 
     lsb: float
     sigma: float
+    error: FloatArray
     covariance: FloatArray
     variance: FloatArray
     span: float
@@ -63,7 +64,7 @@ class Rounding(NamedTuple):
     @property
     def total(self) -> FloatArray:
         """Return the mean square of each error, (r,)."""
-        return np.diag(self.covariance) + self.variance
+        return np.square(self.error) + np.diag(self.covariance) + self.variance
 
     @property
     def hidden(self) -> bool:
@@ -100,7 +101,9 @@ def look_at_counts(rests: Sequence[FloatArray], lsb: float) -> Rounding:
             sigma = float(np.sqrt(np.median([np.var(own) for own in rests])))
             off = lsb**2 / 12 * np.exp(-np.square(2 * np.pi * sigma / lsb))
             number = len(rests)
-            return Rounding(lsb, sigma, np.zeros((number, number)), np.full(number, off), span)
+            return Rounding(
+                lsb, sigma, np.zeros(number), np.zeros((number, number)), np.full(number, off), span
+            )
         whole = np.rint(count).astype(np.int64)
         beside = np.clip(whole - np.bincount(whole).argmax(), -REACH, REACH)
         shares[r] = np.bincount(beside + REACH, minlength=2 * REACH + 1)
@@ -113,12 +116,16 @@ def look_at_counts(rests: Sequence[FloatArray], lsb: float) -> Rounding:
     # of them there counts once. What no place explains counts each time.
     known = np.logaddexp(known - known.max(axis=1, keepdims=True), np.log(SHAKEN))
     size = softmax(known.sum(axis=0) + places.mean(axis=0))
-    off = middle - mean[:, None]
+    off = mean[:, None] - middle
     # What the noise that is seen does to a mean is not counted again.
     seen = [np.var(own) / (lsb**2 * len(own)) for own in rests]
     variance = np.maximum(left @ size - seen, 0.0)
     typical = lsb * float(np.exp(size @ np.log(SIZES)))
-    return Rounding(lsb, typical, lsb**2 * (off * size) @ off.T, lsb**2 * variance, span)
+    error = off @ size
+    apart = off - error[:, None]
+    return Rounding(
+        lsb, typical, lsb * error, lsb**2 * (apart * size) @ apart.T, lsb**2 * variance, span
+    )
 
 
 def _by_size(shares: FloatArray) -> FloatArray:

@@ -165,6 +165,9 @@ class Rows:
         Whether what the rows of one segment err by may go together, as a truth's own noise does.
     unresolved : bool
         Whether a good part of what turns err by is what their samples do not resolve.
+    aliased : bool
+        Whether hands may tremble faster than samples resolve: what a single turn errs by then
+        looks like anything.
     """
 
     residual: FloatArray
@@ -192,6 +195,7 @@ class Rows:
     matrices: FloatArray = field(default_factory=lambda: np.stack((np.eye(3), np.eye(3))))
     clustered: bool = False
     unresolved: bool = False
+    aliased: bool = False
 
     @property
     def foreknown(self) -> FloatArray:

@@ -34,6 +34,7 @@ from calib.mismatch.search.returned import THERE, returned
 from calib.mismatch.search.search import BEATEN, SHOWN, TIE, TWIN, Outcome
 from calib.mismatch.search.separate import to_separate
 from calib.mismatch.search.twins import too_fast
+from calib.mismatch.search.witness import is_resolved
 from calib.recording import CHANNELS, TRIADS
 from calib.types import FloatArray
 
@@ -170,7 +171,10 @@ def _judge(case: _Case, which: int) -> Finding | Unexplained | None:
         return replace(left(), rivals=(), follows=OF_POSES)
     if any(q.unit == "samples" and not is_whole(q) for q in parameters.values()):
         # Samples come whole: a part of one is something else that happened in this turn.
-        where = _segment(outcome.rows, a.candidate.shape["moment"])
+        moment = a.candidate.shape["moment"]
+        if not is_resolved(outcome.rows, outcome.levels, outcome.rows.segment_at(moment)):
+            return None
+        where = _segment(outcome.rows, moment)
         return replace(left(), intervals=(where,), follows="this one turn")
     if effect.kind != "event" and (proof.gain <= 0 or proof.after >= proof.before):
         return replace(left(), follows=f"{effect.follows}, but not on held-out data")

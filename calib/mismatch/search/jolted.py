@@ -56,13 +56,17 @@ def jolted(rows: Rows, *, skip: tuple[str, ...]) -> FloatArray | None:
     index = rows.turns.index
     if not len(index) or _share(rows, expected_levels(rows)) < MATTERS:
         return None
+    found = [_beside(rows, mean) for mean in means(rows, skip=skip)]
+    factors, _ = max(found, key=lambda one: one[1])
+    return factors
+
+
+def means(rows: Rows, *, skip: tuple[str, ...] = ()) -> list[FloatArray]:
+    """Return what is always fitted, (m, k), and that beside `STRONG` effects but those to skip."""
     stack = Stack(len(rows.residual))
     add_catalogue(stack, rows, skip=(*skip, *(slug for slug in effects() if slug not in STRONG)))
     plain = np.hstack((rows.baseline, rows.nuisance))
-    means = [plain, np.hstack((plain, physics(stack)))] if len(stack) else [plain]
-    found = [_beside(rows, mean) for mean in means]
-    factors, _ = max(found, key=lambda one: one[1])
-    return factors
+    return [plain, np.hstack((plain, physics(stack)))] if len(stack) else [plain]
 
 
 def _beside(rows: Rows, mean: FloatArray) -> tuple[FloatArray | None, float]:

@@ -26,27 +26,38 @@ COUNTS = 0.05
 ELSEWHERE = 0.25
 """Share of what an effect gains that rows outside of one turn must tell."""
 
+MOSTLY = 0.5
+"""Share of a turn's variance that samples do not resolve, from which on it is no witness."""
+
 CLEAR = 3.0
 """Log-likelihood that the part of an effect that is its own gains, if it shows: noise reaches that
 in 1 of 70."""
 
 
 def witnessed(rows: Rows, ranking: Ranking, whitener: Whitener, y: FloatArray) -> dict[str, float]:
-    """Return the groups of a ranking without effects that last and that no witness tells of."""
-    tried = [
+    """Return the groups of a ranking without those that no witness tells of.
+
+    What was not the whole time needs none, unless rows are `aliased`; samples that are lost never
+    do, as the turn in which they are is all that tells of them.
+    """
+    alone = [
         g
         for g, v in ranking.groups.items()
         if v > np.log(COUNTS)
-        and ranking.best[g].physical
-        and get_effect(ranking.best[g].name).kind != "event"
-    ]
-    alone = [
-        g
-        for g in tried
-        if told_by_one_turn(rows, ranking.stack.of(ranking.best[g]), ranking.levels, whitener, y)
-        or not shows_its_own(rows, ranking.stack, ranking.best[g], whitener, y)
+        and _needs_witness(best := ranking.best[g], aliased=rows.aliased)
+        and (
+            told_by_one_turn(rows, ranking.stack.of(best), ranking.levels, whitener, y)
+            or (best.physical and not shows_its_own(rows, ranking.stack, best, whitener, y))
+        )
     ]
     return {g: v for g, v in ranking.groups.items() if g not in alone}
+
+
+def _needs_witness(candidate: Candidate, *, aliased: bool) -> bool:
+    if candidate.name == "dropped_samples":
+        return False
+    lasts = candidate.physical and get_effect(candidate.name).kind != "event"
+    return aliased or lasts
 
 
 def shows_its_own(
@@ -74,6 +85,14 @@ def shows_its_own(
     seen, left = whitener.project(own), y - rest @ (rest.T @ y)
     gain = likelihood_gain(seen - rest @ (rest.T @ seen), left)
     return gain > min(CLEAR, ELSEWHERE * likelihood_gain(whitener.project(whole), y))
+
+
+def is_resolved(rows: Rows, levels: FloatArray, turn: int) -> bool:
+    """Whether most of what a turn may err by, at some levels, is no matter of its samples."""
+    if not rows.aliased:
+        return True
+    own = np.flatnonzero(rows.segment[: rows.n_dense] == turn)
+    return bool(np.median((rows.missed(levels) / rows.variance(levels))[own]) < MOSTLY)
 
 
 def told_by_one_turn(
@@ -105,7 +124,7 @@ def told_by_one_turn(
     if 2 * power[turn] < fit.sum() or own[-1] >= rows.n_dense:
         return False
     share = unresolved[own] / rows.variance(levels)[own]
-    if fit[own] @ share < 0.5 * power[turn]:
+    if fit[own] @ share < MOSTLY * power[turn]:
         return False
     # With a column for each of its rows, these rows say nothing.
     alone = np.zeros((len(columns), len(own)))

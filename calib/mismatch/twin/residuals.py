@@ -28,11 +28,20 @@ from calib.mismatch.rows.closure import (
 )
 from calib.mismatch.rows.grid import Grid
 from calib.mismatch.rows.lean import Lean
-from calib.mismatch.rows.rows import UNKNOWN, Component, Kind, Rows
+from calib.mismatch.rows.rows import SAMPLING, UNKNOWN, Component, Kind, Rows
 from calib.mismatch.twin.layout import Layout
 from calib.mismatch.twin.twin import Twin, baseline_column, true_state
 from calib.recording import CHANNELS
 from calib.types import FloatArray, IntArray
+
+TREMBLING = 1 / 24
+"""s between samples from which on a hand's tremor (8 to 12 Hz) is faster than half of them a s.
+What it does to a turn then looks like anything else: it is by sampling that turns do not close.
+
+References
+----------
+.. [1] Elble, Koller, "Tremor", Baltimore 1990: physiologic tremor of the hand, 8 to 12 Hz.
+"""
 
 MEANS = 1 / 3
 """Mean square of the share, from 0 to 1, of a sample interval over which samples are means."""
@@ -186,7 +195,19 @@ def build_rows(grid: Grid, twin: Twin, noise: FloatArray, *, spread: float | Non
         is_rest=grid.is_rest,
         offset=np.concatenate((twin.model.accel.bias, twin.model.gyro.bias)),
         lean=lean,
+        aliased=is_aliased(grid),
     )
+
+
+def is_aliased(grid: Grid) -> bool:
+    """Whether hands may tremble faster than the samples of a grid resolve."""
+    return _interval(grid) > TREMBLING
+
+
+def _interval(grid: Grid) -> float:
+    """Return the typical time between samples, s."""
+    inside = np.diff(grid.segment) == 0
+    return float(np.median(np.diff(grid.time)[inside] / grid.count[1:][inside]))
 
 
 def _in_segments(
@@ -256,8 +277,7 @@ def _components(
     """Return the unknown variances: of each channel's drift, and the closures' own."""
     dense = len(kind)
     rest = grid.pose >= 0
-    inside = np.diff(grid.segment) == 0
-    step = float(np.median(np.diff(grid.time)[inside] / grid.count[1:][inside]))
+    step = _interval(grid)
     # One-sided density squared: variance of a mean, times its length, times two.
     density = np.median(2 * noise[rest] * grid.count[rest, None] * step, axis=0)
     middle = grid.interval.mean(axis=1)
@@ -280,5 +300,6 @@ def _components(
         size = np.ones(len(rows)) if scale is None else np.square(scale[turn_of])
         typical = float(np.median(np.diag(white)[rows]))
         expected = 0.02 * typical / max(float(np.median(size)), 1e-12)
-        out.append(Component.alone(label, rows, size, expected=expected, spread=UNKNOWN))
+        name = label + SAMPLING if is_aliased(grid) else label
+        out.append(Component.alone(name, rows, size, expected=expected, spread=UNKNOWN))
     return tuple(out)

@@ -71,14 +71,15 @@ class SelfProblem:
         """Take channels as rounded to coarse counts, and a gyroscope as ``restless``.
 
         Where the signal moves on by a count and more from sample to sample, rounding is noise of a
-        twelfth of a count² on top of that before.
+        twelfth of a count² on top of that before. Counts that do not change at rest show none.
         """
         self.coarse, self.restless = coarse, restless
         turns = self.grid.pose < 0
         self.noise = self.noise.copy()
         for c, rounding in coarse.items():
-            least = (rounding.sigma**2 + rounding.lsb**2 / 12) / self.grid.count[turns]
-            self.noise[turns, c] = np.maximum(self.noise[turns, c], least)
+            least = np.full(len(turns), rounding.sigma**2)
+            least[turns] += rounding.lsb**2 / 12
+            self.noise[:, c] = np.maximum(self.noise[:, c], least / self.grid.count)
 
     def leave_out(self, segments: list[int]) -> None:
         """Leave segments out of the rows and of the twin's fit."""
@@ -98,11 +99,15 @@ class SelfProblem:
         }
         self.further = tuple(further)
         known = list(further.values())
-        known += [rows.functional[c] @ self._moves(rows.state, c) for c in self.coarse if c >= 3]
+        known += [rows.functional[c] @ ~self._slow(rows.state, c) for c in self.coarse if c >= 3]
         if known:
             rows = replace(rows, nuisance=np.column_stack((rows.nuisance, *known)))
         if self.coarse:
-            rows = replace(rows, white=rows.white + self._rounding(rows))
+            rows = replace(
+                rows,
+                residual=rows.residual - self._rounded_by(rows),
+                white=rows.white + self._rounding(rows),
+            )
         out = self._drifting(rows)
         if self.drop is not None:
             out |= self.drop[rows.segment]
@@ -131,16 +136,34 @@ class SelfProblem:
                 out[k] = off, PART
         return out
 
-    def _moves(self, state: State, channel: int) -> BoolArray:
-        """Return the points at which a gyroscope's axis turns by more than it rounds to nothing."""
+    def _slow(self, state: State, channel: int) -> BoolArray:
+        """Return the points at which a gyroscope's axis turns by no more than rounds to nothing."""
         rate = state.rate[:, channel - 3]
-        return np.asarray((self.grid.pose < 0) & (np.abs(rate) > 0.5 * self.coarse[channel].lsb))
+        return np.asarray((self.grid.pose >= 0) | (np.abs(rate) <= 0.5 * self.coarse[channel].lsb))
+
+    def _rounded_by(self, rows: Rows) -> FloatArray:
+        """Return what rounding to coarse counts is expected to add to the rows, (m,).
+
+        What a mean at rest errs by, a gyroscope also errs by while a turn begins and ends slowly.
+        """
+        rest = self.grid.is_rest
+        segment = self.grid.segment
+        middle = self.grid.interval.mean(axis=1)[segment]
+        late = np.where(self.grid.time > middle, 1, -1)
+        beside = np.clip(segment + np.where(rest[segment], 0, late), 0, len(rest) - 1)
+        out = np.zeros(len(rows.residual))
+        for c, rounding in self.coarse.items():
+            error = np.zeros(len(rest))
+            error[rest] = rounding.error
+            stays = self._slow(rows.state, c) if c >= 3 else self.grid.pose >= 0
+            out += rows.functional[c] @ (error[beside] * stays)
+        return out
 
     def _rounding(self, rows: Rows) -> FloatArray:
         """Return the covariance of dense rows that rounding to coarse counts makes, (n, n).
 
         An accelerometer that sticks to a count in the slow parts of a turn is off in each axis by
-        that all along, at most.
+        that all along, at most. A gyroscope is off there by what it is off at rest.
         """
         dense = slice(0, rows.n_dense)
         means = rows.kind[dense] == Kind.MEAN
@@ -160,6 +183,11 @@ class SelfProblem:
             out[np.ix_(own, own)] += np.outer(alone, alone) * (alike | np.eye(len(own), dtype=bool))
             # What never leaves a count has no noise that is seen, but is not known to the last bit.
             out[own, own] += np.square(LEAST * rounding.lsb)
+            if c >= 3:
+                ends = rows.turns.index
+                felt = (rows.functional[c] @ self._slow(rows.state, c))[ends]
+                each = rounding.variance.mean() * felt[:, :, None] * felt[:, None]
+                out[ends[:, :, None], ends[:, None]] += each
         turns = np.flatnonzero(rows.kind[dense] == Kind.VELOCITY)
         lasts = np.ptp(rows.interval, axis=1)[rows.segment[turns]]
         stuck = [r.lsb for c, r in self.coarse.items() if c < 3 and not r.hidden]

@@ -22,7 +22,7 @@ def test_means_err_as_much_as_is_said(sigma: float, where: tuple[float, float]) 
     level = rng.uniform(*where, 60)
     samples = rests(level, sigma, rng)
     found = look_at_counts(samples, LSB)
-    off = LSB * level - np.mean(samples, axis=1)
+    off = np.mean(samples, axis=1) - LSB * level - found.error
     if sigma > 0.1 and where != (0.45, 0.5):
         assert found.sigma == pytest.approx(sigma * LSB, rel=0.1)
     seen = [np.var(own) / len(own) for own in samples]
@@ -32,6 +32,16 @@ def test_means_err_as_much_as_is_said(sigma: float, where: tuple[float, float]) 
     centred = np.linalg.svd(np.ones((1, len(off))))[2][1:]
     values, modes = np.linalg.eigh(centred @ whole @ centred.T)
     assert (np.square(centred @ off @ modes) < 20.0 * values).all()
+
+
+def test_what_is_expected_of_the_error_is_most_of_it() -> None:
+    """Noise of a quarter of a count: means lean towards the nearest count, all in one way."""
+    rng = np.random.default_rng(6)
+    level = rng.uniform(-0.5, 0.5, 60)
+    samples = rests(level, 0.25, rng)
+    found = look_at_counts(samples, LSB)
+    off = np.mean(samples, axis=1) - LSB * level
+    assert np.std(off - found.error) < 0.4 * np.std(off)
 
 
 def test_a_shaken_rest_says_nothing_of_the_others() -> None:
