@@ -288,6 +288,7 @@ def conclude(
     begin = outcome.rows.interval[:, 0]
     findings = [f for f in findings if not any(_the_same(f, g, begin) for g in seen.findings)]
     findings = [*seen.findings, *found, *findings]
+    noisy = (*noisy, *problem.slips())
     left = problem.left()
     if left is not None:
         noisy = (*noisy, *look_beside(*left, exact=not problem.noisy and not another))

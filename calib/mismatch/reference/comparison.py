@@ -19,6 +19,7 @@ from calib.effects.base import Column, State, Term
 from calib.effects.observed import observed
 from calib.errors import NoCommonMotionError
 from calib.faults import noise_at_rest, resolution, values_of
+from calib.mismatch.findings.diagnosis import Unexplained
 from calib.mismatch.reference.alignment import LEAST_OVERLAP, Alignment
 from calib.mismatch.reference.alike import check_motion, check_units
 from calib.mismatch.reference.band import BEYOND, FELT
@@ -47,6 +48,7 @@ from calib.mismatch.reference.lateness import LATE, delaying, liveliest, rough_d
 from calib.mismatch.reference.scatter import scatter, silenced
 from calib.mismatch.reference.setup import ACCEL_ANGLES, BASELINE, GYRO_ANGLES, LOOSE, Setup
 from calib.mismatch.reference.shapes import Shapes, find_shapes
+from calib.mismatch.reference.slips import find_slips
 from calib.mismatch.reference.steadied import steadied
 from calib.mismatch.reference.step import robust_step
 from calib.mismatch.reference.stilled import find_rests, gradient_in, resting, stilled
@@ -443,6 +445,13 @@ class ComparisonProblem:
         if self.noisy and (scatters := self.shapes.scatter) is not None:
             seen = seen / np.sqrt(scatters.variance[self.blur.seen] * scatters.seen)
         return time[known], np.where(self.coarse, 0.0, seen[known])
+
+    def slips(self) -> tuple[Unexplained, ...]:
+        """Return the corners about which the truth and the sensor turn by different angles."""
+        if self.unknown is None:
+            return ()
+        left = self.residual(self.state())[:, 3:] / self._gain()[3:]
+        return find_slips(self.time, left, self.measured[:, 3:], self.unknown, self.interval)
 
     def _late_gyro(self, state: State) -> FloatArray:
         """Return what a gyroscope that is late puts out: the motion before, as the truth has it.

@@ -37,7 +37,7 @@ STAYS = 1.0
 
 IN_A_PART = "in a part of the recording"
 
-_IN_TIME = ("time", "temperature", "variance", "frequency")
+_IN_TIME = ("time", "temperature", "variance")
 """What follows these has a course of its own in time."""
 
 
@@ -60,7 +60,7 @@ def acting_part(
     The rows have the part of every finding in them.
     """
     own = accepted[which]
-    if not lasting(own.candidate) or own.candidate.present or own.candidate.shape:
+    if not lasting(own.candidate) or (own.candidate.shape and not own.candidate.present):
         return None
     effect = get_effect(own.candidate.name)
     if effect.kind != "sensor" or any(word in effect.follows for word in _IN_TIME):

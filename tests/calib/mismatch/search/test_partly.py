@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from calib.effects.bandwidth import low_pass
 from calib.effects.base import Term
 from calib.mismatch import diagnose_recording
 from calib.mismatch.noise.contrast import contrast_variance
@@ -75,12 +78,28 @@ def test_a_gyroscope_that_feels_gravity_for_a_while_has_no_such_term() -> None:
     assert min(stop, end) - max(start, begins) > 0.5 * (max(stop, end) - min(start, begins))
 
 
-@pytest.mark.parametrize("slug", ["gyro_g_sensitivity", "gyro_misalignment"])
+@pytest.mark.long
+def test_a_filter_that_is_set_half_way_is_no_bandwidth_of_the_sensor() -> None:
+    real = recording(seed=8, poses=30, rate=100.0)
+    begins = float(find_poses(real).interval[14, 1])
+    late = (real.time > begins)[:, None]
+    slow = low_pass(real.time, real.gyro, 12.0, order=1)
+    found = diagnose_recording(replace(real, gyro=np.where(late, slow, real.gyro)), gravity=GRAVITY)
+    assert "bandwidth" not in {f.effect for f in found.findings}
+    (left,) = (u for u in found.unexplained if IN_A_PART in u.follows)
+    assert set(left.channels) == {"gyro.x", "gyro.y", "gyro.z"}
+    start, stop = left.intervals[0]
+    end = float(real.time[-1])
+    assert min(stop, end) - max(start, begins) > 0.5 * (max(stop, end) - min(start, begins))
+
+
+@pytest.mark.parametrize("slug", ["gyro_g_sensitivity", "gyro_misalignment", "bandwidth"])
 @pytest.mark.long
 def test_a_term_of_the_sensor_acts_throughout_however_strong_it_is(slug: str) -> None:
     sizes = {
         "gyro_g_sensitivity": {"gxx": 4e-3, "gyz": -4e-3, "gzx": 2e-3},
         "gyro_misalignment": {"mxy": 0.02, "mxz": 0.03, "myz": -0.03, "mzx": 0.02},
+        "bandwidth": {"gyro": 1.0, "gyro_cutoff": 8.0, "order": 1.0},
     }
     found = diagnose_recording(recording(Term(slug, sizes[slug]), poses=20), gravity=GRAVITY)
     assert [f.effect for f in found.findings] == [slug]

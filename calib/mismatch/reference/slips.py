@@ -1,0 +1,56 @@
+"""Moments about which a truth and a sensor turn by different angles.
+
+About a corner of a motion (`corners`) a truth is not known sample by sample, and nothing is judged
+there. But from before to after it what both have turned by is the same, to what the sensor's own
+samples miss of the corner: half a step of the rate, over half a sample. A table that slips between
+two samples of its profile, or an index that is read wrongly, makes such a corner and turns nothing.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from calib.faults import FALSE_ALARM
+from calib.mismatch.findings.diagnosis import Unexplained
+from calib.recording import CHANNELS
+from calib.stillness import runs
+from calib.types import BoolArray, FloatArray
+
+SURE = 8.0
+"""Standard errors by which angles differ, at least, beyond what samples may miss."""
+
+ROBUST = 1.4826
+"""Standard deviation of a Gaussian over its median absolute deviation."""
+
+SLIP = "a jump between two samples: reference and sensor turn by angles that differ by {:.2g}°"
+
+
+def find_slips(
+    time: FloatArray, left: FloatArray, rate: FloatArray, unknown: BoolArray, interval: float
+) -> tuple[Unexplained, ...]:
+    """Return where the angles differ, as unexplained.
+
+    Parameters
+    ----------
+    time : (n,) array, s
+    left, rate : (n, 3) arrays, rad/s
+        What the gyroscope has beyond what the truth turns by, and its samples.
+    unknown : (n,) array of bool
+        Samples about corners.
+    interval : float, s
+    """
+    if unknown.all():
+        return ()
+    known = left[~unknown]
+    noise = ROBUST * np.median(np.abs(known - np.median(known, axis=0)), axis=0)
+    out = []
+    for start, stop in zip(*runs(unknown), strict=True):
+        angle = interval * left[start:stop].sum(axis=0)
+        missed = interval * np.ptp(rate[start:stop], axis=0)
+        off = np.abs(angle) - missed - SURE * noise * interval * np.sqrt(stop - start)
+        if (off > 0).any():
+            axes = tuple(CHANNELS[3 + k] for k in np.flatnonzero(off > 0))
+            where = ((float(time[start]), float(time[stop - 1])),)
+            follows = SLIP.format(np.degrees(np.linalg.norm(angle)))
+            out.append(Unexplained(axes, where, follows, FALSE_ALARM))
+    return tuple(out)
