@@ -22,7 +22,13 @@ from calib.mismatch.reference.alignment import Alignment
 from calib.mismatch.reference.corners import MOVES, ORDER, is_common, shared_jumps, unfollowed
 from calib.mismatch.reference.floor import audible_beside
 from calib.mismatch.reference.scatter import LOUD, QUIETEST
-from calib.mismatch.reference.truths import DEGREE, REACH, RecordingTruth, is_uneven
+from calib.mismatch.reference.truths import (
+    DEGREE,
+    LONG_STEP,
+    REACH,
+    RecordingTruth,
+    is_uneven,
+)
 from calib.recording import Recording
 from calib.types import BoolArray, FloatArray, IntArray
 
@@ -360,9 +366,14 @@ def widened(recording: Recording, bandwidth: float, spoilt: BoolArray | None) ->
 
 
 def _places(time: FloatArray, most: int) -> IntArray:
-    """Return the place of every sample among even ones, with at most so many in a gap."""
+    """Return the place of every sample among even ones, with at most so many in a gap.
+
+    Where stamps scatter, a long step may be one that a short one follows.
+    """
     step = np.diff(time)
     missing = np.round(step / np.median(step)) - 1 if len(step) else step
+    if len(step) and is_uneven(time):
+        missing[step < LONG_STEP * np.median(step)] = 0
     steps = 1 + np.clip(missing, 0, 2 * most).astype(np.int64)
     return np.concatenate((np.zeros(1, np.int64), np.cumsum(steps)))
 

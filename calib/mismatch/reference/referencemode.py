@@ -36,7 +36,7 @@ from calib.mismatch.reference.oriented import oriented_at_rests
 from calib.mismatch.reference.shaken import noise_beside
 from calib.mismatch.reference.sized import with_scale
 from calib.mismatch.reference.swaps import swapped
-from calib.mismatch.reference.truths import DEGREE, RecordingTruth, is_uneven, near
+from calib.mismatch.reference.truths import DEGREE, LONG_STEP, RecordingTruth, is_uneven, near
 from calib.mismatch.reference.upright import TIPPED, in_words, turn_up, vertical
 from calib.mismatch.reference.witnessed import white_noise
 from calib.mismatch.samples.found import Samples
@@ -204,7 +204,9 @@ class ReferenceMotion:
         values[:, :4] /= np.linalg.norm(values[:, :4], axis=1, keepdims=True)
         k = np.clip(np.searchsorted(seen, even), 1, len(seen) - 1)
         before, after = even - seen[k - 1], seen[k] - even
-        unseen = (before + after > 2.5 * interval) & (np.minimum(before, after) > 0.5 * interval)
+        unseen = (before + after > LONG_STEP * interval) & (
+            np.minimum(before, after) > 0.5 * interval
+        )
         values[unseen] = np.nan
         position = None if self.position is None else values[:, 4:]
         return replace(self, time=even, quat=values[:, :4], position=position)

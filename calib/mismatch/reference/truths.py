@@ -19,6 +19,9 @@ MISSING, UNEVEN = 1.5, 0.01
 """Intervals from which on something is missing in a step, and the scatter of the others, of an
 interval, from which on times are not even."""
 
+LONG_STEP = 2.5
+"""Intervals from which on something is missing in a step where times are not even."""
+
 DEGREE = 7
 """Of the interpolating spline: a sinusoid at a fifth of the rate is off by 5e-6; by a cubic one 0.3
 %, which would show in the differences as a bandwidth."""

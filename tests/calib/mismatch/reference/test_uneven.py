@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from calib.mismatch import ReferenceMotion, diagnose_reference
-from calib.mismatch.reference.band import smoothed
+from calib.mismatch.reference.band import smoothed, widened
 from calib.model import SensorModel
+from calib.recording import Recording
 from calib.rotation import quat_from_rotvec, quat_multiply
 from calib.simulate import simulate
 from calib.simulation.bench import bench_protocol
@@ -39,6 +40,19 @@ def test_a_filter_does_the_same_to_a_signal_at_uneven_times(gap: bool) -> None:
     inner = (time > 1.0) & (time < 29.0) & ((time < 13.0) | (time > 16.0))
     np.testing.assert_allclose(out[inner, 0], slow[inner], atol=2e-4)
     assert np.sqrt(np.mean(np.square(out[inner, 1] - slow[inner]))) < 2e-3
+
+
+def test_steps_that_scatter_are_no_gaps_and_gaps_are() -> None:
+    rng = np.random.default_rng(6)
+    time = uneven(rng, 60.0, 100.0, 0.25)
+    assert (np.diff(time) > 0.015).any()
+    for kept, gap in ((np.ones(len(time), bool), False), (np.abs(time - 30.0) > 0.04, True)):
+        still = np.zeros((kept.sum(), 3))
+        recording = Recording(time[kept], still, still, "host")
+        bad = widened(recording, 10.0, None)
+        inner = np.abs(recording.time - 30.0) < 28.0
+        assert bad[inner].any() == gap
+        assert bad[inner].mean() < 0.05
 
 
 def test_a_reference_at_uneven_times_is_seen_at_even_ones() -> None:
