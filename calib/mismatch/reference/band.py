@@ -467,7 +467,7 @@ def _passed_uneven(
     """
     from scipy.interpolate import make_interp_spline
 
-    step = np.minimum(np.diff(time) / interval, np.diff(place) + 0.5)
+    step = np.minimum(np.diff(time) / interval, np.diff(place) + LONG_STEP - 1.0)
     at = np.append(0.0, np.cumsum(step))
     first = np.flatnonzero(np.diff(place) > 1)
     # Gaps are bridged by straight lines.
