@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -133,22 +134,12 @@ def _diagnose(thinned: Thinned, *, gravity: float, model: SensorModel | None) ->
     grid, spoilt, gone = _make_grid(thinned, poses)
     missing += gone
     timeless = recording.clock == "invalid"
-
-    def twin() -> tuple[SelfProblem, bool, bool]:
-        few_turns = int((~grid.is_rest & ~spoilt).sum()) < LEAST_TURNS
-        # What a calibration has, and what so few turns leave open, is fitted with the baseline.
-        full = few_turns or (model is not None and bool(model.gyro.misalignment.any()))
-        drift = UNKNOWN_DRIFT if timeless else None
-        problem = SelfProblem(grid, model, gravity=gravity, full_gyro=full, spread=drift)
-        # A rest that only a clipped turn joins to the others would lean with it in the twin, too.
-        problem.leave_out(np.flatnonzero(spoilt).tolist())
-        return problem, few_turns, full
-
-    problem, few_turns, full = twin()
+    make = partial(_make_twin, grid, model, gravity=gravity, timeless=timeless)
+    problem, few_turns, full = make(spoilt)
     if is_aliased(grid) and not timeless and tells_nothing(problem.rows()):
         missing += (FASTER.format(rate=1.0 / recording.interval),)
         spoilt = spoilt | ~grid.is_rest
-        problem, few_turns, full = twin()
+        problem, few_turns, full = make(spoilt)
     coarse = coarse_channels(recording, grid.interval[grid.is_rest], seen.findings)
     unhidden = unhidden_triads(coarse, few_turns=few_turns)
     problem.rounded(coarse, restless="gyro" in unhidden)
@@ -239,6 +230,23 @@ def _make_grid(thinned: Thinned, poses: Poses) -> tuple[Grid, BoolArray, tuple[s
         return grid, bad, (lack,)
     torn = _spoilt_turns(grid, recording, after_gaps(recording))
     return grid, bad, ((without_time(grid.interval[torn], number),) if torn.any() else ())
+
+
+def _make_twin(
+    grid: Grid, model: SensorModel | None, spoilt: BoolArray, *, gravity: float, timeless: bool
+) -> tuple[SelfProblem, bool, bool]:
+    """Return the twin without spoilt turns, whether few are left, and if its gyroscope is full.
+
+    What a calibration has, and what so few turns leave open, is fitted with the baseline.
+    """
+    few_turns = int((~grid.is_rest & ~spoilt).sum()) < LEAST_TURNS
+    full = few_turns or (model is not None and bool(model.gyro.misalignment.any()))
+    problem = SelfProblem(
+        grid, model, gravity=gravity, full_gyro=full, spread=UNKNOWN_DRIFT if timeless else None
+    )
+    # And out of the twin: a rest that only a clipped turn joins to the others would lean with it.
+    problem.leave_out(np.flatnonzero(spoilt).tolist())
+    return problem, few_turns, full
 
 
 def _hopeless(*, full: bool, timeless: bool, few_turns: bool) -> tuple[str, ...]:
