@@ -8,8 +8,9 @@ diagnosis.
 
 ``--quick`` takes minutes on one core; ``--seeds 20`` is the full table. ``--parts crosstalk`` are
 further kinds outside the catalogue: what a channel hears of the motion of other axes; ``--parts
-drifting`` clean recordings of parts that drift many times as far as most. With ``--wide`` every
-recording has another protocol, another rate and a part of its own.
+drifting`` clean recordings of parts that drift many times as far as most, ``slow`` clean ones of 10
+to 50 samples a second, in fine or coarse counts or in none. With ``--wide`` every recording has
+another protocol, another rate and a part of its own.
 """
 
 from __future__ import annotations
@@ -65,6 +66,13 @@ DRIFTING = (4.0, 10.0, 30.0)
 seconds on, from one, and from a tenth."""
 
 
+SLOW = (10.0, 12.5, 16.0, 20.0, 25.0, 31.25, 50.0)
+"""Hz."""
+
+COUNTS = (None, (16384.0, 131.0), (4096.0, 16.4))
+"""Per g and per degree per second: none, and those of 16 bits at small and at large ranges."""
+
+
 @dataclass(frozen=True)
 class Case:
     """One run: what is added, at which non-centralities, with which seed."""
@@ -83,11 +91,18 @@ class Bench:
     motion: Motion
     noise: NoiseModel
     rate: float
+    counts: tuple[float, float] | None = None
 
     def record(self, sensor: SensorModel, seed: int) -> Recording:
-        """Return a recording of a sensor, with noise."""
+        """Return a recording of a sensor, with noise, in whole counts if it has any."""
         rng = np.random.default_rng(seed)
-        return simulate(self.motion, sensor, self.noise, rng=rng, rate=self.rate)
+        made = simulate(self.motion, sensor, self.noise, rng=rng, rate=self.rate)
+        if self.counts is None:
+            return made
+        accel, gyro = GRAVITY / self.counts[0], np.radians(1.0) / self.counts[1]
+        return replace(
+            made, accel=accel * np.rint(made.accel / accel), gyro=gyro * np.rint(made.gyro / gyro)
+        )
 
     def sample_noise(self, channel: str) -> float:
         """Return the white noise of one sample."""
@@ -143,6 +158,8 @@ def main() -> int:
     if "drifting" in args.parts:
         each = range(10_000 + args.first, 10_000 + args.first + clean)
         cases += [Case("drifting", (), times, s) for times in DRIFTING for s in each]
+    if "slow" in args.parts:
+        cases += [Case("slow", (), 0.0, 10_000 + args.first + s) for s in range(clean)]
     if "pairs" in args.parts:
         rng = np.random.default_rng(7 + args.first)
         pairs = [tuple(rng.choice(names, 2, replace=False)) for _ in range(max(4, 2 * seeds))]
@@ -209,7 +226,10 @@ def run(case: Case) -> Result:
     shaken = any("vibration" in n for n in case.names)
     # A fan in the room, or a motor on the bench.
     vibration = float(np.exp(rng.uniform(np.log(0.15), np.log(3.0)))) if shaken else 0.0
-    if case.wide:
+    if case.kind == "slow":
+        rate, counts = float(rng.choice(SLOW)), COUNTS[rng.integers(len(COUNTS))]
+        bench = replace(wide_bench(rng, vibration), rate=rate, counts=counts)
+    elif case.wide:
         bench = wide_bench(rng, vibration)
     else:
         motion = bench_protocol(rng, poses=30, power_on=0.0, vibration=vibration)
@@ -267,6 +287,8 @@ def run(case: Case) -> Result:
     result.seconds = time.process_time() - start
     result.verdict = found.verdict
     for item in found.findings:
+        if bench.counts and item.effect == "quantization":
+            continue
         result.found.append((item.effect, [r.effect for r in item.rivals]))
         if case.kind == "single" and item.effect in truth and item.held_out is not None:
             best = oracle_gain(rows_of(recording), truth[item.effect], noise=bench.noise)
@@ -619,6 +641,11 @@ def report(results: list[Result]) -> int:
         false = sum(bool(r.found or r.unexplained) for r in clean)
         print(f"\nclean recordings: {false} of {len(clean)} with anything found")
         missed += false / len(clean) > 0.005
+    slow = [r for r in results if r.case.kind == "slow"]
+    if slow:
+        named = sum(bool(r.found) for r in slow)
+        some = sum(bool(r.found or r.unexplained) for r in slow)
+        print(f"\nslow clean recordings: {named} of {len(slow)} with a name, {some} with anything")
     drifting = [r for r in results if r.case.kind == "drifting"]
     if drifting:
         print("\n| random walk, times | clean recordings | a name found | anything found |")
