@@ -35,6 +35,13 @@ LONGEST_SPIKE = 3
 """Samples of a spike, at most: as many as are lost where a few bytes are."""
 SPIKES_PART = 256 * NEARBY
 """Samples that are looked at for spikes at a time."""
+TAIL, FEW, FALLS, RARELY = 4.5, 4, 5.0, 0.01
+"""Local scatters from which on a sample is in the tail of its noise, of which normal noise has next
+to none; samples in it from which on there is a tail; the power of their size that they fall with,
+at least (Student's t with five degrees of freedom: heavier ones no sensor has); and how many of a
+recording are so large by chance that none is a spike."""
+STILL = 3.0
+"""Times the noise at rest, by which what moves scatters more."""
 SHARED = 0.15
 """Of a spike's size over the noise: a knock shows on other channels by more than this."""
 SHAKEN = 50.0
@@ -391,22 +398,30 @@ def find_spikes(values: FloatArray, *, lsb: FloatArray) -> list[tuple[int, int, 
     # Channel by channel samples lie side by side, and parts of them stay in a processor's cache.
     rows = np.ascontiguousarray(values.T)
     found: list[tuple[int, int, int]] = []
+    ratios: list[float] = []
+    tail = np.zeros(len(rows))
     for begin in range(0, len(values), SPIKES_PART):
         first = max(begin - 2 * NEARBY, 0)
         part = rows[:, first : begin + SPIKES_PART + 2 * NEARBY]
         for length in range(1, LONGEST_SPIKE + 1):
-            for start, stop, c in _spikes(part, length, floor, lsb[:, None], unit):
+            some, beyond = _spikes(part, length, floor, lsb[:, None], unit)
+            for start, stop, c, ratio in some:
                 if begin <= first + start < begin + SPIKES_PART:
                     found.append((first + start, first + stop, c))
-    return sorted(found)
+                    ratios.append(ratio)
+            tail += beyond if length == 1 else 0.0
+    # Where noise has tails, its largest samples are none.
+    least = TAIL * np.power(np.maximum(tail / RARELY, 1.0), 1.0 / FALLS) * (tail >= FEW)
+    return sorted(f for f, ratio in zip(found, ratios, strict=True) if ratio > least[f[2]])
 
 
 def _spikes(
     values: FloatArray, length: int, floor: FloatArray, lsb: FloatArray, unit: FloatArray
-) -> list[tuple[int, int, int]]:
+) -> tuple[list[tuple[int, int, int, float]], FloatArray]:
     """Return the spikes of so many samples of (6, n) values, beside noise of `floor` (6, 1).
 
-    In units of `unit` (6,), other channels show none of one.
+    The last of each is its ratio to the local scatter. In units of `unit` (6,), other channels show
+    none of one. Beside them is how many samples of each channel are in the tail of its noise, (6,).
     """
     n = values.shape[1]
     number, count = n - length - 3, n // NEARBY
@@ -431,6 +446,8 @@ def _spikes(
     )
     scale = np.maximum(scale, lsb)
     ratio = rest / np.where(scale > 0, scale, np.inf)
+    still = scale < STILL * floor
+    tail = ((ratio > TAIL) & (ratio <= SPIKE) & still).sum(axis=1).astype(np.float64)
     # Of a longer one, what begins beside it stands out as well.
     own = 0 if length == 1 else length + 1
     found = []
@@ -445,8 +462,8 @@ def _spikes(
         alone &= (most[:, k] / unit)[others].max() < max(OTHERS, SHARED * rest[c, k] / unit[c])
         back = leaves * returns > 0 and min(abs(leaves), abs(returns)) > 0.5 * rest[c, k]
         if alone and back and rest[c, k] > ISOLATED * near.max(initial=0.0):
-            found.append((k, k + length, c))
-    return found
+            found.append((k, k + length, c, float(ratio[c, k])))
+    return found, tail
 
 
 def resolution(values: FloatArray, *, sample: int = 100_000) -> FloatArray:

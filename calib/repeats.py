@@ -20,6 +20,10 @@ MOST = 32
 """Samples that come again together, at most: what a buffer or a packet holds."""
 
 
+FEW = 8
+"""Samples that are the last but one, up to which these tell nothing."""
+
+
 def find_repeats(values: FloatArray, moving: BoolArray) -> IntArray:
     """Return samples that came just before: the last one, or the last few in their order.
 
@@ -90,11 +94,36 @@ def _beyond_chance(values: FloatArray, moving: BoolArray, lag: int, which: BoolA
     count = int(which.sum())
     if not count:
         return np.zeros(0, np.int64)
-    chance = by_chance(values, lag, order=np.argsort(moving[lag:], kind="stable"))
-    expected = float((block_sums(np.ones((len(which), 1)))[:, 0] * chance).sum())
+    expected = _expected(values, moving, lag)
+    if lag == 1:
+        expected *= _together(values, moving)
     if pdtrc(count - 1, 1.2 * expected) > FALSE_ALARM / (1 if lag == 1 else MOST):
         return np.zeros(0, np.int64)
     return np.flatnonzero(which) + lag
+
+
+def _expected(values: FloatArray, moving: BoolArray, lag: int) -> float:
+    """Return how many samples are those of ``lag`` before by chance."""
+    order = np.argsort(moving[lag:], kind="stable")
+    chance = by_chance(values, lag, order=order)
+    return float((block_sums(np.ones((len(order), 1)))[:, 0] * chance).sum())
+
+
+def _together(values: FloatArray, moving: BoolArray) -> float:
+    """Return how many times as often all channels come again as they would independently.
+
+    Noise of one supply is on several of them. That shows in samples that are the last but one, and
+    not the last one: those are no repeats.
+    """
+    key = _keys(values)
+    if len(key) < 3:
+        return 1.0
+    last = key[2:] == key[1:-1]
+    seen = int(((key[2:] == key[:-2]) & ~last).sum())
+    if seen <= FEW:
+        return 1.0
+    alone = _expected(values, moving, 2) * (1.0 - float(last.mean()))
+    return max(1.0, seen / max(alone, 1e-12))
 
 
 def _as_it_moved(values: FloatArray, which: BoolArray) -> IntArray:

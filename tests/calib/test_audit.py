@@ -273,6 +273,17 @@ def test_brisk_turns_of_few_samples_have_no_spikes(rate: float) -> None:
         assert find_spikes(values, lsb=resolution(values)) == [(100, 102, 4)], seed
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_tails_of_noise_are_no_spikes_and_spikes_are(seed: int) -> None:
+    """Student's t with six degrees of freedom, as much noise of cheap parts is."""
+    rng = np.random.default_rng(seed)
+    values = rng.standard_t(6.0, (200_000, 6)) * [0.03, 0.03, 0.03, 0.002, 0.002, 0.002]
+    assert find_spikes(values, lsb=np.zeros(6)) == []
+    values[[1000, 70_000, 70_001], [2, 4, 4]] = [2.0, 0.4, 0.4]
+    found = find_spikes(values, lsb=np.zeros(6))
+    assert found == [(1000, 1001, 2), (70_000, 70_002, 4)]
+
+
 def test_spikes_are_said_with_what_becomes_of_them() -> None:
     finding = the_finding(changed(5, np.array([300, 1000, 5000]), lambda v: v + 0.3))
     assert finding.kind == "spikes"

@@ -31,6 +31,19 @@ def test_chance_repeats_are_no_fault_where_rests_are_shorter_than_a_block() -> N
     assert find_repeats(coarse, moving).size > 300
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_channels_that_share_noise_come_again_together_by_chance(seed: int) -> None:
+    """Noise of one supply is on several axes: all stay on their counts at once."""
+    rng = RNG(seed)
+    own, shared = rng.normal(size=(30_000, 6)), rng.normal(size=(30_000, 1))
+    noise = np.sqrt(0.5) * (own + shared) * [0.5, 0.5, 0.5, 0.4, 0.4, 0.4]
+    coarse = np.round(noise + rng.uniform(-0.5, 0.5, 6))
+    still = np.zeros(len(coarse), bool)
+    assert find_repeats(coarse, still).size == 0
+    coarse[5000:25000:10] = coarse[4999:24999:10]
+    assert find_repeats(coarse, still).size > 1800
+
+
 @pytest.mark.parametrize("size", [1, 2, 7, MOST])
 @pytest.mark.parametrize("lsb", [0.0, 0.01])
 def test_a_block_that_a_buffer_gives_twice(size: int, lsb: float) -> None:

@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from calib import faults
+from calib.lsb import refined
 from calib.recording import CHANNELS, Recording
 from calib.types import BoolArray, FloatArray
 
@@ -38,8 +39,9 @@ def count_of(values: FloatArray) -> FloatArray:
     """
     if len(values) < 2:
         return np.zeros(values.shape[1])
-    step = faults.resolution(values)
-    change = np.diff(values, axis=0) / np.where(step > 0, step, 1.0)
+    change = np.diff(values, axis=0)
+    step = refined(np.abs(change), faults.resolution(values))
+    change /= np.where(step > 0, step, 1.0)
     whole = np.abs(change - np.rint(change)) < WHOLE
     return np.asarray(np.where(whole.mean(axis=0) > 0.99, step, 0.0))
 

@@ -60,6 +60,12 @@ JOLTED = "the time: a jolt there"
 OFF_COURSE = "the time: single samples are off course there"
 """What single samples that no others go with follow."""
 
+MOMENT = 16
+"""Samples that are a moment: of a hand's tremor, or of a motor, there are several swings in it."""
+
+SOME = 0.02
+"""Share of the changes of a channel that may be less than a count."""
+
 MOST_SPIKES = 500
 """Single samples of a channel that are looked at, at most; of more, every second or third."""
 
@@ -177,7 +183,8 @@ def _off_course(values: FloatArray, poses: Poses) -> tuple[FloatArray, BoolArray
     """Return how far samples are off their neighbours' mean, in noise, and which are so alone.
 
     Both are (n - 2, 6), without the first and the last sample. Where a rest is louder than usual
-    (something shakes it), those that stand out of its own noise are so: the others are noise.
+    (something shakes it), or a moment of one (a hand is still there), those that stand out of that
+    are so: the others are noise.
     """
     off = np.abs(values[1:-1] - 0.5 * (values[:-2] + values[2:]))
     padded = np.pad(off, ((1, 1), (0, 0)))
@@ -190,8 +197,32 @@ def _off_course(values: FloatArray, poses: Poses) -> tuple[FloatArray, BoolArray
         own = slice(max(a - 1, 0), b - 1)
         if b - a > 4:
             least[own] = np.maximum(least[own], CAP * ROBUST * np.median(off[own], axis=0))
-    alone = (off > least) & (off > 1.5 * np.maximum(beside, resolution(values)))
+    step, about = _step(values), _about(off)
+    least = np.maximum(least, CAP * ROBUST * np.where(about > step, about, 0.0))
+    # Off by halves of a count, which the decimals of a file know but roughly.
+    alone = (off > least) & (off > np.maximum(1.5 * beside, 1.75 * step))
     return off / np.where(usual > 0, usual, np.inf), alone
+
+
+def _step(values: FloatArray) -> FloatArray:
+    """Return what nearly all changes of the (n, 6) values reach, (6,): a count where it is coarse.
+
+    A few samples may lie between two counts, where something was bridged.
+    """
+    change = np.abs(np.diff(values, axis=0))
+    return np.array([np.quantile(own[own > 0], SOME) if own.any() else 0.0 for own in change.T])
+
+
+def _about(off: FloatArray) -> FloatArray:
+    """Return the median of (n, 6) sizes within some `MOMENT` samples of each."""
+    number = len(off) // MOMENT
+    if not number:
+        return np.zeros_like(off)
+    level = np.median(off[: number * MOMENT].reshape(number, MOMENT, -1), axis=1)
+    padded = np.pad(level, ((1, 1), (0, 0)), mode="edge")
+    level = np.maximum(np.maximum(padded[:-2], level), padded[2:])
+    place = np.minimum(np.arange(len(off)) // MOMENT, number - 1)
+    return np.asarray(level[place])
 
 
 def _without_spikes(values: FloatArray, alone: BoolArray) -> FloatArray:

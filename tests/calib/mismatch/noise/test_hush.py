@@ -27,6 +27,15 @@ def test_a_recording_without_noise_shows_nothing(seed: int) -> None:
     assert found.summary["silent"].startswith("accel.x")
 
 
+def test_a_channel_that_stays_on_a_count_is_not_silent_however_its_file_rounds() -> None:
+    """Decimals make steps that are a count within a thousandth, and a hundred counts are not."""
+    real = simulated(seed=4, rate=50.0)
+    count = 0.00106526
+    still = np.abs(real.gyro) < 0.02
+    coarse = np.round(count * np.round(np.where(still, 0.0, real.gyro) / count), 6)
+    assert audible(replace(real, gyro=coarse)).notes.get(HUSHED) is None
+
+
 def test_only_channels_that_are_silent_get_noise() -> None:
     real = simulated(seed=1, rate=100.0)
     assert audible(real) is real

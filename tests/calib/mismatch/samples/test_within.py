@@ -12,10 +12,11 @@ import numpy as np
 import pytest
 
 from calib.effects.base import Term
+from calib.faults import values_of
 from calib.mismatch import diagnose_recording
 from calib.mismatch.findings.diagnosis import Unexplained
 from calib.mismatch.hypotheses.places import joined
-from calib.mismatch.samples.within import OFF_COURSE, look_beside, look_within
+from calib.mismatch.samples.within import OFF_COURSE, _off_course, look_beside, look_within
 from calib.model import SensorModel
 from calib.recording import CHANNELS, Recording
 from calib.simulate import simulate
@@ -202,6 +203,30 @@ def test_rests_that_a_machine_shakes_have_no_samples_off_course() -> None:
     for a, b in list(zip(poses.start, poses.stop, strict=True))[8:14]:
         accel[a:b] += SIGMA[0] * np.array([2.0, 6.0, 8.0]) * rng.normal(size=(b - a, 3))
     assert not look_within(replace(real, accel=accel), poses)
+
+
+def test_a_hand_that_lets_go_late_makes_no_samples_off_course() -> None:
+    """It trembles with five samples a swing in the first second of a rest."""
+    real = simulated(seed=66, poses=18)
+    poses, rng = find_poses(real), np.random.default_rng(4)
+    gyro = real.gyro.copy()
+    for a in poses.start[6:12]:
+        at = slice(a, a + int(rng.uniform(0.5, 1.1) / real.interval))
+        swing = 2 * np.pi * rng.uniform(10.0, 11.5) * real.time[at] + rng.uniform(0, 6)
+        gyro[at, 1] += 60.0 * SIGMA[1] * np.sin(swing)
+    assert not any(u.follows == OFF_COURSE for u in look_within(replace(real, gyro=gyro), poses))
+
+
+def test_counts_that_flip_by_one_are_not_off_course_whatever_decimals_say_of_them() -> None:
+    """Of a count and a half, a thousandth more is no more."""
+    real = simulated(seed=67, poses=18)
+    poses = find_poses(real)
+    flips = np.zeros(len(real))
+    flips[20::50], flips[21::50], flips[22::50] = 1.0, -1.0, -1.0
+    values = values_of(real)
+    values[:, 5] = np.round(0.00106526 * (flips + np.arange(len(flips)) // 50), 6)
+    _, alone = _off_course(values, poses)
+    assert not alone[:, 5].any()
 
 
 def test_a_rest_of_which_parts_were_left_out_has_no_jumps_there() -> None:
