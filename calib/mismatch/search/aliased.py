@@ -18,7 +18,7 @@ more than a gyroscope's scale factor errs by before anybody calibrates it."""
 
 FASTER = (
     "faster samples: at {rate:.3g} Hz what a trembling hand does to its turns looks like anything "
-    "else, and they are left out (25 Hz will do, and so do turns in a fixture)"
+    "else, and they are left out (30 Hz will do, and so do turns in a fixture)"
 )
 """What is missing then."""
 

@@ -34,9 +34,10 @@ from calib.mismatch.twin.twin import Twin, baseline_column, true_state
 from calib.recording import CHANNELS
 from calib.types import FloatArray, IntArray
 
-TREMBLING = 1 / 24
-"""s between samples from which on a hand's tremor (8 to 12 Hz) is faster than half of them a s.
-What it does to a turn then looks like anything else: it is by sampling that turns do not close.
+TREMBLING = 1 / 30
+"""s between samples from which on a swing of a hand's tremor (8 to 12 Hz) has not 2.5 of them; nor
+do they resolve how a bench rings. What that does to a turn then looks like anything else: it is by
+sampling that turns do not close.
 
 References
 ----------
