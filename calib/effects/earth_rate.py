@@ -50,7 +50,10 @@ class EarthRate(Effect):
         "a quiet gyro, long statics, several headings, so that its north part shows, or a known "
         "latitude: its part up equals an isotropic g-sensitivity"
     )
-    sentence = "The gyro at rest senses the Earth's rotation."
+    sentence = (
+        "The gyro at rest senses the Earth's rotation. Where east is the recording does not know: "
+        "east and north together are its part along the ground."
+    )
     absorbed_by = ("gyro.bias",)
     rivals = ("gyro_g_sensitivity",)
     indivisible = True

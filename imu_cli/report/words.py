@@ -29,11 +29,20 @@ def chance(p_value: float) -> str:
     return "< 1e-6" if p_value < 1e-6 else f"{p_value:.2g}"
 
 
+SPELT = 8
+"""Intervals that are written one by one, at most; the JSON has all of them."""
+
+
 def spans(intervals: Sequence[Sequence[float]], separator: str = ", ", *, digits: int = 1) -> str:
-    """Write intervals in the recording's seconds."""
+    """Write intervals in the recording's seconds: the first few of very many."""
     # Adding 0 makes a plain zero of what rounds to minus zero.
-    ends = [[f"{round(t, digits) + 0.0:.{digits}f}" for t in interval] for interval in intervals]
-    return separator.join(f"{start} to {stop} s" for start, stop in ends)
+    shown = intervals if len(intervals) <= SPELT else intervals[: SPELT - 1]
+    ends = [[f"{round(t, digits) + 0.0:.{digits}f}" for t in interval] for interval in shown]
+    parts = [f"{start} to {stop} s" for start, stop in ends]
+    if len(shown) < len(intervals):
+        last = round(max(stop for _, stop in intervals), digits) + 0.0
+        parts.append(f"and {len(intervals) - len(shown)} more until {last:.{digits}f} s")
+    return separator.join(parts)
 
 
 def where(finding: Mapping[str, Any]) -> str:
@@ -73,7 +82,10 @@ def notes(document: Mapping[str, Any]) -> list[str]:
     out = []
     known, used = recording.get("poses", 0), recording.get("poses_used", 0)
     if used < known:
-        out.append(f"{used} of {known} poses were looked at.")
+        out.append(
+            f"{used} of {known} poses were looked at: those at rest throughout, and of very many "
+            "those beside the most unlike turns."
+        )
     if "shared_stamps" in recording:
         out.append(f"Several samples share a time stamp: {recording['shared_stamps']}.")
     if "stamps" in recording:

@@ -2,7 +2,7 @@
 
 from imu_cli.report.diagnosis import diagnosis_report
 from imu_cli.report.model import Paragraph
-from imu_cli.report.words import chance, likelihood, notes, spans, where
+from imu_cli.report.words import SPELT, chance, likelihood, notes, spans, where
 
 DOCUMENT = {
     "verdict": "consistent",
@@ -55,6 +55,14 @@ def test_where_a_finding_is() -> None:
 def test_intervals_are_said_to_as_many_digits_as_asked_for() -> None:
     assert spans([[-0.001, 1.0], [7, 9.046]], digits=2) == "0.00 to 1.00 s, 7.00 to 9.05 s"
     assert spans([[-0.001, 1.0], [7, 9.046]], " and ") == "0.0 to 1.0 s and 7.0 to 9.0 s"
+
+
+def test_of_very_many_intervals_the_first_few_are_written_and_how_many_more() -> None:
+    many = [(float(k), k + 0.5) for k in range(SPELT)]
+    assert spans(many).count(" to ") == SPELT
+    text = spans([*many, (100.0, 101.0), (200.0, 201.5)])
+    assert text.startswith("0.0 to 0.5 s, 1.0 to 1.5 s, ")
+    assert text.endswith("and 3 more until 201.5 s")
 
 
 def test_a_chance_is_not_said_beyond_what_the_noise_model_knows() -> None:
