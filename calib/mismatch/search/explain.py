@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import cache, partial
 from typing import NamedTuple
@@ -46,6 +46,12 @@ LIKELY = 0.05
 
 SOMETHING = 1e-3
 """The same, were the windows many, up to which there is something in the few that tell."""
+
+TOGETHER = (
+    "How large it is and how long it lasts go together: what is known is what both do, and neither "
+    "by itself."
+)
+"""What is said where each number is within two of its standard errors of none."""
 
 OF_POSES = "the pose: too few of them to tell by what"
 """What something follows of which nothing is left beside free levels of the poses."""
@@ -186,6 +192,8 @@ def _judge(case: _Case, which: int) -> Finding | Unexplained | None:
     words = [effect.sentence]
     if fit.forms.get(which, 0.0) > 1.0 - TIE:
         words.append(effect.in_words(a.candidate.shape))
+    if effect.shape and _go_together(parameters.values()):
+        words.append(TOGETHER)
     if which in case.put_down:
         words.append(WORDS)
     rivals, more = too_fast(effect, parameters, rivals)
@@ -385,6 +393,12 @@ def _intervals(rows: Rows, a: Accepted) -> tuple[Interval, ...]:
         # By itself a recording shows it in one turn alone; beside a truth all that follows is late.
         return (_segment(rows, start),)
     return ((start, stop),)
+
+
+def _go_together(parameters: Iterable[Quantity]) -> bool:
+    """Whether none of several numbers is known by itself, though what they do together is."""
+    known = [abs(q.value) > 2.0 * q.sigma for q in parameters if q.sigma]
+    return len(known) > 1 and not any(known)
 
 
 def _segment(rows: Rows, moment: float) -> Interval:

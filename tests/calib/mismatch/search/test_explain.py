@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from calib.calibration import Quantity
 from calib.effects import get_effect
 from calib.effects.base import Term
 from calib.effects.earth_rate import components
@@ -16,6 +17,7 @@ from calib.mismatch.search.accepted import Accepted, accept
 from calib.mismatch.search.estimate import Estimate, Windows
 from calib.mismatch.search.explain import (
     _Case,
+    _go_together,
     _is_taken_over,
     _judge,
     _of_windows,
@@ -48,6 +50,13 @@ def test_few_windows_tell_less_than_many(stacked):
     assert _of_windows(estimate(3.0, two), 0, found, looks=7)[0] == pytest.approx(7 * few)
     assert _of_windows(estimate(3.0, alike), 0, found, looks=1) == (many, many)
     assert _of_windows(estimate(3.0, None), 0, found, looks=7) == (0.0, 0.0)
+
+
+def test_sizes_that_no_number_of_is_sure_go_together_with_how_long_it_lasts() -> None:
+    loose, sure = Quantity(1.0, 0.9, "m/s²"), Quantity(3.0, 0.9, "m/s²")
+    assert _go_together([loose, loose, Quantity(1.0, None, "1")])
+    assert not _go_together([loose, sure])
+    assert not _go_together([loose])
 
 
 def test_a_rival_of_what_has_come_to_nothing_is_so_much_more_probable_at_least():
