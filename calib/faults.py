@@ -391,9 +391,10 @@ def find_spikes(values: FloatArray, *, lsb: FloatArray) -> list[tuple[int, int, 
     """
     if len(values) < 2 * BLOCK:
         return []
-    floor = np.maximum(noise_at_rest(values), lsb)[:, None]
+    noise = noise_at_rest(values)
+    floor = np.maximum(noise, lsb)[:, None]
     # What moves is off by more than noise, which short rests of few samples show in few.
-    unit = np.maximum(np.minimum(_quietest(values, NEARBY), noise_at_rest(values)), lsb)
+    unit = np.maximum(np.minimum(_quietest(values, NEARBY), noise), lsb)
     unit = np.where(unit > 0, unit, np.inf)
     # Channel by channel samples lie side by side, and parts of them stay in a processor's cache.
     rows = np.ascontiguousarray(values.T)
@@ -424,7 +425,7 @@ def _spikes(
     none of one. Beside them is how many samples of each channel are in the tail of its noise, (6,).
     """
     n = values.shape[1]
-    number, count = n - length - 3, n // NEARBY
+    number = n - length - 3
     sides = (2, 1, -length, -length - 1)
     before, also, after, then = (values[:, 2 - s : 2 - s + number] for s in sides)
     low = np.minimum(np.minimum(before, also), np.minimum(after, then))
@@ -437,14 +438,7 @@ def _spikes(
         rest = np.where(off[0] * other > 0, np.minimum(rest, size), 0.0)
         most = np.maximum(most, size)
     rest, most = (np.pad(x, ((0, 0), (2, length + 1))) for x in (rest, most))
-    parts = np.sort(most[:, : count * NEARBY].reshape(-1, count, NEARBY))
-    level = 0.5 * (parts[:, :, NEARBY // 2 - 1] + parts[:, :, NEARBY // 2])
-    padded = np.pad(level, ((0, 0), (1, 1)), mode="edge")
-    level = np.maximum(np.maximum(padded[:, :-2], padded[:, 1:-1]), padded[:, 2:])
-    scale = np.pad(
-        np.repeat(ROBUST * level, NEARBY, axis=1), ((0, 0), (0, n - count * NEARBY)), "edge"
-    )
-    scale = np.maximum(scale, lsb)
+    scale = np.maximum(ROBUST * level_nearby(most), lsb)
     ratio = rest / np.where(scale > 0, scale, np.inf)
     still = scale < STILL * floor
     tail = ((ratio > TAIL) & (ratio <= SPIKE) & still).sum(axis=1).astype(np.float64)
@@ -464,6 +458,22 @@ def _spikes(
         if alone and back and rest[c, k] > ISOLATED * near.max(initial=0.0):
             found.append((k, k + length, c, float(ratio[c, k])))
     return found, tail
+
+
+def level_nearby(sizes: FloatArray) -> FloatArray:
+    """Return the median of (k, n) sizes over `NEARBY` samples, where it is largest beside each.
+
+    It is 0 of fewer.
+    """
+    n = sizes.shape[1]
+    count = n // NEARBY
+    if not count:
+        return np.zeros_like(sizes)
+    parts = np.sort(sizes[:, : count * NEARBY].reshape(-1, count, NEARBY))
+    level = 0.5 * (parts[:, :, NEARBY // 2 - 1] + parts[:, :, NEARBY // 2])
+    padded = np.pad(level, ((0, 0), (1, 1)), mode="edge")
+    level = np.maximum(np.maximum(padded[:, :-2], padded[:, 1:-1]), padded[:, 2:])
+    return np.pad(np.repeat(level, NEARBY, axis=1), ((0, 0), (0, n - count * NEARBY)), "edge")
 
 
 def resolution(values: FloatArray, *, sample: int = 100_000) -> FloatArray:

@@ -19,7 +19,6 @@ FAST = 8.0
 MOST = 32
 """Samples that come again together, at most: what a buffer or a packet holds."""
 
-
 FEW = 8
 """Samples that are the last but one, up to which these tell nothing."""
 
@@ -35,7 +34,8 @@ def find_repeats(values: FloatArray, moving: BoolArray) -> IntArray:
     """
     key = _keys(values)
     again = _repeated(key)
-    found = [_beyond_chance(values, moving, 1, again), _as_it_moved(values, again)]
+    times = _together(key, values, moving) if again.any() else 1.0
+    found = [_beyond_chance(values, moving, 1, again, times), _as_it_moved(values, again)]
     for lag in range(2, min(MOST, len(values) - 1) + 1):
         found.append(_beyond_chance(values, moving, lag, _replayed(key, lag)))
     return np.unique(np.concatenate(found))
@@ -86,17 +86,18 @@ def _replayed(key: NDArray[np.uint64], lag: int) -> BoolArray:
     return out
 
 
-def _beyond_chance(values: FloatArray, moving: BoolArray, lag: int, which: BoolArray) -> IntArray:
+def _beyond_chance(
+    values: FloatArray, moving: BoolArray, lag: int, which: BoolArray, times: float = 1.0
+) -> IntArray:
     """Return the samples of those ``which`` from ``lag`` on, none if chance may explain them.
 
-    Chance is that of rests, or of motion: these are looked at by themselves.
+    Chance is that of rests, or of motion: these are looked at by themselves. It is so many
+    ``times`` that of channels which are independent.
     """
     count = int(which.sum())
     if not count:
         return np.zeros(0, np.int64)
-    expected = _expected(values, moving, lag)
-    if lag == 1:
-        expected *= _together(values, moving)
+    expected = times * _expected(values, moving, lag)
     if pdtrc(count - 1, 1.2 * expected) > FALSE_ALARM / (1 if lag == 1 else MOST):
         return np.zeros(0, np.int64)
     return np.flatnonzero(which) + lag
@@ -109,15 +110,12 @@ def _expected(values: FloatArray, moving: BoolArray, lag: int) -> float:
     return float((block_sums(np.ones((len(order), 1)))[:, 0] * chance).sum())
 
 
-def _together(values: FloatArray, moving: BoolArray) -> float:
+def _together(key: NDArray[np.uint64], values: FloatArray, moving: BoolArray) -> float:
     """Return how many times as often all channels come again as they would independently.
 
     Noise of one supply is on several of them. That shows in samples that are the last but one, and
     not the last one: those are no repeats.
     """
-    key = _keys(values)
-    if len(key) < 3:
-        return 1.0
     last = key[2:] == key[1:-1]
     seen = int(((key[2:] == key[:-2]) & ~last).sum())
     if seen <= FEW:

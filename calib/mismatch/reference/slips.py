@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.faults import FALSE_ALARM
+from calib.faults import FALSE_ALARM, ROBUST
 from calib.mismatch.findings.diagnosis import Unexplained
 from calib.recording import CHANNELS
 from calib.stillness import runs
@@ -18,9 +18,6 @@ from calib.types import BoolArray, FloatArray
 
 SURE = 8.0
 """Standard errors by which angles differ, at least, beyond what samples may miss."""
-
-ROBUST = 1.4826
-"""Standard deviation of a Gaussian over its median absolute deviation."""
 
 SLIP = "a jump between two samples: reference and sensor turn by angles that differ by {:.2g}°"
 

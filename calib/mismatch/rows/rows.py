@@ -254,10 +254,15 @@ class Rows:
         """What others have found of these rows, by name, to have it again."""
         return {}
 
+    @property
+    def ends(self) -> IntArray:
+        """The rows of each turn, (k, 5): two of its attitude, three of its velocity."""
+        return np.flatnonzero(self.kind >= Kind.ATTITUDE).reshape(-1, 5)
+
     @cached_property
     def turns(self) -> ClosedTurns:
         """The turns whose closures are among the rows."""
-        index = np.flatnonzero(self.kind >= Kind.ATTITUDE).reshape(-1, 5)
+        index = self.ends
         start = np.searchsorted(self.point_segment, self.segment[index[:, 0]])
         stop = np.searchsorted(self.point_segment, self.segment[index[:, 0]], side="right")
         first = np.append(0, np.cumsum(stop - start))

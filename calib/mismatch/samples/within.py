@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import bdtrc, ndtr, ndtri, pdtrc, stdtr
 
-from calib.faults import OTHERS, ROBUST, resolution, values_of
+from calib.faults import OTHERS, ROBUST, level_nearby, resolution, values_of
 from calib.mismatch.findings.diagnosis import Interval, Unexplained
 from calib.mismatch.hypotheses.ends import expected_overlap
 from calib.mismatch.hypotheses.windows import windows
@@ -59,9 +59,6 @@ JOLTED = "the time: a jolt there"
 
 OFF_COURSE = "the time: single samples are off course there"
 """What single samples that no others go with follow."""
-
-MOMENT = 16
-"""Samples that are a moment: of a hand's tremor, or of a motor, there are several swings in it."""
 
 SOME = 0.02
 """Share of the changes of a channel that may be less than a count."""
@@ -197,7 +194,7 @@ def _off_course(values: FloatArray, poses: Poses) -> tuple[FloatArray, BoolArray
         own = slice(max(a - 1, 0), b - 1)
         if b - a > 4:
             least[own] = np.maximum(least[own], CAP * ROBUST * np.median(off[own], axis=0))
-    step, about = _step(values), _about(off)
+    step, about = _step(values), level_nearby(off.T).T
     least = np.maximum(least, CAP * ROBUST * np.where(about > step, about, 0.0))
     # Off by halves of a count, which the decimals of a file know but roughly.
     alone = (off > least) & (off > np.maximum(1.5 * beside, 1.75 * step))
@@ -211,18 +208,6 @@ def _step(values: FloatArray) -> FloatArray:
     """
     change = np.abs(np.diff(values, axis=0))
     return np.array([np.quantile(own[own > 0], SOME) if own.any() else 0.0 for own in change.T])
-
-
-def _about(off: FloatArray) -> FloatArray:
-    """Return the median of (n, 6) sizes within some `MOMENT` samples of each."""
-    number = len(off) // MOMENT
-    if not number:
-        return np.zeros_like(off)
-    level = np.median(off[: number * MOMENT].reshape(number, MOMENT, -1), axis=1)
-    padded = np.pad(level, ((1, 1), (0, 0)), mode="edge")
-    level = np.maximum(np.maximum(padded[:-2], level), padded[2:])
-    place = np.minimum(np.arange(len(off)) // MOMENT, number - 1)
-    return np.asarray(level[place])
 
 
 def _without_spikes(values: FloatArray, alone: BoolArray) -> FloatArray:

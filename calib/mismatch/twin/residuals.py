@@ -284,6 +284,7 @@ def _components(
     middle = grid.interval.mean(axis=1)
     walk = np.minimum.outer(middle - middle[0], middle - middle[0]) / DRIFT_TIME
     flicker = flicker_covariance(middle, np.ptp(grid.interval, axis=1))
+    cause = SAMPLING if step > TREMBLING else ""
     out = []
     for c, name in enumerate(CHANNELS):
         drift = DRIFT[name.split(".")[0]] ** 2 * density[c]
@@ -301,6 +302,5 @@ def _components(
         size = np.ones(len(rows)) if scale is None else np.square(scale[turn_of])
         typical = float(np.median(np.diag(white)[rows]))
         expected = 0.02 * typical / max(float(np.median(size)), 1e-12)
-        name = label + SAMPLING if is_aliased(grid) else label
-        out.append(Component.alone(name, rows, size, expected=expected, spread=UNKNOWN))
+        out.append(Component.alone(label + cause, rows, size, expected=expected, spread=UNKNOWN))
     return tuple(out)

@@ -184,7 +184,7 @@ class SelfProblem:
             # What never leaves a count has no noise that is seen, but is not known to the last bit.
             out[own, own] += np.square(LEAST * rounding.lsb)
             if c >= 3:
-                ends = rows.turns.index
+                ends = rows.ends
                 felt = (rows.functional[c] @ self._slow(rows.state, c))[ends]
                 each = rounding.variance.mean() * felt[:, :, None] * felt[:, None]
                 out[ends[:, :, None], ends[:, None]] += each
