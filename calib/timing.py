@@ -29,6 +29,9 @@ FEWEST = 64
 EVEN = 1e-6
 """Scatter of stamps, in intervals, that is no more than how times are written down."""
 
+WRITTEN = 0.005
+"""Scatter, in intervals, up to which it is nothing that anybody would want to know of."""
+
 HOLES = 0.02
 """Share of steps beyond which holes may be no lost samples: that is then in the samples."""
 
@@ -75,16 +78,19 @@ BENT = 0.01
 def evened(recording: Recording) -> Recording:
     """Return the recording with times of a steady clock, if its samples were taken evenly.
 
-    Its note `EVENED` then says by how much the stamps scattered. Otherwise, and where there is
-    nothing to even out, the recording itself is returned.
+    Its note `EVENED` then says by how much the stamps scattered, if that is more than times that
+    are written with few digits do. Otherwise, and where there is nothing to even out, the recording
+    itself is returned.
     """
     if recording.clock == "invalid":
         return recording
     time = even_times(recording.time, recording.gyro, recording.lost)
     if time is None:
         return recording
-    off = recording.time - time
-    notes = {**recording.notes, EVENED: f"{1e3 * np.std(off):.2g} ms rms"}
+    scatter = float(np.std(recording.time - time))
+    notes = dict(recording.notes)
+    if scatter > WRITTEN * recording.interval:
+        notes[EVENED] = f"{1e3 * scatter:.2g} ms rms"
     return replace(recording, time=time, notes=notes)
 
 

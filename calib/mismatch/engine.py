@@ -14,6 +14,7 @@ from calib.mismatch.findings.aliases import find_aliases
 from calib.mismatch.findings.diagnosis import (
     Diagnosis,
     Finding,
+    Interval,
     Unexplained,
     Verdict,
     claimed,
@@ -34,6 +35,7 @@ from calib.mismatch.missing import (
 )
 from calib.mismatch.noise.leaning import lean_share
 from calib.mismatch.realigned import coarse_delay, mostly_prompt, with_all
+from calib.mismatch.rows.bumped import parted
 from calib.mismatch.rows.choice import choose_poses, distinct_directions
 from calib.mismatch.rows.grid import (
     SHORTEST_CELL,
@@ -128,7 +130,7 @@ def _diagnose(thinned: Thinned, *, gravity: float, model: SensorModel | None) ->
     if disturbed:
         thinned = replace(thinned, seen=seen._replace(unexplained=said))
         return _unfit(thinned, missing, seen.need, "unexplained")
-    poses = _usable(recording, poses, seen.spoilt)
+    poses, bumps = _usable(recording, poses, seen.spoilt)
     if not len(poses):
         return _unfit(thinned, missing, NO_REST, "undetermined")
     grid, spoilt, gone = _make_grid(thinned, poses)
@@ -194,24 +196,28 @@ def _diagnose(thinned: Thinned, *, gravity: float, model: SensorModel | None) ->
         model=claimed(final, problem.given, findings),
         names=known,
         covariance=covariance,
-        summary=_summary(thinned, poses),
+        summary=_summary(thinned, poses, bumps),
         aliases=aliases,
         undetermined=open_,
     )
 
 
-def _usable(recording: Recording, poses: Poses, spoilt: BoolArray) -> Poses:
-    """Return the poses that a twin is made of."""
+def _usable(
+    recording: Recording, poses: Poses, spoilt: BoolArray
+) -> tuple[Poses, tuple[Interval, ...]]:
+    """Return the poses that a twin is made of, and when some of them were bumped."""
+    poses, bumped = parted(recording, poses)
+    bumps = tuple((float(a), float(b)) for a, b in bumped)
     poses = _whole(connected(untouched(recording, steady(recording, poses))), spoilt)
     if not len(poses):
-        return poses
+        return poses, bumps
     poses = poses.select(
         choose_poses(poses.accel, poses.start, poses.stop, interval=recording.interval)
     )
     if recording.clock == "invalid" and distinct_directions(poses.accel) == 1:
         # Without a clock no motion can be integrated, and here there was none.
         poses = one_rest(poses)
-    return poses
+    return poses, bumps
 
 
 def _make_grid(thinned: Thinned, poses: Poses) -> tuple[Grid, BoolArray, tuple[str, ...]]:
@@ -316,18 +322,21 @@ def _unfit(thinned: Thinned, missing: tuple[str, ...], need: str, otherwise: Ver
     return without_fit(
         "unexplained" if seen.unexplained else otherwise,
         (*missing, need),
-        _summary(thinned, thinned.poses),
+        _summary(thinned, thinned.poses, ()),
         findings=seen.findings,
         unexplained=seen.unexplained,
     )
 
 
-def _summary(thinned: Thinned, poses: Poses) -> dict[str, object]:
+def _summary(thinned: Thinned, poses: Poses, bumps: tuple[Interval, ...]) -> dict[str, object]:
+    # What a bump parts is one pose, and no turn.
+    used = max(len(poses) - len(bumps), 0)
     return {
         **summarise(thinned.recording),
         "duration": thinned.duration,
         "samples": thinned.samples,
         "poses": thinned.found,
-        "poses_used": len(poses),
-        "turns": max(len(poses) - 1, 0),
+        "poses_used": used,
+        "turns": max(used - 1, 0),
+        **({"bumped": bumps} if bumps else {}),
     }

@@ -86,6 +86,11 @@ def notes(document: Mapping[str, Any]) -> list[str]:
             f"{used} of {known} poses were looked at: those at rest throughout, and of very many "
             "those beside the most unlike turns."
         )
+    if "bumped" in recording:
+        out.append(
+            f"The sensor was bumped in a rest at {spans(recording['bumped'], digits=2)}: such a "
+            "pose counts as two, one before and one after."
+        )
     if "shared_stamps" in recording:
         out.append(f"Several samples share a time stamp: {recording['shared_stamps']}.")
     if "stamps" in recording:

@@ -168,6 +168,7 @@ def _rounds(problem: Problem, state: _State, *, skip: tuple[str, ...]) -> _State
     seen, ranking = state.seen, state.ranking
     dropped: set[str] = set()
     broken = set(state.broken)
+    been = {_place_of(accepted)}
     del state
     for _ in range(ROUNDS):
         if not ranking.claims:
@@ -195,8 +196,25 @@ def _rounds(problem: Problem, state: _State, *, skip: tuple[str, ...]) -> _State
             del stack, ranking  # their columns are most of the memory that is used
             stack, seen = make_stack(rows, skip=skip, reference=problem.reference), fitted(rows, [])
         ranking = rank(rows, stack, accepted, levels, base=base, every=every)
+        if (place := _place_of(accepted)) in been:
+            # What was found last was found before: it has taken the place of its like.
+            break
+        been.add(place)
     broken -= {a.candidate.group for a in accepted}
     return _State(rows, accepted, stack, seen, ranking, frozenset(broken))
+
+
+def _place_of(accepted: list[Accepted]) -> frozenset[tuple[object, ...]]:
+    """Return where a search stands, to tell whether it was there before."""
+    return frozenset(
+        (
+            a.candidate.group,
+            a.candidate.parameters,
+            a.candidate.interval,
+            *(f"{name} {value:.3g}" for name, value in a.candidate.shape.items()),
+        )
+        for a in accepted
+    )
 
 
 def _judged(problem: Problem, state: _State) -> _Judged:

@@ -1,0 +1,122 @@
+"""Rests in which a sensor was bumped are two: it lies a little askew from that moment on.
+
+Who reaches for something beside a sensor, or lets go of its cable, tilts it by a hundredth of a
+degree or by one. That is no turn that anything finds, and its mean belongs to no attitude. But the
+gyroscope sees it go, within a tenth of a second, and gravity stays where that brought it.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+
+from calib.poses import Poses, average_poses
+from calib.recording import Recording
+from calib.types import FloatArray
+
+QUICK = 0.15
+"""s in which a bump is over, and again as long in which the bench may ring after it."""
+
+STANDS_OUT = 8.0
+"""Standard deviations of the angle in so short a time from which it may be one: by chance one in
+10¹⁰ is beyond, and gravity must have turned as well."""
+
+SHORTEST = 0.8
+"""s of a rest, on either side."""
+
+FEWEST = 16
+"""Samples there."""
+
+PLAIN, CLEARLY = 16.0, 4.0
+"""How much better the bump explains how gravity changed than chance does: by chi-squared, and as a
+ratio."""
+
+UNSURE = 2.0
+"""Factor within which so few samples of a pulse tell its size."""
+
+MAD = 1.4826
+"""Standard deviation of normal errors per median of their absolute values."""
+
+
+def parted(recording: Recording, poses: Poses) -> tuple[Poses, FloatArray]:
+    """Return poses, in the order of time, with each that was bumped as those before and after it.
+
+    Beside them when that was, (m, 2) s.
+
+    Gravity must have turned as the gyroscope says. What steps without that is a bias, and what
+    turns about the vertical changes no attitude that anybody sees.
+    """
+    if recording.interval <= 0 or recording.clock == "invalid":
+        return poses, np.zeros((0, 2))
+    each = [
+        _parts(recording, a, b)
+        for a, b in zip(poses.start.tolist(), poses.stop.tolist(), strict=True)
+    ]
+    bumps = [(one[1] - 1, two[0]) for parts in each for one, two in pairwise(parts)]
+    if not bumps:
+        return poses, np.zeros((0, 2))
+    spans = np.array([part for parts in each for part in parts], np.int64)
+    return average_poses(recording, *spans.T), recording.time[np.array(bumps)]
+
+
+def _parts(recording: Recording, start: int, stop: int) -> list[tuple[int, int]]:
+    """Return the samples ``[start, stop)`` of a rest, or those of its parts."""
+    bump = _bump(recording, start, stop)
+    if bump is None:
+        return [(start, stop)]
+    before, after = bump
+    return [*_parts(recording, start, before), *_parts(recording, after, stop)]
+
+
+def _bump(recording: Recording, start: int, stop: int) -> tuple[int, int] | None:
+    """Return the samples in which a rest was bumped, or None."""
+    step = recording.interval
+    width = max(3, round(QUICK / step))
+    least = max(FEWEST, round(SHORTEST / step))
+    number = stop - start
+    lasted = float(recording.time[stop - 1] - recording.time[start])
+    if number < 2 * least + 2 * width or abs(lasted - (number - 1) * step) > step:
+        return None
+    gyro, accel = recording.gyro[start:stop], recording.accel[start:stop]
+    off = gyro - np.median(gyro, axis=0)
+    run = np.concatenate((np.zeros((1, 3)), np.cumsum(off, axis=0)))
+    angle = step * (run[width:] - run[:-width])
+    within = slice(least, number - least - width + 1)
+    noise = _scatter(angle, width)
+    size = np.square(np.divide(angle, noise, out=np.zeros_like(angle), where=noise > 0)).sum(axis=1)
+    at = least + int(np.argmax(size[within]))
+    if size[at] < STANDS_OUT**2:
+        return None
+    first, last = max(at - width // 2, least), min(at + 2 * width, number - least)
+    rest = np.concatenate((off[:first], off[last:]))
+    turned = step * (off[first:last] - rest.mean(axis=0)).sum(axis=0)
+    early, late = accel[:first], accel[last:]
+    change = late.mean(axis=0) - early.mean(axis=0)
+    predicted = np.cross(accel.mean(axis=0), turned)
+    error = np.sqrt(sum(_mean_variance(part, width) for part in (early, late)))
+    return (start + first, start + last) if _turns(change, predicted, error) else None
+
+
+def _turns(change: FloatArray, predicted: FloatArray, error: FloatArray) -> bool:
+    """Whether gravity turned as predicted, up to a factor."""
+    if not (error > 0).all():
+        return False
+    seen, wanted = change / error, predicted / error
+    factor = float(seen @ wanted) / max(float(wanted @ wanted), np.finfo(float).tiny)
+    left = float(np.square(seen - factor * wanted).sum())
+    moved = float(np.square(seen).sum())
+    return 1 / UNSURE < factor < UNSURE and moved > PLAIN + left and moved > CLEARLY * left
+
+
+def _scatter(angle: FloatArray, width: int) -> FloatArray:
+    """Return the standard deviation of angles in so many samples, (3,), from one to the next."""
+    change = np.diff(angle[::width], axis=0)
+    return np.asarray(np.median(np.abs(change), axis=0) * MAD / np.sqrt(2.0))
+
+
+def _mean_variance(values: FloatArray, width: int) -> FloatArray:
+    """Return the variance of the mean of (n, 3) values, as means of so many of them scatter."""
+    number = len(values) // width
+    means = values[: number * width].reshape(number, width, 3).mean(axis=1)
+    return np.asarray(np.square(np.diff(means, axis=0)).mean(axis=0) / (2.0 * number))
