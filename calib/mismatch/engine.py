@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -125,12 +126,13 @@ def _diagnose(thinned: Thinned, *, gravity: float, model: SensorModel | None) ->
     missing = lacking(recording, thinned.poses)
     if seen.fatal:
         return _unfit(thinned, missing, seen.need, "explained")
-    poses = uncarried(recording, thinned.poses)
-    said, noisy = told_once(seen.unexplained, look_at_rests(recording, poses))
+    poses, bumps = parted(recording, uncarried(recording, thinned.poses))
+    left_alone = untouched(recording, poses)
+    said, noisy = told_once(seen.unexplained, look_at_rests(recording, left_alone))
     if disturbed:
         thinned = replace(thinned, seen=seen._replace(unexplained=said))
         return _unfit(thinned, missing, seen.need, "unexplained")
-    poses, bumps = _usable(recording, poses, seen.spoilt)
+    poses = _usable(recording, poses, seen.spoilt)
     if not len(poses):
         return _unfit(thinned, missing, NO_REST, "undetermined")
     grid, spoilt, gone = _make_grid(thinned, poses)
@@ -202,22 +204,18 @@ def _diagnose(thinned: Thinned, *, gravity: float, model: SensorModel | None) ->
     )
 
 
-def _usable(
-    recording: Recording, poses: Poses, spoilt: BoolArray
-) -> tuple[Poses, tuple[Interval, ...]]:
-    """Return the poses that a twin is made of, and when some of them were bumped."""
-    poses, bumped = parted(recording, poses)
-    bumps = tuple((float(a), float(b)) for a, b in bumped)
+def _usable(recording: Recording, poses: Poses, spoilt: BoolArray) -> Poses:
+    """Return the poses that a twin is made of."""
     poses = _whole(connected(untouched(recording, steady(recording, poses))), spoilt)
     if not len(poses):
-        return poses, bumps
+        return poses
     poses = poses.select(
         choose_poses(poses.accel, poses.start, poses.stop, interval=recording.interval)
     )
     if recording.clock == "invalid" and distinct_directions(poses.accel) == 1:
         # Without a clock no motion can be integrated, and here there was none.
         poses = one_rest(poses)
-    return poses, bumps
+    return poses
 
 
 def _make_grid(thinned: Thinned, poses: Poses) -> tuple[Grid, BoolArray, tuple[str, ...]]:
@@ -328,7 +326,7 @@ def _unfit(thinned: Thinned, missing: tuple[str, ...], need: str, otherwise: Ver
     )
 
 
-def _summary(thinned: Thinned, poses: Poses, bumps: tuple[Interval, ...]) -> dict[str, object]:
+def _summary(thinned: Thinned, poses: Poses, bumps: Sequence[Interval]) -> dict[str, object]:
     # What a bump parts is one pose, and no turn.
     used = max(len(poses) - len(bumps), 0)
     return {

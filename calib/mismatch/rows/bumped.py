@@ -11,6 +11,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from calib.mismatch.findings.diagnosis import Interval
 from calib.poses import Poses, average_poses
 from calib.recording import Recording
 from calib.types import FloatArray
@@ -39,25 +40,29 @@ MAD = 1.4826
 """Standard deviation of normal errors per median of their absolute values."""
 
 
-def parted(recording: Recording, poses: Poses) -> tuple[Poses, FloatArray]:
+def parted(recording: Recording, poses: Poses) -> tuple[Poses, tuple[Interval, ...]]:
     """Return poses, in the order of time, with each that was bumped as those before and after it.
 
-    Beside them when that was, (m, 2) s.
+    Beside them when that was, s.
 
     Gravity must have turned as the gyroscope says. What steps without that is a bias, and what
     turns about the vertical changes no attitude that anybody sees.
     """
     if recording.interval <= 0 or recording.clock == "invalid":
-        return poses, np.zeros((0, 2))
+        return poses, ()
     each = [
         _parts(recording, a, b)
         for a, b in zip(poses.start.tolist(), poses.stop.tolist(), strict=True)
     ]
-    bumps = [(one[1] - 1, two[0]) for parts in each for one, two in pairwise(parts)]
+    bumps = tuple(
+        (float(recording.time[one[1] - 1]), float(recording.time[two[0]]))
+        for parts in each
+        for one, two in pairwise(parts)
+    )
     if not bumps:
-        return poses, np.zeros((0, 2))
+        return poses, ()
     spans = np.array([part for parts in each for part in parts], np.int64)
-    return average_poses(recording, *spans.T), recording.time[np.array(bumps)]
+    return average_poses(recording, *spans.T), bumps
 
 
 def _parts(recording: Recording, start: int, stop: int) -> list[tuple[int, int]]:

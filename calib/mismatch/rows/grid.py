@@ -42,6 +42,9 @@ LOUD = 9.0
 TOUCH = 2.0
 """s at either end of a rest in which a hand may be at the sensor; a third of a short rest."""
 
+EVENLY = 0.25
+"""Share of its mean power that what shakes a pose throughout has in any quarter of a second."""
+
 FEW = 0.15
 """Share of louder poses up to which they are left out; where more are, that is how it was."""
 
@@ -246,8 +249,9 @@ def steady(recording: Recording, poses: Poses) -> Poses:
     """Return the poses without those in which the sensor was not at rest.
 
     A pose that was held by hand turns on average: its mean rate stands out. One that is several
-    times noisier than most, where few are, was touched or knocked. Where all were held, one whose
-    mean rate stands out by no more than it sways by was a moment of a turn.
+    times noisier than most, where few are, was touched or knocked; but not what shakes without
+    turning, from one end to the other. Where all were held, one whose mean rate stands out by no
+    more than it sways by was a moment of a turn.
     """
     length = poses.stop - poses.start
 
@@ -266,7 +270,20 @@ def steady(recording: Recording, poses: Poses) -> Poses:
         if np.ptp(poses.interval[k]) < BRIEF:
             held[k] = off[k] < 3.0 * _sway(recording.gyro[poses.start[k] : poses.stop[k]])
     loud = gyro | louder(poses.accel_covariance)
+    shaken = [i for i in np.flatnonzero(loud & ~gyro).tolist() if _throughout(recording, poses, i)]
+    loud[shaken] = False
     return poses.select(~(held | loud if loud.mean() <= FEW else held))
+
+
+def _throughout(recording: Recording, poses: Poses, k: int) -> bool:
+    """Whether what shakes a pose does so from one end of it to the other."""
+    accel = recording.accel[poses.start[k] : poses.stop[k]]
+    width = max(5, round(REST_STEP / max(recording.interval, 1e-9)))
+    number = len(accel) // width
+    if number < 2:
+        return False
+    power = accel[: number * width].reshape(number, width, 3).var(axis=1).sum(axis=1)
+    return bool(power.min() > EVENLY * power.mean())
 
 
 def _stays(recording: Recording, poses: Poses, k: int) -> bool:

@@ -18,7 +18,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import bdtrc, ndtr, ndtri, pdtrc, stdtr
+from scipy.special import bdtrc, ndtr, ndtri, pdtrc, stdtr, stdtrit
 
 from calib.faults import OTHERS, ROBUST, level_nearby, resolution, values_of
 from calib.mismatch.findings.diagnosis import Interval, Unexplained
@@ -75,6 +75,9 @@ MISSED = 0.01
 CAP = 6.0
 """Times the usual noise beyond which a single value counts no more: those are pulses."""
 
+LONE = 3.5
+"""The same of one that no neighbour goes with, for what takes more samples than one."""
+
 FEWEST = 8
 """Rests below which none is unusual."""
 
@@ -101,9 +104,9 @@ class _Look(NamedTuple):
 def look_within(recording: Recording, poses: Poses) -> tuple[Unexplained, ...]:
     """Return disturbances within rests of channels that are alone with it."""
     raw = values_of(recording)
-    off, alone = _off_course(raw, poses)
+    off, alone, lone = _off_course(raw, poses)
     spikes = _spikes(recording, poses, off, alone)
-    values = _without_spikes(raw, alone)
+    values = _without_lone(raw, lone)
     rests = [(a, b) for a, b in zip(poses.start, poses.stop, strict=True) if b - a > 4]
     if not rests:
         return tuple(spikes)
@@ -123,7 +126,8 @@ def look_within(recording: Recording, poses: Poses) -> tuple[Unexplained, ...]:
     looks = [look for look in tried if look is not None]
     if not looks:
         return tuple(spikes)
-    pulses = spikes + _pulses(looks, recording.time)
+    tail = _tails(np.concatenate([off[a : b - 2] for a, b in rests]), step)
+    pulses = spikes + _pulses(looks, recording.time, tail)
     return tuple(pulses + _stretches(looks, poses.interval, {u.channels for u in pulses}))
 
 
@@ -161,7 +165,8 @@ def look_beside(
             look._replace(rest=((look.time - time[0]) / seconds).astype(np.int64)) for look in looks
         ]
 
-    pulses = _pulses(by(NEARBY), time)
+    tail = _tails(np.abs(looks[0].size), step)
+    pulses = _pulses(by(NEARBY), time, tail)
     if exact:
         pulses += _jolts(looks, time)
     each = max(STRETCH, (time[-1] - time[0]) / STRETCHES)
@@ -176,29 +181,31 @@ def _widths(interval: float, longest: float) -> list[int]:
     return [1 << k for k in range(int(np.log2(max(longest, 1.0))) + 1)]
 
 
-def _off_course(values: FloatArray, poses: Poses) -> tuple[FloatArray, BoolArray]:
-    """Return how far samples are off their neighbours' mean, in noise, and which are so alone.
+def _off_course(values: FloatArray, poses: Poses) -> tuple[FloatArray, BoolArray, BoolArray]:
+    """Return how far samples are off their neighbours' mean, and which are so alone.
 
-    Both are (n - 2, 6), without the first and the last sample. Where a rest is louder than usual
-    (something shakes it), or a moment of one (a hand is still there), those that stand out of that
-    are so: the others are noise.
+    Then which of them are alone with less than that: a pulse has more samples than one, and noise
+    that is not normal makes such as it likes. All are (n - 2, 6), without the first and the last
+    sample. Where a rest is louder than usual (something shakes it), or a moment of one (a hand is
+    still there), those that stand out of that are so: the others are noise.
     """
     off = np.abs(values[1:-1] - 0.5 * (values[:-2] + values[2:]))
     padded = np.pad(off, ((1, 1), (0, 0)))
     beside = np.maximum(padded[:-2], padded[2:])
     # One sample has half of its size on either side; an edge has as much on one.
     usual = ROBUST * np.median(off, axis=0)
-    # To the next count and back is what noise does where counts are coarse.
-    least = np.tile(CAP * usual, (len(off), 1))
+    level = np.tile(usual, (len(off), 1))
     for a, b in zip(poses.start, poses.stop, strict=True):
         own = slice(max(a - 1, 0), b - 1)
         if b - a > 4:
-            least[own] = np.maximum(least[own], CAP * ROBUST * np.median(off[own], axis=0))
+            level[own] = np.maximum(level[own], ROBUST * np.median(off[own], axis=0))
     step, about = _step(values), level_nearby(off.T).T
-    least = np.maximum(least, CAP * ROBUST * np.where(about > step, about, 0.0))
-    # Off by halves of a count, which the decimals of a file know but roughly.
-    alone = (off > least) & (off > np.maximum(1.5 * beside, 1.75 * step))
-    return off / np.where(usual > 0, usual, np.inf), alone
+    level = np.maximum(level, ROBUST * np.where(about > step, about, 0.0))
+    # To the next count and back is what noise does where counts are coarse: off by halves of one,
+    # which the decimals of a file know but roughly.
+    apart = off > np.maximum(1.5 * beside, 1.75 * step)
+    alone, lone = (apart & (off > least * level) for least in (CAP, LONE))
+    return off, alone, lone
 
 
 def _step(values: FloatArray) -> FloatArray:
@@ -210,10 +217,10 @@ def _step(values: FloatArray) -> FloatArray:
     return np.array([np.quantile(own[own > 0], SOME) if own.any() else 0.0 for own in change.T])
 
 
-def _without_spikes(values: FloatArray, alone: BoolArray) -> FloatArray:
-    """Return (n, 6) values, single ones that are off course replaced by their neighbours' mean."""
+def _without_lone(values: FloatArray, lone: BoolArray) -> FloatArray:
+    """Return (n, 6) values, those that are off course alone replaced by their neighbours' mean."""
     out = values.copy()
-    out[1:-1][alone] = (0.5 * (values[:-2] + values[2:]))[alone]
+    out[1:-1][lone] = (0.5 * (values[:-2] + values[2:]))[lone]
     return out
 
 
@@ -251,35 +258,37 @@ def _look(
     if len(rest) < least:
         return None
     off, which = np.concatenate(rows), np.concatenate(rest)
-    # Counts make these multiples of half a count over the width, and their median off by half that.
-    usual = ROBUST * (np.median(np.abs(off), axis=0) + 0.25 * step / width)
-    usual[usual == 0.0] = np.inf
-    return _Look(width, which, time[np.concatenate(at)], off / usual)
+    return _Look(width, which, time[np.concatenate(at)], off / _usual(off, step / width))
 
 
-def _pulses(looks: list[_Look], time: FloatArray) -> list[Unexplained]:
-    """Return channels with several pulses or jumps that no other shows, from first to last."""
+def _pulses(looks: list[_Look], time: FloatArray, tail: FloatArray) -> list[Unexplained]:
+    """Return channels with several pulses or jumps that no other shows, from first to last.
+
+    ``tail`` are the tails of their noise, as `_tails` has them.
+    """
     start, stop = float(time[0]), float(time[-1])
     number = sum(look.size.size for look in looks)
-    limit = -float(ndtri(CHANCE / (number / len(CHANNELS)) / 2))
+    chance = CHANCE / (number / len(CHANNELS)) / 2
     moments = int((stop - start) / APART) + 3
-    # The largest of each moment, at all widths: in the usual noise, and in that of its own rest.
+    # The largest of each moment, at all widths: in the usual noise, and, as a share of what noise
+    # hardly reaches, in that of its own rest.
     seen, hit = np.zeros((moments, 6)), np.zeros((moments, 6))
     for look in looks:
         # One after another in time: each moment's are side by side.
         at, first = np.unique(((look.time - start) / APART).astype(np.int64) + 1, return_index=True)
         size = np.abs(look.size)
         seen[at] = np.maximum(seen[at], np.maximum.reduceat(size, first))
+        limit = _beyond(tail, look.width, chance)
         if look.width > 1 and (size > limit).any():
             # Single samples off course are mishaps of the readout, which the audit reports.
-            own = size / _own_scale(look)[look.rest]
+            own = size / _own_scale(look)[look.rest] / limit
             hit[at] = np.maximum(hit[at], np.maximum.reduceat(own, first))
     near = np.maximum(seen[1:-1], np.maximum(seen[:-2], seen[2:]))
     companion = -float(ndtri(MISSED / (number / max((seen > 0).sum(), 1)) / 30))
     out = []
     for c, channel in enumerate(CHANNELS):
         alone = (np.delete(near, c, axis=1) < companion).all(axis=1)
-        found = np.flatnonzero((hit[1:-1, c] > limit) & alone)
+        found = np.flatnonzero((hit[1:-1, c] > 1.0) & alone)
         # A pulse on the edge of two moments is one.
         found = found[np.diff(found, prepend=-2) > 1]
         if len(found) < SEVERAL:
@@ -288,6 +297,50 @@ def _pulses(looks: list[_Look], time: FloatArray) -> list[Unexplained]:
         where = densest(np.asarray(start + APART * (found + 0.5)), (start, stop))
         out.append(Unexplained((channel,), (where,), PULSES, p))
     return out
+
+
+def _tails(off: FloatArray, step: FloatArray) -> FloatArray:
+    """Return the degrees of freedom of Student's t, (6,), with the tails that channels have.
+
+    By how many samples are ``off`` (n, 6) their neighbours' mean by more than three noises:
+    infinite for normal noise, or next to it.
+    """
+    usual = _usual(off, step)
+    share = (off > 3.0 * usual).mean(axis=0)
+    normal = 2.0 * ndtr(-3.0)
+    plain = share > normal + 3.0 * np.sqrt(normal / len(off))
+    return np.where(plain, np.interp(-share, -BEYOND_THREE, TAILS), np.inf)
+
+
+def _usual(off: FloatArray, step: FloatArray) -> FloatArray:
+    """Return the noise of what is ``off``, (6,), and infinite where there is none.
+
+    Counts make it multiples of half a count, and its median wrong by half that.
+    """
+    usual = ROBUST * (np.median(np.abs(off), axis=0) + 0.25 * step)
+    return np.where(usual > 0.0, usual, np.inf)
+
+
+def _beyond(tail: FloatArray, width: int, chance: float) -> FloatArray:
+    """Return what means of so many samples are beyond by such a chance, (6,), in noises.
+
+    A mean of n has an n-th of the excess kurtosis, which is ``6 / (v - 4)`` for Student's t.
+    """
+    freedom = 4.0 + width * (tail - 4.0)
+    limit = np.full(len(tail), -float(ndtri(chance)))
+    heavy = np.isfinite(freedom)
+    limit[heavy] = -stdtrit(freedom[heavy], chance) * _scale(freedom[heavy])
+    return limit
+
+
+def _scale(freedom: FloatArray) -> FloatArray:
+    """Return what makes the median of Student's t, without sign, that of a normal variable."""
+    return np.asarray(ndtri(0.75) / stdtrit(freedom, 0.75))
+
+
+TAILS = np.array([4.5, 5.0, 6.0, 7.0, 8.0, 10.0, 14.0, 20.0, 40.0, 100.0])
+BEYOND_THREE = 2.0 * stdtr(TAILS, -3.0 / _scale(TAILS))
+"""Tails that noise has, and how many are beyond three noises then."""
 
 
 def is_told(item: Unexplained, others: Sequence[Unexplained]) -> bool:
@@ -338,6 +391,7 @@ def _spikes(
     at_rest = np.cumsum(still[:-1]) > 0
     # Turns are left out of time: a hand makes edges of its own.
     passed = np.cumsum(at_rest) * recording.interval
+    off = off / _usual(off, np.zeros(off.shape[1]))
     out = []
     for c, channel in enumerate(CHANNELS):
         others = np.delete(off, c, axis=1).max(axis=1) < OTHERS

@@ -166,3 +166,26 @@ def test_what_a_tone_rectifies_is_found_in_its_size(rate: float, tone: float) ->
         correct_recording(calibration_of(finding.term()), real), gravity=GRAVITY
     )
     assert not left.findings
+
+
+def one_noisy_pose(*, throughout: bool) -> tuple[Recording, int]:
+    """Return a recording one pose of which is shaken: from end to end, or for half a second."""
+    recording = plain(seed=31, poses=20)
+    poses = find_poses(recording)
+    a, b = int(poses.start[7]), int(poses.stop[7])
+    own = slice(a, b) if throughout else slice((a + b) // 2, (a + b) // 2 + 50)
+    accel, rng = recording.accel.copy(), np.random.default_rng(31)
+    accel[own] += rng.normal(0, 0.4 if throughout else 2.0, accel[own].shape)
+    return replace(recording, accel=accel), a
+
+
+@pytest.mark.parametrize("throughout", [True, False])
+def test_the_one_pose_that_a_machine_shakes_is_kept_and_one_that_is_knocked_is_not(
+    throughout: bool,
+) -> None:
+    """It is all that there is to tell what vibration does."""
+    recording, start = one_noisy_pose(throughout=throughout)
+    poses = find_poses(recording)
+    assert np.abs(poses.start - start).min() < 50
+    kept = steady(recording, poses).start
+    assert (np.abs(kept - start).min() < 50) == throughout

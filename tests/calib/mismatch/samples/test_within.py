@@ -16,12 +16,18 @@ from calib.faults import values_of
 from calib.mismatch import diagnose_recording
 from calib.mismatch.findings.diagnosis import Unexplained
 from calib.mismatch.hypotheses.places import joined
-from calib.mismatch.samples.within import OFF_COURSE, _off_course, look_beside, look_within
+from calib.mismatch.samples.within import (
+    OFF_COURSE,
+    PULSES,
+    _off_course,
+    look_beside,
+    look_within,
+)
 from calib.model import SensorModel
 from calib.recording import CHANNELS, Recording
 from calib.simulate import simulate
 from calib.simulation.bench import bench_protocol
-from calib.simulation.noise import CONSUMER
+from calib.simulation.noise import CONSUMER, NoiseModel
 from calib.statics import find_poses
 from calib.types import FloatArray
 
@@ -97,6 +103,35 @@ def test_few_pulses_are_told_from_noise_and_a_knock_is_none() -> None:
         at = int(poses.start[k] + poses.stop[k]) // 2
         both[at : at + 6, 1] += 8.0 * SIGMA[0]
     assert not look_within(Recording(real.time, both[:, :3], both[:, 3:], "device"), poses)
+
+
+def heavy(seed: int, freedom: float) -> Recording:
+    """Return a recording at 200 Hz with noise of Student's t."""
+    rng = np.random.default_rng(seed)
+    motion = bench_protocol(rng, poses=30, pose_duration=(5.0, 8.0))
+    real = simulate(motion, SensorModel(), NoiseModel(), rng=rng, rate=200.0)
+    extra = 2.0 * rng.standard_t(freedom, (len(real), 6)) * np.repeat(SIGMA, 3)
+    return replace(real, accel=real.accel + extra[:, :3], gyro=real.gyro + extra[:, 3:])
+
+
+@pytest.mark.parametrize("freedom", [5.0, 6.0, 10.0])
+def test_noise_with_heavy_tails_has_no_pulses(freedom: float) -> None:
+    """Two samples that are large by chance are often side by side."""
+    for seed in range(3):
+        recording = heavy(seed, freedom)
+        assert PULSES not in {u.follows for u in look_within(recording, find_poses(recording))}
+
+
+def test_pulses_are_found_in_such_noise() -> None:
+    recording = heavy(7, 6.0)
+    poses = find_poses(recording)
+    gyro = recording.gyro.copy()
+    for k in range(8, 18):
+        at = int(poses.start[k] + poses.stop[k]) // 2
+        gyro[at : at + 8, 0] += 12.0 * SIGMA[1]
+    (item,) = look_within(replace(recording, gyro=gyro), poses)
+    assert (item.follows, item.channels) == (PULSES, ("gyro.x",))
+    assert overlap(item.intervals[0], (poses.interval[8, 0], poses.interval[17, 1])) > 0.5
 
 
 @pytest.mark.long
@@ -225,7 +260,7 @@ def test_counts_that_flip_by_one_are_not_off_course_whatever_decimals_say_of_the
     flips[20::50], flips[21::50], flips[22::50] = 1.0, -1.0, -1.0
     values = values_of(real)
     values[:, 5] = np.round(0.00106526 * (flips + np.arange(len(flips)) // 50), 6)
-    _, alone = _off_course(values, poses)
+    _, alone, _ = _off_course(values, poses)
     assert not alone[:, 5].any()
 
 
