@@ -18,17 +18,13 @@ from calib.errors import EmptyRecordingError, InvalidSampleError, NoCommonMotion
 from calib.measured import measured
 from calib.mismatch.findings.diagnosis import Diagnosis, summarise
 from calib.mismatch.noise.hush import audible
-from calib.mismatch.reference.against import (
-    at_rest,
-    conclude,
-    undetermined,
-    unfit,
-)
+from calib.mismatch.reference.against import at_rest, undetermined, unfit
 from calib.mismatch.reference.alignment import Alignment, align
 from calib.mismatch.reference.alike import check_apart, misleads
 from calib.mismatch.reference.band import BEYOND, Matched, limited, low_passed, matched, smoothed
 from calib.mismatch.reference.carried import known_errors, settled
 from calib.mismatch.reference.comparison import ComparisonProblem
+from calib.mismatch.reference.conclusion import conclude
 from calib.mismatch.reference.corners import FEWEST
 from calib.mismatch.reference.misread import MisreadError, misread
 from calib.mismatch.reference.mounted import UNLIKE, mounting

@@ -11,7 +11,6 @@ from itertools import pairwise
 
 import numpy as np
 
-from calib.mismatch.findings.diagnosis import Interval
 from calib.poses import Poses, average_poses
 from calib.recording import Recording
 from calib.types import FloatArray
@@ -40,7 +39,7 @@ MAD = 1.4826
 """Standard deviation of normal errors per median of their absolute values."""
 
 
-def parted(recording: Recording, poses: Poses) -> tuple[Poses, tuple[Interval, ...]]:
+def parted(recording: Recording, poses: Poses) -> tuple[Poses, tuple[tuple[float, float], ...]]:
     """Return poses, in the order of time, with each that was bumped as those before and after it.
 
     Beside them when that was, s.

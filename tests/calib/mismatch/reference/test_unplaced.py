@@ -8,7 +8,7 @@ import pytest
 
 from calib.effects.base import Term
 from calib.mismatch import Diagnosis, ReferenceMotion, diagnose_reference
-from calib.mismatch.reference.against import UNPLACED
+from calib.mismatch.reference.conclusion import UNPLACED
 from calib.mismatch.reference.referencemode import compare_reference
 from calib.mismatch.samples.samples import look_at_samples
 from calib.model import SensorModel
