@@ -11,6 +11,7 @@ from calib.frozen import find_frozen
 from calib.gated import find_gated
 from calib.gravity import STANDARD_GRAVITY as G
 from calib.lsb import find_stuck_bits
+from calib.measured import spikes_of
 from calib.poses import Poses
 from calib.recording import CHANNELS, Clock, Recording
 from calib.repeats import find_repeats
@@ -266,7 +267,7 @@ def _samples(recording: Recording, at_rest: BoolArray) -> list[Finding]:
                 times=_first(time[repeats]),
             )
         )
-    spikes = faults.find_spikes(values, lsb=step)
+    spikes = spikes_of(recording).tolist()
     if spikes:
         names = tuple(dict.fromkeys(CHANNELS[c] for *_, c in spikes))
         out.append(

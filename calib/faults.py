@@ -455,6 +455,10 @@ def _spikes(
         # Of the others all of it counts: what moves is not off its course to one side.
         alone &= (most[:, k] / unit)[others].max() < max(OTHERS, SHARED * rest[c, k] / unit[c])
         back = leaves * returns > 0 and min(abs(leaves), abs(returns)) > 0.5 * rest[c, k]
+        # What moves has begun to a sample earlier, and has not ended yet a sample later.
+        begins = values[c, k - 1] - values[c, k - 2]
+        ends = values[c, k + length] - values[c, k + length + 1]
+        back &= ISOLATED * max(abs(begins), abs(ends)) < max(abs(leaves), abs(returns))
         if alone and back and rest[c, k] > ISOLATED * near.max(initial=0.0):
             found.append((k, k + length, c, float(ratio[c, k])))
     return found, tail

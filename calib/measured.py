@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from calib import faults
+from calib.bumps import is_tilt
 from calib.read_once import read_once
 from calib.recording import Recording
 from calib.timing import evened
@@ -49,10 +50,14 @@ def mended(recording: Recording) -> tuple[Recording, IntArray]:
 
 
 def spikes_of(recording: Recording) -> IntArray:
-    """Return the samples ``[start, stop)`` and channel of each spike, (k, 3)."""
+    """Return the samples ``[start, stop)`` and channel of each spike, (k, 3).
+
+    What tilts a sensor that is at rest is none.
+    """
     values = faults.values_of(recording)
     found = faults.find_spikes(values, lsb=faults.resolution(values))
-    return np.array(found, np.int64).reshape(-1, 3)
+    kept = [f for f in found if f[2] < 3 or not is_tilt(recording, f[0], f[1])]
+    return np.array(kept, np.int64).reshape(-1, 3)
 
 
 def bridged(recording: Recording, spikes: IntArray) -> Recording:

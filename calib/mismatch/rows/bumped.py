@@ -11,6 +11,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from calib.bumps import gravity_followed, mean_variance
 from calib.poses import Poses, average_poses
 from calib.recording import Recording
 from calib.types import FloatArray
@@ -27,13 +28,6 @@ SHORTEST = 0.8
 
 FEWEST = 16
 """Samples there."""
-
-PLAIN, CLEARLY = 16.0, 4.0
-"""How much better the bump explains how gravity changed than chance does: by chi-squared, and as a
-ratio."""
-
-UNSURE = 2.0
-"""Factor within which so few samples of a pulse tell its size."""
 
 MAD = 1.4826
 """Standard deviation of normal errors per median of their absolute values."""
@@ -98,29 +92,11 @@ def _bump(recording: Recording, start: int, stop: int) -> tuple[int, int] | None
     early, late = accel[:first], accel[last:]
     change = late.mean(axis=0) - early.mean(axis=0)
     predicted = np.cross(accel.mean(axis=0), turned)
-    error = np.sqrt(sum(_mean_variance(part, width) for part in (early, late)))
-    return (start + first, start + last) if _turns(change, predicted, error) else None
-
-
-def _turns(change: FloatArray, predicted: FloatArray, error: FloatArray) -> bool:
-    """Whether gravity turned as predicted, up to a factor."""
-    if not (error > 0).all():
-        return False
-    seen, wanted = change / error, predicted / error
-    factor = float(seen @ wanted) / max(float(wanted @ wanted), np.finfo(float).tiny)
-    left = float(np.square(seen - factor * wanted).sum())
-    moved = float(np.square(seen).sum())
-    return 1 / UNSURE < factor < UNSURE and moved > PLAIN + left and moved > CLEARLY * left
+    error = np.sqrt(sum(mean_variance(part, width) for part in (early, late)))
+    return (start + first, start + last) if gravity_followed(change, predicted, error) else None
 
 
 def _scatter(angle: FloatArray, width: int) -> FloatArray:
     """Return the standard deviation of angles in so many samples, (3,), from one to the next."""
     change = np.diff(angle[::width], axis=0)
     return np.asarray(np.median(np.abs(change), axis=0) * MAD / np.sqrt(2.0))
-
-
-def _mean_variance(values: FloatArray, width: int) -> FloatArray:
-    """Return the variance of the mean of (n, 3) values, as means of so many of them scatter."""
-    number = len(values) // width
-    means = values[: number * width].reshape(number, width, 3).mean(axis=1)
-    return np.asarray(np.square(np.diff(means, axis=0)).mean(axis=0) / (2.0 * number))

@@ -93,3 +93,12 @@ def test_without_a_clock_nothing_is_brisk() -> None:
     recording, _ = bench(1, 100.0, TILT)
     timeless: Recording = replace(recording, clock="invalid")
     assert not len(parted(timeless, find_poses(recording))[1])
+
+
+def test_a_bump_about_one_axis_is_no_sample_that_is_off_course() -> None:
+    """It is over in four samples."""
+    recording, moment = bench(4, 100.0, np.array([3.3, 0.2, -0.2]) * MILLIRADIAN)
+    found = diagnose_recording(recording, gravity=GRAVITY)
+    ((start, stop),) = found.summary["bumped"]
+    assert start < moment + 0.03 < stop
+    assert not found.unexplained
