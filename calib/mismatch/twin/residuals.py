@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy import sparse
+from scipy.special import chdtri
 
 from calib.effects import get_effect
 from calib.effects.base import State, TransformEffect
@@ -43,6 +44,12 @@ References
 ----------
 .. [1] Elble, Koller, "Tremor", Baltimore 1990: physiologic tremor of the hand, 8 to 12 Hz.
 """
+
+ROUNDED = 1e-9
+"""Share of the variance of a closure below which one more direction of it is rounding."""
+
+MEDIAN_OF_FIVE = float(chdtri(5.0, 0.5))
+"""Of chi-squared with as many degrees of freedom as a turn has closures."""
 
 MEANS = 1 / 3
 """Mean square of the share, from 0 to 1, of a sample interval over which samples are means."""
@@ -117,11 +124,19 @@ def linearise(grid: Grid, twin: Twin, *, headed: bool = False) -> Linear:
         layout.functional(c, turning[c // 3][:, :, c % 3], len(grid.time))
         for c in range(len(CHANNELS))
     )
-    baseline = np.zeros((layout.number, len(twin.names)))
-    for j, name in enumerate(twin.names):
-        for key, values in baseline_column(name, state).items():
-            baseline[:, j] += functional[CHANNELS.index(key)] @ values
+    baseline = _baseline(twin.names, state, functional)
     return Linear(residual, baseline, nuisance, functional, state, layout, closed, turning)
+
+
+def _baseline(
+    names: tuple[str, ...], state: State, functional: tuple[sparse.csr_matrix, ...]
+) -> FloatArray:
+    """Return the derivatives of rows with respect to the baseline's parameters, (m, p)."""
+    out = np.zeros((functional[0].shape[0], len(names)))
+    for j, name in enumerate(names):
+        for key, values in baseline_column(name, state).items():
+            out[:, j] += functional[CHANNELS.index(key)] @ values
+    return out
 
 
 def build_rows(grid: Grid, twin: Twin, noise: FloatArray, *, spread: float | None = None) -> Rows:
@@ -136,10 +151,11 @@ def build_rows(grid: Grid, twin: Twin, noise: FloatArray, *, spread: float | Non
         How uncertain the size of drift is beforehand, in place of `SPREAD`.
     """
     linear = linearise(grid, twin, headed=True)
-    state, closed, layout = linear.state, linear.closed, linear.layout
+    closed, layout = linear.closed, linear.layout
     points, spans = grid.turns
+    state = closing(grid, twin, linear, noise)
     dense = int((layout.kind != Kind.CONTRAST).sum())
-    signals = state.force[points], state.rate[points]
+    signals = linear.state.force[points], linear.state.rate[points]
     each = np.zeros(layout.number)
     for c, f in enumerate(linear.functional):
         each += f.power(2) @ noise[:, c]
@@ -169,7 +185,7 @@ def build_rows(grid: Grid, twin: Twin, noise: FloatArray, *, spread: float | Non
         parts = closed.before, closed.after
         components += (lean_of_turns(lean, layout.ends, beside, parts),)
     components += tuple(sampling_components(closed, *signals, noise[points], spans, layout.ends))
-    blur = mean_over_interval(grid, state)
+    blur = mean_over_interval(grid, linear.state)
     spilt = sum(f[:dense] @ blur[:, c] for c, f in enumerate(linear.functional))
     white += MEANS * np.outer(spilt, spilt)
     between = between_samples(grid)
@@ -179,7 +195,7 @@ def build_rows(grid: Grid, twin: Twin, noise: FloatArray, *, spread: float | Non
         white += np.outer(missed, missed)
     return Rows(
         residual=linear.residual,
-        baseline=linear.baseline,
+        baseline=_baseline(twin.names, state, linear.functional),
         names=twin.names,
         nuisance=linear.nuisance,
         functional=linear.functional,
@@ -198,6 +214,47 @@ def build_rows(grid: Grid, twin: Twin, noise: FloatArray, *, spread: float | Non
         lean=lean,
         aliased=is_aliased(grid),
     )
+
+
+def closing(grid: Grid, twin: Twin, linear: Linear, noise: FloatArray) -> State:
+    """Return the state with turns that close: without what noise most likely is in its signals.
+
+    Of the noise ``n`` in the signals of a turn its closures ``r = W n`` show five sums. Given these
+    it is ``N W' (W N W')^-1 r``, N being its covariance. Columns that follow a signal would follow
+    the very noise that is in the residual otherwise, and explain that, where there is hardly more:
+    about an axis that a robot keeps still.
+
+    Parameters
+    ----------
+    grid, twin, linear : Grid, Twin, Linear
+    noise : (n, 6) array
+        Variance of each point on each channel.
+    """
+    points, spans = grid.turns
+    if not len(points):
+        return linear.state
+    triads = list(zip(linear.turning, (slice(3), slice(3, 6)), strict=True))
+    covariance = sum(covariance_of_turns(w, noise[points][:, own], spans) for w, own in triads)
+    size = np.sqrt(np.einsum("kii->ki", covariance))
+    scale = np.where(size > 0, size, 1.0)
+    alike = covariance / (scale[:, :, None] * scale[:, None]) + ROUNDED * np.eye(size.shape[1])
+    left = linear.residual[linear.layout.ends] / scale
+    found = np.linalg.solve(alike, left[:, :, None])[:, :, 0]
+    # As much more as they are off for other reasons, so much less of it is noise.
+    found /= max(float(np.median((left * found).sum(axis=1))) / MEDIAN_OF_FIVE, 1.0)
+    found = (found / scale)[spans.turn]
+    out = []
+    for (weights, own), values, triad in zip(
+        triads,
+        (linear.state.force, linear.state.rate),
+        (twin.model.accel, twin.model.gyro),
+        strict=True,
+    ):
+        likely = noise[points][:, own] * np.einsum("rni,nr->ni", weights, found)
+        closed = values.copy()
+        closed[points] -= likely @ np.linalg.inv(triad.matrix).T
+        out.append(closed)
+    return replace(linear.state, force=out[0], rate=out[1])
 
 
 def is_aliased(grid: Grid) -> bool:
