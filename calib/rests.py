@@ -45,6 +45,9 @@ of what is between the first of them and the last."""
 UNMOVED, CLEARLY = 50.0, 4.0
 """How much worse a turn explains the change of specific force than rest does for fewer poses to be
 at rest: by chi-squared, and as a ratio."""
+MOST_BIAS = 0.07
+"""rad/s: by more (4 °/s) no bias steps in a recording. A table that turns about the vertical keeps
+gravity where it is as well."""
 STEPS = 8
 """Times that it steps, at most."""
 ONSET = 4.0
@@ -160,11 +163,14 @@ def _rate_at_rest(
         when, smooth = _followed(at[left], rate[left], near, reach)
         path = np.column_stack([np.interp(at[left], when, own) for own in smooth.T])
         left = left[np.linalg.norm(rate[left] - path, axis=1) <= reach]
+        stepped = rate[left] - bias[at[left].astype(int)]
+        if units.rate and units.rate * np.linalg.norm(stepped, axis=1).max() > MOST_BIAS:
+            break
         turned = np.einsum("ij,ij->i", up[left[1:]], up[left[:-1]]) < np.cos(APART)
-        if 1 + turned.sum() < POSES:
-            stepped = rate[left] - bias[at[left].astype(int)]
-            if not _moves_nothing(blocks, piece[left], stepped, noise[1], units):
-                break
+        if 1 + turned.sum() < POSES and not _moves_nothing(
+            blocks, piece[left], stepped, noise[1], units
+        ):
+            break
         if 2 * len(left) <= left[-1] - left[0] + 1:
             break
         first, last = piece[left[0], 0], piece[left[-1], 1]

@@ -287,3 +287,27 @@ def test_a_rate_that_only_two_poses_have_is_a_slow_turn() -> None:
         up = poses.accel[k] / np.linalg.norm(poses.accel[k])
         gyro[poses.start[k] : poses.stop[k]] += 0.02 * up
     assert len(find_poses(Recording(made.time, made.accel, gyro, "device"))) == 15
+
+
+def test_a_table_that_turns_about_the_vertical_is_not_at_rest() -> None:
+    """Gravity stays where it is, and every turn has a rate of its own: no bias steps so far."""
+    rng = np.random.default_rng(8)
+    rates = (0.087, -0.087, 0.5, -0.5, 0.9, -0.9, 1.5, -1.5)
+    pieces = [piece for w in rates for piece in ((12.0, 0.0), (25.0, w))] + [(12.0, 0.0)]
+    rate = np.concatenate([np.full(round(100 * length), w) for length, w in pieces])
+    rate = np.convolve(np.pad(rate, 100, mode="edge"), np.full(201, 1 / 201), mode="valid")
+    gyro = np.outer(rate, [0.0, 0.0, 1.0]) + rng.normal(0, 1e-4, (len(rate), 3))
+    accel = np.array([0.0, 0.1, 9.8]) + rng.normal(0, 0.001, (len(rate), 3))
+    # Mounted on another face, and turned there.
+    turn = np.linspace(0.0, np.pi / 2, 200)
+    over = 9.8 * np.stack((0 * turn, np.sin(turn), np.cos(turn)), axis=1)
+    tipped = np.tile([np.pi / 4, 0.0, 0.0], (200, 1))
+    recording = Recording(
+        0.01 * np.arange(2 * len(rate) + 200),
+        np.concatenate((accel, over, accel[:, [0, 2, 1]])),
+        np.concatenate((gyro, tipped, gyro[:, [0, 2, 1]])),
+        "device",
+    )
+    poses = find_poses(recording)
+    assert len(poses) == 18
+    assert np.abs(poses.gyro).max() < 0.01
