@@ -153,17 +153,17 @@ def build_rows(grid: Grid, twin: Twin, noise: FloatArray, *, spread: float | Non
     linear = linearise(grid, twin, headed=True)
     closed, layout = linear.closed, linear.layout
     points, spans = grid.turns
-    state = closing(grid, twin, linear, noise)
+    by_force, by_rate = linear.turning
+    of_turns = covariance_of_turns(by_force, noise[points][:, :3], spans)
+    of_turns += covariance_of_turns(by_rate, noise[points][:, 3:], spans)
+    state = closing(grid, twin, linear, noise, of_turns)
     dense = int((layout.kind != Kind.CONTRAST).sum())
     signals = linear.state.force[points], linear.state.rate[points]
     each = np.zeros(layout.number)
     for c, f in enumerate(linear.functional):
         each += f.power(2) @ noise[:, c]
     white, diagonal = np.diag(each[:dense]), each[dense:]
-    white[layout.ends[:, :, None], layout.ends[:, None]] = sum(
-        covariance_of_turns(weights, noise[points][:, own], spans)
-        for weights, own in zip(linear.turning, (slice(3), slice(3, 6)), strict=True)
-    )
+    white[layout.ends[:, :, None], layout.ends[:, None]] = of_turns
     pieces = tuple(_in_segments(f, layout.segment, len(grid.first)) for f in linear.functional)
     components = _components(
         grid,
@@ -216,7 +216,9 @@ def build_rows(grid: Grid, twin: Twin, noise: FloatArray, *, spread: float | Non
     )
 
 
-def closing(grid: Grid, twin: Twin, linear: Linear, noise: FloatArray) -> State:
+def closing(
+    grid: Grid, twin: Twin, linear: Linear, noise: FloatArray, covariance: FloatArray
+) -> State:
     """Return the state with turns that close: without what noise most likely is in its signals.
 
     Of the noise ``n`` in the signals of a turn its closures ``r = W n`` show five sums. Given these
@@ -229,12 +231,12 @@ def closing(grid: Grid, twin: Twin, linear: Linear, noise: FloatArray) -> State:
     grid, twin, linear : Grid, Twin, Linear
     noise : (n, 6) array
         Variance of each point on each channel.
+    covariance : (k, 5, 5) array
+        What that makes of the closures of each turn.
     """
     points, spans = grid.turns
     if not len(points):
         return linear.state
-    triads = list(zip(linear.turning, (slice(3), slice(3, 6)), strict=True))
-    covariance = sum(covariance_of_turns(w, noise[points][:, own], spans) for w, own in triads)
     size = np.sqrt(np.einsum("kii->ki", covariance))
     scale = np.where(size > 0, size, 1.0)
     alike = covariance / (scale[:, :, None] * scale[:, None]) + ROUNDED * np.eye(size.shape[1])
@@ -243,18 +245,15 @@ def closing(grid: Grid, twin: Twin, linear: Linear, noise: FloatArray) -> State:
     # As much more as they are off for other reasons, so much less of it is noise.
     found /= max(float(np.median((left * found).sum(axis=1))) / MEDIAN_OF_FIVE, 1.0)
     found = (found / scale)[spans.turn]
+    state, model = linear.state, twin.model
     out = []
-    for (weights, own), values, triad in zip(
-        triads,
-        (linear.state.force, linear.state.rate),
-        (twin.model.accel, twin.model.gyro),
-        strict=True,
-    ):
-        likely = noise[points][:, own] * np.einsum("rni,nr->ni", weights, found)
+    for c, (values, triad) in enumerate(((state.force, model.accel), (state.rate, model.gyro))):
+        likely = np.einsum("rni,nr->ni", linear.turning[c], found)
+        likely *= noise[points][:, 3 * c : 3 * c + 3]
         closed = values.copy()
         closed[points] -= likely @ np.linalg.inv(triad.matrix).T
         out.append(closed)
-    return replace(linear.state, force=out[0], rate=out[1])
+    return replace(state, force=out[0], rate=out[1])
 
 
 def is_aliased(grid: Grid) -> bool:

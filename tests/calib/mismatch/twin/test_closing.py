@@ -5,6 +5,7 @@ import pytest
 
 from calib.mismatch import diagnose_recording
 from calib.mismatch.noise.sensornoise import sample_noise
+from calib.mismatch.rows.closure import covariance_of_turns
 from calib.mismatch.rows.grid import make_grid
 from calib.mismatch.twin.residuals import closing, linearise
 from calib.mismatch.twin.selfmode import SelfProblem
@@ -60,8 +61,12 @@ def test_the_state_of_what_columns_follow_closes() -> None:
     problem.rows()
     grid, twin = problem.grid, problem.twin
     linear, noise = linearise(grid, twin), sample_noise(grid)
-    closed = closing(grid, twin, linear, noise)
     points, spans = grid.turns
+    covariance = sum(
+        covariance_of_turns(weights, noise[points][:, own], spans)
+        for weights, own in zip(linear.turning, (slice(3), slice(3, 6)), strict=True)
+    )
+    closed = closing(grid, twin, linear, noise, covariance)
     gone = 0.0
     off = linear.state.force - closed.force, linear.state.rate - closed.rate
     for weights, change, triad in zip(
