@@ -200,14 +200,18 @@ def _samples(recording: Recording, at_rest: BoolArray) -> list[Finding]:
     step, noise = faults.resolution(values), faults.noise_at_rest(values)
     out = []
     clipped = np.zeros((n, 6), bool)
-    for c, name in enumerate(CHANNELS):
-        triad = name.split(".")[0]
-        at = faults.find_clipping(
-            values[:, c],
+    limits = [
+        at
+        for triad, own in (("accel", slice(3)), ("gyro", slice(3, 6)))
+        for at in faults.find_limits(
+            values[:, own],
             full_scale=getattr(device, f"{triad}_full_scale"),
             lsb=getattr(device, f"{triad}_lsb"),
-            noise=float(max(noise[c], step[c])),
+            noise=np.maximum(noise[own], step[own]),
         )
+    ]
+    for c, (name, at) in enumerate(zip(CHANNELS, limits, strict=True)):
+        triad = name.split(".")[0]
         if at.size and n >= faults.BLOCK:
             clipped[at, c] = True
             limit = float(np.abs(values[at, c]).max())

@@ -235,15 +235,12 @@ def _clipped(recording: Recording) -> IntArray:
     """Return the samples at which a channel of the gyroscope is at its limit."""
     resolution = faults.resolution(recording.gyro)
     noise = np.maximum(faults.noise_at_rest(recording.gyro), resolution)
-    found = [
-        faults.find_clipping(
-            recording.gyro[:, k],
-            full_scale=recording.device.gyro_full_scale,
-            lsb=recording.device.gyro_lsb,
-            noise=float(noise[k]),
-        )
-        for k in range(3)
-    ]
+    found = faults.find_limits(
+        recording.gyro,
+        full_scale=recording.device.gyro_full_scale,
+        lsb=recording.device.gyro_lsb,
+        noise=noise,
+    )
     return np.unique(np.concatenate(found))
 
 

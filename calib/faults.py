@@ -31,6 +31,11 @@ FALSE_ALARM = 1e-6
 """Probability, for a whole recording, that chance alone makes a finding."""
 SPIKE, ISOLATED, OTHERS = 9.0, 4.0, 4.0
 """A spike over the local scatter, over the ten samples around it; what other channels may show."""
+BEYOND = 1.2
+"""How far one axis of a triad goes beyond another that is at its limit, at most: each has its own
+offset, and an analogue one its own range."""
+HELD = 8
+"""Equal samples that no machine makes at a level which is none of its sensor's."""
 LONGEST_SPIKE = 3
 """Samples of a spike, at most: as many as are lost where a few bytes are."""
 SPIKES_PART = 256 * NEARBY
@@ -192,6 +197,39 @@ def find_clipping(
         if (sign * channel).max() >= BOTH_WAYS * most
     ]
     return np.sort(np.concatenate(found))
+
+
+def find_limits(
+    triad: FloatArray, *, full_scale: float | None, lsb: float | None, noise: FloatArray
+) -> list[IntArray]:
+    """Return the samples of each channel of a triad at which it was at its limit.
+
+    As `find_clipping` does. But the range of a triad is one: where another axis went well beyond
+    it, the level at which one stayed for some samples is none. A machine turns at the same rate
+    time and again.
+
+    Parameters
+    ----------
+    triad : (n, 3) array
+    noise : (3,) array
+    """
+    found = [
+        find_clipping(own, full_scale=full_scale, lsb=lsb, noise=float(level))
+        for own, level in zip(triad.T, noise, strict=True)
+    ]
+    most = np.abs(triad).max(axis=0, initial=0.0)
+    if full_scale is not None or not most.any():
+        return found
+    return [
+        at if BEYOND * m >= most.max() or _longest_run(at) > HELD else at[:0]
+        for at, m in zip(found, most, strict=True)
+    ]
+
+
+def _longest_run(at: IntArray) -> int:
+    """Return how many of the indices, at most, follow one another."""
+    ends = np.flatnonzero(np.diff(at, prepend=-2, append=at[-1:] + 2) > 1)
+    return int(np.diff(ends).max(initial=0))
 
 
 def _plateaus(channel: FloatArray, scale: float) -> IntArray:

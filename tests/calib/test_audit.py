@@ -19,6 +19,7 @@ from calib.faults import (
     find_clipping,
     find_copies,
     find_gaps,
+    find_limits,
     find_spikes,
     find_stuck,
     resolution,
@@ -209,6 +210,21 @@ def test_the_tops_of_a_machines_turns_are_no_clipping(noise: float, shift: float
         assert not find_clipping(turns, full_scale=None, lsb=1.0, noise=noise).size
         cut = np.minimum(turns, 400.0)
         assert find_clipping(cut, full_scale=None, lsb=1.0, noise=noise).size
+
+
+def test_a_rate_that_another_axis_goes_beyond_is_no_limit() -> None:
+    """A machine that turns about one axis by 66 degrees a second, and by 219 about another."""
+    time = np.arange(2000) * 0.02
+    level = np.round(np.clip(540.0 * np.sin(7.0 * time), -500.0, 500.0))
+    faster = np.round(1700.0 * np.sin(0.7 * time))
+    noise = np.ones(3)
+    alone = np.stack((level, 0.1 * faster, 0.1 * level), axis=1)
+    both = np.stack((level, faster, 0.1 * level), axis=1)
+    found = find_limits(alone, full_scale=None, lsb=1.0, noise=noise)
+    assert [bool(at.size) for at in found] == [True, False, False]
+    assert not any(at.size for at in find_limits(both, full_scale=None, lsb=1.0, noise=noise))
+    known = find_limits(both, full_scale=1700.0, lsb=1.0, noise=noise)
+    assert known[1].size
 
 
 def test_a_dead_and_a_stuck_channel() -> None:

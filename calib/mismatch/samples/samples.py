@@ -161,20 +161,19 @@ def _clipping(
         return clipped, findings
     noise = faults.noise_at_rest(values)
     for first, triad in ((0, "accel"), (3, "gyro")):
-        limit = 0.0
-        for c in range(first, first + 3):
-            at = faults.find_clipping(
-                values[:, c],
-                full_scale=getattr(recording.device, f"{triad}_full_scale"),
-                lsb=getattr(recording.device, f"{triad}_lsb"),
-                noise=float(max(noise[c], step[c])),
-            )
+        limit, own = 0.0, slice(first, first + 3)
+        found = faults.find_limits(
+            values[:, own],
+            full_scale=getattr(recording.device, f"{triad}_full_scale"),
+            lsb=getattr(recording.device, f"{triad}_lsb"),
+            noise=np.maximum(noise[own], step[own]),
+        )
+        for c, at in enumerate(found, first):
             if at.size:
                 clipped[at, c] = True
                 limit = max(limit, float(np.abs(values[at, c]).max()))
         if limit:
             # The range is one: what another axis reached for a sample or two was cut there as well.
-            own = slice(first, first + 3)
             clipped[:, own] |= np.abs(values[:, own]) >= limit - 1.5 * step[own]
             findings.append(_saturation(recording, clipped, triad, limit))
     return clipped, findings
