@@ -196,20 +196,11 @@ def _heating(recording: Recording) -> float:
 
 def _samples(recording: Recording, at_rest: BoolArray) -> list[Finding]:
     values = faults.values_of(recording)
-    n, time, device = len(values), recording.time, recording.device
+    n, time = len(values), recording.time
     step, noise = faults.resolution(values), faults.noise_at_rest(values)
     out = []
     clipped = np.zeros((n, 6), bool)
-    limits = [
-        at
-        for triad, own in (("accel", slice(3)), ("gyro", slice(3, 6)))
-        for at in faults.find_limits(
-            values[:, own],
-            full_scale=getattr(device, f"{triad}_full_scale"),
-            lsb=getattr(device, f"{triad}_lsb"),
-            noise=np.maximum(noise[own], step[own]),
-        )
-    ]
+    limits = faults.limits_of(recording, np.maximum(noise, step))
     for c, (name, at) in enumerate(zip(CHANNELS, limits, strict=True)):
         triad = name.split(".")[0]
         if at.size and n >= faults.BLOCK:

@@ -55,17 +55,24 @@ def is_tilt(recording: Recording, start: int, stop: int) -> bool:
     first, last = start - 2, stop + 2
     if first < FEWEST or last + FEWEST > len(recording):
         return False
-    before, after = slice(max(first - width, 0), first), slice(last, last + width)
-    bias = 0.5 * (recording.gyro[before].mean(axis=0) + recording.gyro[after].mean(axis=0))
-    angle = step * (recording.gyro[first:last] - bias).sum(axis=0)
+    return tilted(recording, slice(max(first - width, 0), first), slice(last, last + width))
+
+
+def tilted(recording: Recording, before: slice, after: slice) -> bool:
+    """Return whether gravity turned between two rests as the gyroscope says that the sensor did."""
+    rests = np.r_[before, after]
+    turning = recording.gyro[before.stop : after.start] - recording.gyro[rests].mean(axis=0)
+    angle = recording.interval * turning.sum(axis=0)
     early, late = recording.accel[before], recording.accel[after]
     change = late.mean(axis=0) - early.mean(axis=0)
-    error = np.sqrt(sum(mean_variance(part, len(part) // PARTS) for part in (early, late)))
-    return gravity_followed(change, np.cross(early.mean(axis=0), angle), error)
+    error = np.sqrt(_mean_variance(early) + _mean_variance(late))
+    predicted = np.cross(recording.accel[rests].mean(axis=0), angle)
+    return gravity_followed(change, predicted, error)
 
 
-def mean_variance(values: FloatArray, width: int) -> FloatArray:
-    """Return the variance of the mean of (n, 3) values, as means of so many of them scatter."""
+def _mean_variance(values: FloatArray) -> FloatArray:
+    """Return the variance of the mean of (n, 3) values, as means of parts of them scatter."""
+    width = len(values) // PARTS
     number = len(values) // width
     means = values[: number * width].reshape(number, width, 3).mean(axis=1)
     return np.asarray(np.square(np.diff(means, axis=0)).mean(axis=0) / (2.0 * number))

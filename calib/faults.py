@@ -221,15 +221,32 @@ def find_limits(
     if full_scale is not None or not most.any():
         return found
     return [
-        at if BEYOND * m >= most.max() or _longest_run(at) > HELD else at[:0]
+        at if BEYOND * m >= most.max() or _longest_run(at, len(triad)) > HELD else at[:0]
         for at, m in zip(found, most, strict=True)
     ]
 
 
-def _longest_run(at: IntArray) -> int:
-    """Return how many of the indices, at most, follow one another."""
-    ends = np.flatnonzero(np.diff(at, prepend=-2, append=at[-1:] + 2) > 1)
-    return int(np.diff(ends).max(initial=0))
+def _longest_run(at: IntArray, number: int) -> int:
+    """Return how many of the indices, of so many samples, follow one another at most."""
+    held = np.zeros(number, bool)
+    held[at] = True
+    start, stop = runs(held)
+    return int((stop - start).max(initial=0))
+
+
+def limits_of(recording: Recording, noise: FloatArray) -> list[IntArray]:
+    """Return the samples of each channel at which it was at its limit, for (6,) ``noise``."""
+    device = recording.device
+    accel = find_limits(
+        recording.accel,
+        full_scale=device.accel_full_scale,
+        lsb=device.accel_lsb,
+        noise=noise[:3],
+    )
+    gyro = find_limits(
+        recording.gyro, full_scale=device.gyro_full_scale, lsb=device.gyro_lsb, noise=noise[3:]
+    )
+    return accel + gyro
 
 
 def _plateaus(channel: FloatArray, scale: float) -> IntArray:

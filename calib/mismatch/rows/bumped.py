@@ -11,7 +11,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from calib.bumps import gravity_followed, mean_variance
+from calib.bumps import tilted
+from calib.faults import ROBUST
 from calib.poses import Poses, average_poses
 from calib.recording import Recording
 from calib.types import FloatArray
@@ -28,9 +29,6 @@ SHORTEST = 0.8
 
 FEWEST = 16
 """Samples there."""
-
-MAD = 1.4826
-"""Standard deviation of normal errors per median of their absolute values."""
 
 
 def parted(recording: Recording, poses: Poses) -> tuple[Poses, tuple[tuple[float, float], ...]]:
@@ -76,7 +74,7 @@ def _bump(recording: Recording, start: int, stop: int) -> tuple[int, int] | None
     lasted = float(recording.time[stop - 1] - recording.time[start])
     if number < 2 * least + 2 * width or abs(lasted - (number - 1) * step) > step:
         return None
-    gyro, accel = recording.gyro[start:stop], recording.accel[start:stop]
+    gyro = recording.gyro[start:stop]
     off = gyro - np.median(gyro, axis=0)
     run = np.concatenate((np.zeros((1, 3)), np.cumsum(off, axis=0)))
     angle = step * (run[width:] - run[:-width])
@@ -87,16 +85,11 @@ def _bump(recording: Recording, start: int, stop: int) -> tuple[int, int] | None
     if size[at] < STANDS_OUT**2:
         return None
     first, last = max(at - width // 2, least), min(at + 2 * width, number - least)
-    rest = np.concatenate((off[:first], off[last:]))
-    turned = step * (off[first:last] - rest.mean(axis=0)).sum(axis=0)
-    early, late = accel[:first], accel[last:]
-    change = late.mean(axis=0) - early.mean(axis=0)
-    predicted = np.cross(accel.mean(axis=0), turned)
-    error = np.sqrt(sum(mean_variance(part, width) for part in (early, late)))
-    return (start + first, start + last) if gravity_followed(change, predicted, error) else None
+    before, after = slice(start, start + first), slice(start + last, stop)
+    return (before.stop, after.start) if tilted(recording, before, after) else None
 
 
 def _scatter(angle: FloatArray, width: int) -> FloatArray:
     """Return the standard deviation of angles in so many samples, (3,), from one to the next."""
     change = np.diff(angle[::width], axis=0)
-    return np.asarray(np.median(np.abs(change), axis=0) * MAD / np.sqrt(2.0))
+    return np.asarray(np.median(np.abs(change), axis=0) * ROBUST / np.sqrt(2.0))

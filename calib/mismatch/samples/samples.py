@@ -159,16 +159,10 @@ def _clipping(
     findings: list[Finding] = []
     if len(values) < faults.BLOCK:
         return clipped, findings
-    noise = faults.noise_at_rest(values)
+    found = faults.limits_of(recording, np.maximum(faults.noise_at_rest(values), step))
     for first, triad in ((0, "accel"), (3, "gyro")):
         limit, own = 0.0, slice(first, first + 3)
-        found = faults.find_limits(
-            values[:, own],
-            full_scale=getattr(recording.device, f"{triad}_full_scale"),
-            lsb=getattr(recording.device, f"{triad}_lsb"),
-            noise=np.maximum(noise[own], step[own]),
-        )
-        for c, at in enumerate(found, first):
+        for c, at in enumerate(found[own], first):
             if at.size:
                 clipped[at, c] = True
                 limit = max(limit, float(np.abs(values[at, c]).max()))

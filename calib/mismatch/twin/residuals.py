@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import NamedTuple
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy import sparse
@@ -55,21 +55,27 @@ MEANS = 1 / 3
 """Mean square of the share, from 0 to 1, of a sample interval over which samples are means."""
 
 
-class Linear(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Linear:
     """Recording minus twin, and its derivatives, as `Rows` have them; without what noise does.
 
-    ``closed`` are the closures of the turns, and ``turning`` what measured signals at their points
-    of either triad count in them, (5, n, 3).
+    ``names`` are the baseline's parameters, ``closed`` the closures of the turns, and ``turning``
+    what measured signals at their points of either triad count in them, (5, n, 3).
     """
 
+    names: tuple[str, ...]
     residual: FloatArray
-    baseline: FloatArray
     nuisance: FloatArray
     functional: tuple[sparse.csr_matrix, ...]
     state: State
     layout: Layout
     closed: Closures
     turning: tuple[FloatArray, FloatArray]
+
+    @cached_property
+    def baseline(self) -> FloatArray:
+        """Derivatives with respect to the baseline's parameters, (m, p)."""
+        return _baseline(self.names, self.state, self.functional)
 
 
 def linearise(grid: Grid, twin: Twin, *, headed: bool = False) -> Linear:
@@ -124,8 +130,7 @@ def linearise(grid: Grid, twin: Twin, *, headed: bool = False) -> Linear:
         layout.functional(c, turning[c // 3][:, :, c % 3], len(grid.time))
         for c in range(len(CHANNELS))
     )
-    baseline = _baseline(twin.names, state, functional)
-    return Linear(residual, baseline, nuisance, functional, state, layout, closed, turning)
+    return Linear(twin.names, residual, nuisance, functional, state, layout, closed, turning)
 
 
 def _baseline(
