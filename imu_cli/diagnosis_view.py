@@ -15,6 +15,7 @@ from imu_cli.report.words import (
     likelihood,
     moved_lines,
     notes,
+    rival_of,
     spans,
     where,
 )
@@ -46,7 +47,7 @@ def diagnosis_lines(document: Mapping[str, Any]) -> Iterator[str | Text | Table]
             ("Unexplained", "bold"),
             f": {place}; follows {left['follows']}{much} (p {_equal(left['p_value'])}).",
         )
-        yield from (f"  or: {r['effect']} (odds {r['odds']:.2g})" for r in left["rivals"])
+        yield from (f"  or: {rival_of(r)}" for r in left["rivals"])
     for alias in document["aliases"]:
         if alias["alike"]:
             yield ""
@@ -88,7 +89,7 @@ def _finding(finding: Mapping[str, Any]) -> Iterator[str]:
     elif finding["held_out_reason"]:
         yield f"Not checked on held-out data: {finding['held_out_reason']}."
     for rival in finding["rivals"]:
-        yield f"Or: {rival['effect']}, odds {rival['odds']:.2g} to 1."
+        yield f"Or: {rival_of(rival)}."
     if finding["to_separate"]:
         yield finding["to_separate"]
 

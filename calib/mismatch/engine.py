@@ -28,10 +28,10 @@ from calib.mismatch.missing import (
     LEANING,
     LEAST_DIRECTIONS,
     NO_REST,
-    POSES,
     across_gravity,
     hidden_effects,
     lacking,
+    with_turns,
     without_time,
 )
 from calib.mismatch.noise.leaning import lean_share
@@ -162,11 +162,12 @@ def _diagnose(thinned: Thinned, *, gravity: float, model: SensorModel | None) ->
         missing += (to_determine(outcome.undetermined),)
     fit = outcome.fit(reference=False)
     able = len(poses) > 3
-    if distinct_directions(poses.accel) < LEAST_DIRECTIONS:
+    directions = distinct_directions(poses.accel)
+    if directions < LEAST_DIRECTIONS:
         # On the faces of a cube the turns between them tell of the accelerometer's axes.
-        able = len(poses) >= LEAST_DIRECTIONS and not open_baseline(problem.twin.names, fit)
-        if able:
-            missing = tuple(item for item in missing if not item.startswith(POSES))
+        left_open = open_baseline(problem.twin.names, fit)
+        able = len(poses) >= LEAST_DIRECTIONS and not left_open
+        missing = with_turns(missing, directions, rests=len(poses), left_open=left_open)
     findings, unexplained, final, open_, (known, covariance) = _explained(problem, outcome, fit)
     if timeless:
         known, covariance = without_rates(known, covariance)

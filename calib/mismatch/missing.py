@@ -60,6 +60,25 @@ def lacking(recording: Recording, poses: Poses) -> tuple[str, ...]:
     return tuple(out)
 
 
+def with_turns(
+    missing: tuple[str, ...], directions: int, *, rests: int, left_open: Sequence[str]
+) -> tuple[str, ...]:
+    """Return what is missing where there are few directions, but turns between them as well.
+
+    ``left_open`` are the parameters of the baseline that both leave open. If there are none in
+    enough rests, no poses are missing.
+    """
+    so = ""
+    if rests < LEAST_DIRECTIONS:
+        if directions >= 3:
+            so = f"; or {LEAST_DIRECTIONS} rests, as turns between few poses tell of the axes too"
+    elif left_open:
+        so = f"; the turns between its {rests} rests leave {', '.join(left_open)} open"
+    else:
+        return tuple(item for item in missing if not item.startswith(POSES))
+    return tuple(item + so if item.startswith(POSES) else item for item in missing)
+
+
 def without_time(turns: FloatArray, number: int) -> str:
     """Return what is missing where so many turns (k, 2) have gaps in time: they are left out."""
     shown = ", ".join(f"{start:.1f}" for start, _ in turns[:FEW_MOMENTS].tolist())

@@ -18,6 +18,7 @@ from imu_cli.report.words import (
     likelihood,
     moved_lines,
     notes,
+    rival_of,
     spans,
     where,
 )
@@ -116,8 +117,8 @@ def _finding(number: int, finding: Mapping[str, Any]) -> list[Block]:
         moved = [_absorbed(item) for item in finding["absorbed_by"]]
         sentences.append(f"Until now these parameters had taken it up: {', '.join(moved)}.")
     if finding["rivals"]:
-        rivals = [f"{r['effect']} (odds {r['odds']:.2g})" for r in finding["rivals"]]
-        sentences.append(f"It could as well be: {', '.join(rivals)}.")
+        rivals = "; ".join(rival_of(r) for r in finding["rivals"])
+        sentences.append(f"It could as well be: {rivals}.")
     if finding["to_separate"]:
         sentences.append(finding["to_separate"])
     if finding["held_out"] is None and finding.get("held_out_reason"):

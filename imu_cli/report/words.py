@@ -51,6 +51,11 @@ def where(finding: Mapping[str, Any]) -> str:
     return "; ".join((*(part for part in parts if part), f"follows {finding['regime']}"))
 
 
+def rival_of(rival: Mapping[str, Any]) -> str:
+    """Return what something that was found may be instead, and how probable that is beside it."""
+    return f"{rival['effect']}, {rival['odds']:.2g} times as probable"
+
+
 def likelihood(fit: Mapping[str, Any]) -> str:
     """Return the log-likelihood before and after; nothing where nothing was fitted."""
     both = fit.get("log_likelihood")

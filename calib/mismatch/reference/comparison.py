@@ -23,7 +23,7 @@ from calib.mismatch.findings.diagnosis import Unexplained
 from calib.mismatch.reference.alignment import LEAST_OVERLAP, Alignment
 from calib.mismatch.reference.alike import check_motion, check_units
 from calib.mismatch.reference.band import BEYOND, FELT
-from calib.mismatch.reference.captured import Known, known_noise, sensor_densities
+from calib.mismatch.reference.captured import Known, known_noise
 from calib.mismatch.reference.carried import (
     NAMES,
     SEEN,
@@ -46,22 +46,27 @@ from calib.mismatch.reference.colour import (
 from calib.mismatch.reference.floor import with_rounding
 from calib.mismatch.reference.lateness import LATE, delaying, liveliest, rough_delay
 from calib.mismatch.reference.scatter import scatter, silenced
+from calib.mismatch.reference.sensed import (
+    ALWAYS_MOVING,
+    find_stillness,
+    find_warmth,
+    vibration,
+)
 from calib.mismatch.reference.setup import ACCEL_ANGLES, BASELINE, GYRO_ANGLES, LOOSE, Setup
 from calib.mismatch.reference.shapes import Shapes, find_shapes
 from calib.mismatch.reference.slips import find_slips
 from calib.mismatch.reference.steadied import steadied
 from calib.mismatch.reference.step import robust_step
-from calib.mismatch.reference.stilled import find_rests, gradient_in, resting, stilled
+from calib.mismatch.reference.stilled import gradient_in, resting, stilled
 from calib.mismatch.reference.truths import RecordingTruth
 from calib.mismatch.reference.visible import catalogue_shapes
 from calib.mismatch.reference.windowed import make_rows
-from calib.mismatch.reference.witnessed import between, fast_densities, shared, witnessed
+from calib.mismatch.reference.witnessed import between, shared, witnessed
 from calib.mismatch.rows.rows import Rows
 from calib.mismatch.twin.twin import baseline_column
 from calib.model import SensorModel
 from calib.recording import AXES, CHANNELS, Recording
-from calib.thermometer import smooth_temperature
-from calib.types import BoolArray, FloatArray
+from calib.types import BoolArray, FloatArray, IntArray
 
 LEAST_GAIN = 0.5
 """What a sensor makes at least of its true signals."""
@@ -80,10 +85,6 @@ where it belongs after two, and what it is off by is no noise."""
 LONG = 0.2
 """m: how far off the point that a truth describes a sensor may be where the motion does not tell:
 along the axis of all turns."""
-
-SETTLED = 3.0
-"""Periods of the cut-off after which a low-pass leaves so little of a quarter turn that markers see
-nothing of it: 0.01 %."""
 
 
 class ComparisonProblem:
@@ -160,16 +161,7 @@ class ComparisonProblem:
         self.notes = notes or {}
         self.truth, self.gravity = truth, gravity
         self.turned = mat_sr is not None
-        covered = truth.covers(alignment.times(real.time))
-        if spoilt is not None:
-            covered = covered & ~spoilt
-        common = float(covered.sum()) * real.interval
-        if common < LEAST_OVERLAP:
-            raise NoCommonMotionError(
-                f"the two have {common:.2g} s in common that both know without gaps, expected "
-                f"{LEAST_OVERLAP:g} s or more"
-            )
-        self.index = np.flatnonzero(covered)
+        self.index = _common(real, truth, alignment, spoilt)
         self.time = real.time[self.index]
         self.stuck = tuple(own[self.index] for own in stuck)
         self.folded = None if folded is None else folded[self.index]
@@ -177,30 +169,17 @@ class ComparisonProblem:
         self.band, self.interval, self.unresolved = band, real.interval, blur > 0
         self.judged: BoolArray | None = None
         self.measured = np.hstack((real.accel, real.gyro))[self.index]
-        self.temperature: FloatArray | None = None
-        self.temperature_slope: FloatArray | None = None
-        if real.temperature is not None:
-            known = smooth_temperature(real.time, real.temperature)
-            self.temperature, self.temperature_slope = known(self.time), known.rate_at(self.time)
+        self.warmth = find_warmth(real, self.time)
         start = SensorModel() if model is None else model
-        if model is None and self.temperature is not None:
-            start = replace(start, reference_temperature=float(np.median(self.temperature)))
+        if model is None and self.warmth.typical is not None:
+            start = replace(start, reference_temperature=self.warmth.typical)
         self.noisy = raw is not None
-        self.densities: tuple[float, float] | None = None
         shaken = real if raw is None else raw
         self.thin = max(1, round(real.interval / shaken.interval))
-        self.rests = self.settled = np.zeros((0, 2), np.int64)
+        self.still = ALWAYS_MOVING
         if raw is not None:
-            poses = find_rests(raw)
-            if truth.quat is not None and band and white is None:
-                rests = np.stack((poses.start, poses.stop), axis=1)
-                self.densities = sensor_densities(raw, rests) or fast_densities(raw)
-            edges = np.stack((raw.time[poses.start], raw.time[poses.stop - 1]), axis=1)
-            self.rests = np.searchsorted(self.time, edges)
-            if self.densities is not None:
-                apart = np.array([SETTLED, -SETTLED]) / band
-                self.settled = np.searchsorted(self.time, edges + apart)
-                self.settled = self.settled[self.settled[:, 1] > self.settled[:, 0]]
+            heard = truth.quat is not None and white is None
+            self.still = find_stillness(raw, self.time, band=band if heard else 0.0)
         if not truth.placed:
             self.judged = resting(self.time, shaken, felt=FELT / band if band else 0.0)
         self.blur = self._judging(
@@ -208,17 +187,10 @@ class ComparisonProblem:
             if band
             else gaussian(self.time, blur, real.interval)
         )
-        recorded = [values_of(shaken)]
-        if white is not None:
-            recorded.append(values_of(truth.recording))
-        self.coarse = np.any([resolution(v) >= noise_at_rest(v) for v in recorded], axis=0)
-        level = start.gyro.bias if not len(self.rests) else np.median(poses.gyro, axis=0)
-        still = State(shaken.time, shaken.accel, shaken.gyro - level)
-        variance = observed(still, ("vibration",)).vibration
-        assert variance is not None
-        self.vibration = np.stack(
-            [np.interp(self.time, shaken.time, v) for v in variance.T], axis=1
-        )
+        self.coarse = _coarse(shaken, *([] if white is None else [truth.recording]))
+        at_rest = self.still.gyro
+        bias = np.median(at_rest, axis=0) if len(at_rest) else start.gyro.bias
+        self.vibration = vibration(shaken, self.time, bias=bias)
         self.given = start.terms
         self.power_on = float(real.time[0])
         mat = np.eye(3) if mat_sr is None else mat_sr
@@ -264,15 +236,13 @@ class ComparisonProblem:
         state = self.truth.state(alignment.times(self.time))
         given = state.angular_acceleration
         state = replace(
-            state,
+            self.warmth.put_into(state),
             time=self.time,
             force=state.force @ mat.T,
             rate=state.rate @ mat.T,
             angular_acceleration=None if given is None else given @ mat.T,
-            known_gradient=gradient_in(mat, state.known_gradient, self.rests),
+            known_gradient=gradient_in(mat, state.known_gradient, self.still.rests),
             mat_ns=None if state.mat_ns is None else state.mat_ns @ mat.T,
-            temperature=self.temperature,
-            temperature_slope=self.temperature_slope,
             reference_temperature=model.reference_temperature,
             power_on=self.power_on,
             gravity=self.gravity,
@@ -315,12 +285,12 @@ class ComparisonProblem:
         if self.known is not None:
             gain = np.maximum(self._gain(), LEAST_GAIN)
             state = witnessed(state, left / gain, self.known)
-        elif self.densities is not None:
+        elif self.still.densities is not None:
             state = shared(state, self.measured)
         elif self.white is not None:
             state = between(state, left, self.white)
         ramp = round(1.0 / (self.band * self.interval)) if self.band else 0
-        state = stilled(state, self.rests, ramp=ramp)
+        state = stilled(state, self.still.rests, ramp=ramp)
         # The sensor's errors act on what it feels where it is. Of a motion that is not resolved
         # that is not known: it would be noise, and the same in many columns.
         felt = state if self.unresolved else self.setup.model.felt(state)
@@ -341,7 +311,7 @@ class ComparisonProblem:
                 )
             elif self.unknown is not None:
                 rough = silenced(self.unknown)
-            still = self.time[np.minimum(self.settled, len(self.time) - 1)]
+            still = self.time[np.minimum(self.still.settled, len(self.time) - 1)]
             self.shapes = find_shapes(
                 self.time, left, columns, blur=self.blur, scatter=rough, still=still
             )
@@ -352,7 +322,7 @@ class ComparisonProblem:
             steady = steadied(
                 self.time,
                 rate,
-                self.settled,
+                self.still.settled,
                 angle=known.angle,
                 interval=self.interval,
                 band=self.band,
@@ -396,11 +366,11 @@ class ComparisonProblem:
 
         Beside differences of these densities where they are slow, SI/√Hz.
         """
-        if self.densities is None or self.colours is None or not np.isfinite(accel + gyro):
+        if self.still.densities is None or self.colours is None or not np.isfinite(accel + gyro):
             return None
         cutoff = min(BEYOND * self.band, 0.5 / self.truth.recording.interval)
         return known_noise(
-            self.densities, (accel, gyro), self.colours, interval=self.interval, cutoff=cutoff
+            self.still.densities, (accel, gyro), self.colours, interval=self.interval, cutoff=cutoff
         )
 
     def told_by_noise(self, rows: Rows, axis: FloatArray) -> float:
@@ -627,3 +597,25 @@ class ComparisonProblem:
                     for channel, values in column.items():
                         yield channel, size * values
         yield from catalogue_shapes(state)
+
+
+def _common(
+    real: Recording, truth: RecordingTruth, alignment: Alignment, spoilt: BoolArray | None
+) -> IntArray:
+    """Return the samples that are whole and whose truth is known."""
+    covered = truth.covers(alignment.times(real.time))
+    if spoilt is not None:
+        covered = covered & ~spoilt
+    common = float(covered.sum()) * real.interval
+    if common < LEAST_OVERLAP:
+        raise NoCommonMotionError(
+            f"the two have {common:.2g} s in common that both know without gaps, expected "
+            f"{LEAST_OVERLAP:g} s or more"
+        )
+    return np.flatnonzero(covered)
+
+
+def _coarse(*recordings: Recording) -> BoolArray:
+    """Return which channels step in counts at rest in any of some recordings, (6,)."""
+    values = [values_of(recording) for recording in recordings]
+    return np.asarray(np.any([resolution(v) >= noise_at_rest(v) for v in values], axis=0))

@@ -12,6 +12,7 @@ from calib.effects import effects
 from calib.effects.base import Term
 from calib.mismatch import Diagnosis, diagnose_recording
 from calib.mismatch.engine import _in_motion
+from calib.mismatch.missing import with_turns
 from calib.mismatch.samples.spectrum import LOUDER_THERE
 from calib.model import SensorModel, Triad
 from calib.recording import Recording
@@ -19,6 +20,7 @@ from calib.simulate import simulate
 from calib.simulation.bench import bench_protocol
 from calib.simulation.library import make_motion
 from calib.simulation.noise import CONSUMER
+from calib.simulation.turntable import turntable
 from calib.statics import find_poses
 
 from .bench import GRAVITY, recording
@@ -118,6 +120,28 @@ def test_on_the_faces_of_a_cube_turns_tell_of_the_axes_too() -> None:
     found = diagnose_recording(real, gravity=GRAVITY)
     assert found.verdict == "consistent"
     assert not any(text.startswith("enough poses") for text in found.missing)
+
+
+def test_what_few_faces_lack_is_said_with_what_else_would_do() -> None:
+    rng = np.random.default_rng(3)
+    motion = turntable((), faces=("+z", "-z", "+x", "-x", "+y", "-y"))
+    real = simulate(motion, SensorModel(), CONSUMER, rng=rng, rate=50.0)
+    found = diagnose_recording(real, gravity=GRAVITY)
+    assert found.verdict == "undetermined"
+    assert "6 distinct ones" in found.missing[0]
+    assert "or 9 rests" in found.missing[0]
+
+
+def test_what_turns_leave_open_is_said_by_name() -> None:
+    lacks = ("enough poses: it has 6", "a valid clock")
+    open_ = with_turns(lacks, 6, rests=12, left_open=["accel.misalignment.xy"])
+    assert open_ == (
+        "enough poses: it has 6; the turns between its 12 rests leave accel.misalignment.xy open",
+        "a valid clock",
+    )
+    assert with_turns(lacks, 6, rests=12, left_open=[]) == ("a valid clock",)
+    # From one pose there are no turns that tell.
+    assert with_turns(lacks, 1, rests=2, left_open=[]) == lacks
 
 
 @pytest.mark.long
