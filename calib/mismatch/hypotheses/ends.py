@@ -56,10 +56,11 @@ UNLIKELY = 1e-3
 BLOCK = 256
 """Intervals whose overlaps with all others are in memory at once."""
 
-HEAVY = 2.0 / 7.0
+HEAVY = 2.0 / 11.0
 """The power of the evidence for where a disturbance is [1]_. Squares, for a mean of one, have a
 variance of 2 if what disturbs is normal; of 5 if it is as often small, and large, as Laplace's law
-says, as the heights of pulses are; and of 7 if one segment in four has none besides."""
+says, as the heights of pulses are; and of 11 if every other segment has none besides: contacts and
+supplies fail now and then."""
 
 STAYS = 0.25
 """How probable it is that a gain changes for good, to that it does in a window: of `rivals`, too,
