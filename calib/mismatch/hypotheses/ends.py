@@ -56,11 +56,13 @@ UNLIKELY = 1e-3
 BLOCK = 256
 """Intervals whose overlaps with all others are in memory at once."""
 
-HEAVY = 2.0 / 11.0
+HEAVY = 2.0 / 7.0
 """The power of the evidence for where a disturbance is [1]_. Squares, for a mean of one, have a
 variance of 2 if what disturbs is normal; of 5 if it is as often small, and large, as Laplace's law
-says, as the heights of pulses are; and of 11 if every other segment has none besides: contacts and
-supplies fail now and then."""
+says, as the heights of pulses are; and of 7 if one segment in four has none besides."""
+
+FAILING = 2.0 / 11.0
+"""The same of what comes and goes, where every other segment has none: contacts and supplies."""
 
 STAYS = 0.25
 """How probable it is that a gain changes for good, to that it does in a window: of `rivals`, too,
@@ -106,7 +108,8 @@ def place_window(rows: Rows, candidate: Candidate, whitener: Whitener, y: FloatA
     stays = [*(STAYS * _may_stay(c) for c in kinds), 0.0]
     prior = np.stack([of_place(first, last, number, odds) for odds in stays])
     of_kind = softmax(logsumexp(value + prior, axis=1))
-    weight = of_kind @ softmax(HEAVY * value + prior, axis=1)
+    power = np.array([HEAVY] * len(kinds) + [FAILING])
+    weight = of_kind @ softmax(power[:, None] * value + prior, axis=1)
     where = expected_overlap(rows.interval[first, 0], rows.interval[last - 1, 1], weight)
     a = int(np.searchsorted(rows.interval[:, 0], where[0]))
     b = int(np.searchsorted(rows.interval[:, 1], where[1])) + 1

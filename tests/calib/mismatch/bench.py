@@ -63,9 +63,9 @@ def with_added(real: Recording, signals: Mapping[str, FloatArray]) -> Recording:
 
 
 @cache
-def motion(poses: int) -> Motion:
-    """Return the motion of `recording(seed=8)`."""
-    rng = np.random.default_rng(8)
+def motion(poses: int, seed: int = 8) -> Motion:
+    """Return the motion of `recording` with a seed."""
+    rng = np.random.default_rng(seed)
     return bench_protocol(rng, poses=poses, first_pose=2.0, pose_duration=(3.0, 4.0))
 
 

@@ -27,7 +27,7 @@ from calib.recording import CHANNELS, Recording
 from calib.statics import find_poses
 from calib.types import FloatArray
 
-from ..bench import GRAVITY, motion_of, problem, recording, with_added
+from ..bench import GRAVITY, motion, motion_of, problem, recording, with_added
 
 
 def rivals(stack: Stack, name: str) -> list[Candidate]:
@@ -303,15 +303,18 @@ def test_a_gain_that_every_turn_makes_anew_is_unexplained_throughout():
 
 @pytest.mark.long
 def test_a_gain_that_changes_at_a_moment_is_unexplained_in_the_shorter_part():
-    real = recording(seed=8, poses=18)
-    begin = 0.4 * real.time[-1]
-    force = motion_of(real).force[:, 1]
-    odd = with_added(real, {"accel.y": 4e-3 * (real.time > begin) * force})
-    found = diagnose_recording(odd, gravity=GRAVITY)
-    assert not found.findings
-    (left,) = found.unexplained
-    assert (left.follows, left.channels) == (GAIN, ("accel.y",))
-    assert overlap(left.intervals[0], (0.0, begin)) > 0.7
+    overlaps = []
+    for seed in (8, 9, 10, 11):
+        real = recording(seed=seed, poses=18)
+        begin = 0.4 * real.time[-1]
+        force = motion(18, seed).state(real.time).force[:, 1]
+        odd = with_added(real, {"accel.y": 4e-3 * (real.time > begin) * force})
+        found = diagnose_recording(odd, gravity=GRAVITY)
+        assert not found.findings
+        (left,) = found.unexplained
+        assert (left.follows, left.channels) == (GAIN, ("accel.y",))
+        overlaps.append(overlap(left.intervals[0], (0.0, begin)))
+    assert np.mean(overlaps) > 0.85
 
 
 @pytest.mark.long
