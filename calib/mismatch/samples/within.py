@@ -18,7 +18,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import bdtrc, ndtr, ndtri, pdtrc, stdtr, stdtrit
+from scipy.special import bdtrc, ndtr, ndtri, pdtrc, stdtr
 
 from calib.faults import OTHERS, ROBUST, level_nearby, resolution, values_of
 from calib.mismatch.findings.diagnosis import Interval, Unexplained
@@ -26,6 +26,7 @@ from calib.mismatch.hypotheses.ends import expected_overlap
 from calib.mismatch.hypotheses.windows import windows
 from calib.mismatch.samples.found import RESTLESS
 from calib.mismatch.samples.spectrum import SHARE
+from calib.mismatch.samples.tails import beyond, tails, usual_of
 from calib.poses import Poses
 from calib.recording import CHANNELS, Recording
 from calib.stillness import runs
@@ -126,7 +127,7 @@ def look_within(recording: Recording, poses: Poses) -> tuple[Unexplained, ...]:
     looks = [look for look in tried if look is not None]
     if not looks:
         return tuple(spikes)
-    tail = _tails(np.concatenate([off[a : b - 2] for a, b in rests]), step)
+    tail = tails(np.concatenate([off[a : b - 2] for a, b in rests]), step)
     pulses = spikes + _pulses(looks, recording.time, tail)
     return tuple(pulses + _stretches(looks, poses.interval, {u.channels for u in pulses}))
 
@@ -165,7 +166,7 @@ def look_beside(
             look._replace(rest=((look.time - time[0]) / seconds).astype(np.int64)) for look in looks
         ]
 
-    tail = _tails(np.abs(looks[0].size), step)
+    tail = tails(np.abs(looks[0].size), step)
     pulses = _pulses(by(NEARBY), time, tail)
     if exact:
         pulses += _jolts(looks, time)
@@ -258,13 +259,13 @@ def _look(
     if len(rest) < least:
         return None
     off, which = np.concatenate(rows), np.concatenate(rest)
-    return _Look(width, which, time[np.concatenate(at)], off / _usual(off, step / width))
+    return _Look(width, which, time[np.concatenate(at)], off / usual_of(off, step / width))
 
 
 def _pulses(looks: list[_Look], time: FloatArray, tail: FloatArray) -> list[Unexplained]:
     """Return channels with several pulses or jumps that no other shows, from first to last.
 
-    ``tail`` are the tails of their noise, as `_tails` has them.
+    ``tail`` are the tails of their noise, as `tails` has them.
     """
     start, stop = float(time[0]), float(time[-1])
     number = sum(look.size.size for look in looks)
@@ -278,7 +279,7 @@ def _pulses(looks: list[_Look], time: FloatArray, tail: FloatArray) -> list[Unex
         at, first = np.unique(((look.time - start) / APART).astype(np.int64) + 1, return_index=True)
         size = np.abs(look.size)
         seen[at] = np.maximum(seen[at], np.maximum.reduceat(size, first))
-        limit = _beyond(tail, look.width, chance)
+        limit = beyond(tail, look.width, chance)
         if look.width > 1 and (size > limit).any():
             # Single samples off course are mishaps of the readout, which the audit reports.
             own = size / _own_scale(look)[look.rest] / limit
@@ -297,50 +298,6 @@ def _pulses(looks: list[_Look], time: FloatArray, tail: FloatArray) -> list[Unex
         where = densest(np.asarray(start + APART * (found + 0.5)), (start, stop))
         out.append(Unexplained((channel,), (where,), PULSES, p))
     return out
-
-
-def _tails(off: FloatArray, step: FloatArray) -> FloatArray:
-    """Return the degrees of freedom of Student's t, (6,), with the tails that channels have.
-
-    By how many samples are ``off`` (n, 6) their neighbours' mean by more than three noises:
-    infinite for normal noise, or next to it.
-    """
-    usual = _usual(off, step)
-    share = (off > 3.0 * usual).mean(axis=0)
-    normal = 2.0 * ndtr(-3.0)
-    plain = share > normal + 3.0 * np.sqrt(normal / len(off))
-    return np.where(plain, np.interp(-share, -BEYOND_THREE, TAILS), np.inf)
-
-
-def _usual(off: FloatArray, step: FloatArray) -> FloatArray:
-    """Return the noise of what is ``off``, (6,), and infinite where there is none.
-
-    Counts make it multiples of half a count, and its median wrong by half that.
-    """
-    usual = ROBUST * (np.median(np.abs(off), axis=0) + 0.25 * step)
-    return np.where(usual > 0.0, usual, np.inf)
-
-
-def _beyond(tail: FloatArray, width: int, chance: float) -> FloatArray:
-    """Return what means of so many samples are beyond by such a chance, (6,), in noises.
-
-    A mean of n has an n-th of the excess kurtosis, which is ``6 / (v - 4)`` for Student's t.
-    """
-    freedom = 4.0 + width * (tail - 4.0)
-    limit = np.full(len(tail), -float(ndtri(chance)))
-    heavy = np.isfinite(freedom)
-    limit[heavy] = -stdtrit(freedom[heavy], chance) * _scale(freedom[heavy])
-    return limit
-
-
-def _scale(freedom: FloatArray) -> FloatArray:
-    """Return what makes the median of Student's t, without sign, that of a normal variable."""
-    return np.asarray(ndtri(0.75) / stdtrit(freedom, 0.75))
-
-
-TAILS = np.array([4.5, 5.0, 6.0, 7.0, 8.0, 10.0, 14.0, 20.0, 40.0, 100.0])
-BEYOND_THREE = 2.0 * stdtr(TAILS, -3.0 / _scale(TAILS))
-"""Tails that noise has, and how many are beyond three noises then."""
 
 
 def is_told(item: Unexplained, others: Sequence[Unexplained]) -> bool:
@@ -391,7 +348,7 @@ def _spikes(
     at_rest = np.cumsum(still[:-1]) > 0
     # Turns are left out of time: a hand makes edges of its own.
     passed = np.cumsum(at_rest) * recording.interval
-    off = off / _usual(off, np.zeros(off.shape[1]))
+    off = off / usual_of(off, np.zeros(off.shape[1]))
     out = []
     for c, channel in enumerate(CHANNELS):
         others = np.delete(off, c, axis=1).max(axis=1) < OTHERS
