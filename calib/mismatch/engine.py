@@ -23,6 +23,7 @@ from calib.mismatch.findings.diagnosis import (
     without_fit,
 )
 from calib.mismatch.findings.misclosed import misclosed
+from calib.mismatch.findings.unclosed import odd_turns
 from calib.mismatch.hypotheses.places import gathered, joined
 from calib.mismatch.missing import (
     LEANING,
@@ -76,6 +77,9 @@ SPOILT = 0.1
 
 MOST_RESTLESS = 0.5
 """Share of the recording in which one channel is disturbed above which nothing else is said."""
+
+ODD = 2
+"""How often single turns that do not close are left out, and all else is looked for again."""
 
 LEAST_TURNS = 3
 """Turns below which nothing that shows in motion alone is named."""
@@ -154,13 +158,9 @@ def _diagnose(thinned: Thinned, *, gravity: float, model: SensorModel | None) ->
     )
     losses, broken = ([], []) if timeless or unhidden else leave_out_unwhole(problem)
     skip = _hopeless(full=full, timeless=timeless, few_turns=few_turns)
-    rows = problem.rows()
-    problem.jolted = jolted(rows, skip=skip)
-    problem.leaning = lean_share(rows if problem.jolted is None else problem.rows())
-    outcome = search(problem, skip=skip)
+    outcome, fit, odd = _searched(problem, skip=skip, turns=not (timeless or unhidden))
     if outcome.undetermined:
         missing += (to_determine(outcome.undetermined),)
-    fit = outcome.fit(reference=False)
     able = len(poses) > 3
     directions = distinct_directions(poses.accel)
     if directions < LEAST_DIRECTIONS:
@@ -183,7 +183,7 @@ def _diagnose(thinned: Thinned, *, gravity: float, model: SensorModel | None) ->
     if broken:
         where = tuple((float(a), float(b)) for a, b in grid.interval[sorted(broken)])
         left.insert(0, Unexplained(CHANNELS, where, INCOMPLETE, FALSE_ALARM))
-    unexplained = [*said, *left]
+    unexplained = [*said, *odd, *left]
     if across_gravity(findings, poses):
         missing += (LEANING,)
     change, likelihood = changes(outcome)
@@ -252,6 +252,33 @@ def _make_twin(
     # And out of the twin: a rest that only a clipped turn joins to the others would lean with it.
     problem.leave_out(np.flatnonzero(spoilt).tolist())
     return problem, few_turns, full
+
+
+def _searched(
+    problem: SelfProblem, *, skip: tuple[str, ...], turns: bool
+) -> tuple[Outcome, Estimate, list[Unexplained]]:
+    """Return what a search finds, its fit, and the single turns that do not close beside it.
+
+    These are left out, and it searches again: as noise of all turns they hide what else there is.
+    If not ``turns``, none is looked for.
+    """
+    said: list[Unexplained] = []
+    place = problem.place()
+    for last in range(ODD + 1):
+        rows = problem.rows()
+        problem.jolted = jolted(rows, skip=skip)
+        problem.leaning = lean_share(rows if problem.jolted is None else problem.rows())
+        outcome = search(problem, skip=skip)
+        fit = outcome.fit(reference=False)
+        odd = odd_turns(outcome) if turns and last < ODD else []
+        if not odd:
+            break
+        said += [turn.said for turn in odd]
+        problem.go_back(place)
+        problem.jolted, problem.leaning = None, 1.0
+        problem.leave_out([turn.segment for turn in odd])
+        place = problem.place()
+    return outcome, fit, sorted(said, key=lambda u: u.intervals)
 
 
 def _hopeless(*, full: bool, timeless: bool, few_turns: bool) -> tuple[str, ...]:
