@@ -106,8 +106,8 @@ class _State:
 class _Judged(NamedTuple):
     """Where a search ended, under the noise of all that was found.
 
-    ``odds`` are the posteriors of every group in the place of each finding, and ``against`` how
-    many times the best of the others is as probable there.
+    ``odds`` are the posteriors of every group in the place of each finding, ``against`` how many
+    times the others together are as probable there, and ``instead`` the best of them, if any.
     """
 
     state: _State
@@ -115,6 +115,7 @@ class _Judged(NamedTuple):
     contrast: FloatArray
     odds: list[dict[str, float]]
     against: list[float]
+    instead: list[str | None]
 
 
 def search(problem: Problem, *, skip: tuple[str, ...] = ()) -> Outcome:
@@ -124,6 +125,10 @@ def search(problem: Problem, *, skip: tuple[str, ...] = ()) -> Outcome:
         if max(found.against, default=0.0) < BEATEN:
             break
         other = _exchanged(problem, found, skip=skip)
+        best = other or found
+        if max(best.against, default=0.0) >= BEATEN:
+            # Between those that are tried a place may tell far more: what is said to be there is.
+            other = _exchanged(problem, best, skip=skip, by_name=True) or other
         if other is None:
             break
         found = other
@@ -162,8 +167,10 @@ def _start(problem: Problem, *, skip: tuple[str, ...]) -> _State:
     return _State(rows, accepted, stack, seen, ranking)
 
 
-def _rounds(problem: Problem, state: _State, *, skip: tuple[str, ...]) -> _State:
-    """Go on until nothing is left."""
+def _rounds(
+    problem: Problem, state: _State, *, skip: tuple[str, ...], first: Candidate | None = None
+) -> _State:
+    """Go on until nothing is left; from what is ``first``, if anything is given."""
     rows, accepted, stack = state.rows, state.accepted, state.stack
     seen, ranking = state.seen, state.ranking
     dropped: set[str] = set()
@@ -174,6 +181,8 @@ def _rounds(problem: Problem, state: _State, *, skip: tuple[str, ...]) -> _State
         if not ranking.claims:
             break
         chosen = choose(rows, ranking, accepted)
+        if first is not None:
+            chosen, first = Choice(first, ranking.total), None
         if chosen is None:
             break
         rows, accepted, levels, straight = _fit_chosen(
@@ -223,20 +232,25 @@ def _judged(problem: Problem, state: _State) -> _Judged:
     contrast = contrast_noise(rows, accepted)
     # The ranking took the better of two maxima: its own is left to be approached more closely.
     levels = estimate_levels(rows, fitted(rows, accepted), state.ranking.levels).values
-    odds, against = [], []
+    odds, against, instead = [], [], list[str | None]()
     for i, a in enumerate(accepted):
         every = _posterior(rows, state.stack, accepted, i, levels, reference=problem.reference)
         odds.append({g: v for g, v in every.items() if g not in state.broken})
-        others = [v for g, v in odds[-1].items() if g != a.candidate.group]
+        others = {g: v for g, v in odds[-1].items() if g != a.candidate.group}
         own = max(odds[-1].get(a.candidate.group, 0.0), SHOWN)
-        against.append(max(others, default=0.0) / own)
-    return _Judged(state, levels, contrast, odds, against)
+        against.append(sum(others.values()) / own)
+        instead.append(max(others, key=others.__getitem__, default=None))
+    return _Judged(state, levels, contrast, odds, against, instead)
 
 
-def _exchanged(problem: Problem, found: _Judged, *, skip: tuple[str, ...]) -> _Judged | None:
+def _exchanged(
+    problem: Problem, found: _Judged, *, skip: tuple[str, ...], by_name: bool = False
+) -> _Judged | None:
     """Return what a search finds without the finding that is beaten most; None if no better.
 
-    What is taken first is taken beside all that is found later, and may be part of that.
+    What is taken first is taken beside all that is found later, and may be part of that. If
+    ``by_name``, the physics that beats it takes its place, whatever is more probable where places
+    are tried.
     """
     place, state = problem.place(), found.state
     which = int(np.argmax(found.against))
@@ -246,7 +260,11 @@ def _exchanged(problem: Problem, found: _Judged, *, skip: tuple[str, ...]) -> _J
     stack, seen = make_stack(rows, skip=skip, reference=problem.reference), fitted(rows, [])
     ranking = rank(rows, stack, accepted, levels)
     left = _State(rows, accepted, stack, seen, ranking, state.broken)
-    other = _judged(problem, _rounds(problem, left, skip=skip))
+    first = ranking.best.get(found.instead[which] or "") if by_name else None
+    if by_name and (first is None or not first.physical or is_part(rows, first, accepted)):
+        problem.go_back(place)
+        return None
+    other = _judged(problem, _rounds(problem, left, skip=skip, first=first))
     if other.state.accepted and max(other.against) < max(found.against):
         return other
     problem.go_back(place)
