@@ -10,7 +10,7 @@ from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import ndtr
+from scipy.special import ndtr, pdtrc
 
 from calib.errors import RecordingError
 from calib.recording import CHANNELS, Recording
@@ -466,8 +466,12 @@ def find_spikes(values: FloatArray, *, lsb: FloatArray) -> list[tuple[int, int, 
                     found.append((first + start, first + stop, c))
                     ratios.append(ratio)
             tail += beyond if length == 1 else 0.0
-    # Where noise has tails, its largest samples are none.
+    # Where noise has tails, its largest samples are none; but for more than tails have beyond.
     least = TAIL * np.power(np.maximum(tail / RARELY, 1.0), 1.0 / FALLS) * (tail >= FEW)
+    number = np.bincount([c for _, _, c in found], minlength=len(rows))
+    falls = (TAIL / SPIKE) ** FALLS
+    many = pdtrc(number - 1, tail * falls / (1.0 - falls)) < FALSE_ALARM
+    least[many & (number > 0)] = 0.0
     return sorted(f for f, ratio in zip(found, ratios, strict=True) if ratio > least[f[2]])
 
 

@@ -300,6 +300,18 @@ def test_tails_of_noise_are_no_spikes_and_spikes_are(seed: int) -> None:
     assert found == [(1000, 1001, 2), (70_000, 70_002, 4)]
 
 
+def test_spikes_of_all_sizes_are_no_tail_of_noise() -> None:
+    """Small ones look like a tail, beyond which the large ones would be few."""
+    rng = np.random.default_rng(0)
+    values = rng.normal(size=(60_000, 6)) * 0.02
+    at = np.arange(300, 59_000, 600)
+    values[at, 1] += 0.02 * rng.normal(0, 12.0, len(at))
+    found = find_spikes(values, lsb=np.zeros(6))
+    assert {c for _, _, c in found} == {1}
+    assert len(found) > 20
+    assert {start for start, _, _ in found} <= set(at.tolist())
+
+
 def test_spikes_are_said_with_what_becomes_of_them() -> None:
     finding = the_finding(changed(5, np.array([300, 1000, 5000]), lambda v: v + 0.3))
     assert finding.kind == "spikes"
