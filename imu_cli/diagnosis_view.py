@@ -17,6 +17,7 @@ from imu_cli.report.words import (
     notes,
     rival_of,
     spans,
+    what,
     where,
 )
 
@@ -45,7 +46,7 @@ def diagnosis_lines(document: Mapping[str, Any]) -> Iterator[str | Text | Table]
         yield ""
         yield styled(
             ("Unexplained", "bold"),
-            f": {place}; follows {left['follows']}{much} (p {_equal(left['p_value'])}).",
+            f": {place}; {what(left['follows'])}{much} (p {_equal(left['p_value'])}).",
         )
         yield from (f"  or: {rival_of(r)}" for r in left["rivals"])
     for alias in document["aliases"]:

@@ -23,7 +23,6 @@ from calib.mismatch.findings.diagnosis import (
     without_fit,
 )
 from calib.mismatch.findings.misclosed import misclosed
-from calib.mismatch.findings.unclosed import odd_turns
 from calib.mismatch.hypotheses.places import gathered, joined
 from calib.mismatch.missing import (
     LEANING,
@@ -62,6 +61,7 @@ from calib.mismatch.search.explain import explain, verdict
 from calib.mismatch.search.jolted import jolted
 from calib.mismatch.search.proof import changes
 from calib.mismatch.search.search import Outcome, search
+from calib.mismatch.search.unclosed import odd_turns
 from calib.mismatch.timeless import CLOCKED, UNKNOWN_DRIFT, by_sample, is_rate, without_rates
 from calib.mismatch.twin.residuals import is_aliased
 from calib.mismatch.twin.selfmode import SelfProblem

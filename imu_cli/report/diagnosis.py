@@ -11,6 +11,7 @@ from calib.effects.base import FORM, PRESENCE
 from imu_cli.report.model import Block, Paragraph, Plot, Report, Series, Table
 from imu_cli.report.units import people_unit, with_error
 from imu_cli.report.words import (
+    SEEN,
     VERDICTS,
     alias_sentence,
     chance,
@@ -183,7 +184,7 @@ def _unexplained(items: list[Mapping[str, Any]]) -> Table:
         (
             ", ".join(item["channels"]),
             spans(item["intervals"], "; "),
-            item["follows"],
+            item["follows"].removeprefix(SEEN),
             _size(item.get("size")),
             chance(item["p_value"]),
         )

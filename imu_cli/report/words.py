@@ -17,6 +17,10 @@ VERDICTS = {
 """Sentence and tone of each verdict."""
 
 
+SEEN = "nothing: "
+"""How begins what is no function of anything, but is seen in samples."""
+
+
 def headline(document: Mapping[str, Any]) -> str:
     """Return the verdict as a sentence."""
     if document["verdict"] == "consistent" and document.get("moved"):
@@ -53,7 +57,14 @@ def where(finding: Mapping[str, Any]) -> str:
 
 def rival_of(rival: Mapping[str, Any]) -> str:
     """Return what something that was found may be instead, and how probable that is beside it."""
-    return f"{rival['effect']}, {rival['odds']:.2g} times as probable"
+    times = f"{rival['odds']:.2g}"
+    return f"{rival['effect']}, {'just' if times == '1' else f'{times} times'} as probable"
+
+
+def what(follows: str) -> str:
+    """Return in words what something without a name follows, or what is seen of it."""
+    seen = follows.removeprefix(SEEN)
+    return seen if seen != follows else f"follows {follows}"
 
 
 def likelihood(fit: Mapping[str, Any]) -> str:

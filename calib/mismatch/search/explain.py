@@ -21,7 +21,7 @@ from calib.mismatch.hypotheses.places import joined
 from calib.mismatch.hypotheses.rivals import FROM_START
 from calib.mismatch.hypotheses.slipped import angle_of
 from calib.mismatch.hypotheses.windows import THROUGHOUT, touched
-from calib.mismatch.noise.noise import make_whitener
+from calib.mismatch.noise.noise import Whitener, make_whitener
 from calib.mismatch.rows.rows import Kind, Rows
 from calib.mismatch.search.accepted import UNLIKE, Accepted, fitted
 from calib.mismatch.search.counts import counted, is_whole
@@ -33,7 +33,7 @@ from calib.mismatch.search.ranking import chance
 from calib.mismatch.search.returned import THERE, returned
 from calib.mismatch.search.search import BEATEN, SHOWN, TIE, TWIN, Outcome
 from calib.mismatch.search.separate import to_separate
-from calib.mismatch.search.twins import too_fast
+from calib.mismatch.search.twins import too_fast, unsettled
 from calib.mismatch.search.witness import is_resolved
 from calib.recording import CHANNELS, TRIADS
 from calib.types import FloatArray
@@ -196,7 +196,14 @@ def _judge(case: _Case, which: int) -> Finding | Unexplained | None:
         words.append(TOGETHER)
     if which in case.put_down:
         words.append(WORDS)
-    rivals, more = too_fast(effect, parameters, rivals)
+    rivals, fast = too_fast(effect, parameters, rivals)
+    rivals, slow = unsettled(
+        outcome.rows,
+        a,
+        fit.step[fit.at[which] : fit.at[which + 1]],
+        _beside(outcome, which),
+        rivals,
+    )
     predicted = a.columns @ fit.step[fit.at[which] : fit.at[which + 1]]
     return Finding(
         effect=effect.slug,
@@ -212,7 +219,7 @@ def _judge(case: _Case, which: int) -> Finding | Unexplained | None:
         held_out_reason="it happened once: no other pose or turn shows it" if once else "",
         rivals=rivals,
         to_separate=to_separate(effect, rivals),
-        sentence=" ".join(w for w in (*words, more) if w),
+        sentence=" ".join(w for w in (*words, fast, slow) if w),
         evidence=gather(outcome.rows, effect.follows, predicted, before, fit.left),
     )
 
@@ -255,6 +262,13 @@ def _is_taken_over(fit: Estimate, accepted: Sequence[Accepted], which: int) -> b
     part = slice(fit.at[which], fit.at[which + 1])
     step, covariance = fit.step[part], fit.covariance[part, part]
     return float(chdtrc(len(step), step @ np.linalg.pinv(covariance) @ step)) > UNSURE
+
+
+def _beside(outcome: Outcome, which: int) -> Whitener:
+    """Return the whitener with all that was fitted but one finding projected out."""
+    others = [a for i, a in enumerate(outcome.accepted) if i != which]
+    mean = fitted(outcome.rows, others)
+    return make_whitener(outcome.rows, outcome.levels, outcome.contrast, mean)
 
 
 def _left_by_filters(outcome: Outcome, fit: Estimate) -> set[int]:

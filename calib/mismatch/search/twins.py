@@ -23,6 +23,7 @@ from calib.mismatch.noise.noise import Whitener
 from calib.mismatch.rows.rows import Rows
 from calib.mismatch.search.accepted import Accepted
 from calib.mismatch.search.refine import refined
+from calib.recording import CHANNELS
 from calib.types import FloatArray
 
 MIMICKED = 9.0
@@ -47,6 +48,9 @@ ALLOWED = 4.0
 SENSITIVITY = "gyro_g_sensitivity"
 ALIKE_AXES = ("gxx", "gyy", "gzz")
 """What turns about the vertical: along each axis itself, and on all of them alike."""
+
+STRAIGHT = "a straight line in time"
+"""What drift follows that goes on."""
 
 HEADING = "heading of the reference"
 """What else may turn about the vertical."""
@@ -156,6 +160,37 @@ def too_fast(
     return (own, *(r for r in rivals if r is not own)), (
         f"That would be {times:.2g} times as fast as it turns: a g-sensitivity that all axes have "
         "alike is the same as the part up."
+    )
+
+
+def unsettled(
+    rows: Rows, own: Accepted, step: FloatArray, whitener: Whitener, rivals: tuple[Rival, ...]
+) -> tuple[tuple[Rival, ...], str]:
+    """Return the rivals of a warm-up, and what to say, if it has not settled.
+
+    What fades more slowly than a recording lasts is a straight line, as drift is that goes on.
+
+    Parameters
+    ----------
+    rows, own : Rows, Accepted
+    step : (k,) array
+        Its coefficients.
+    whitener : Whitener
+        With all that is fitted but the finding.
+    rivals : tuple of Rival
+    """
+    if not get_effect(own.candidate.name).from_power_on:
+        return rivals, ""
+    explained = whitener.project(own.columns @ step)
+    lines = [
+        rows.columns(CHANNELS.index(c), rows.state.time[:, None]) for c in own.candidate.channels
+    ]
+    power = float(np.square(explained).sum())
+    if _left(whitener.project(np.hstack(lines)), explained) >= min(MIMICKED, LEAST * power):
+        return rivals, ""
+    return (Rival(STRAIGHT, 1.0), *rivals), (
+        "It has not settled when the recording ends: drift in a straight line looks the same, and "
+        "how far it goes, and for how long, is not known."
     )
 
 

@@ -2,7 +2,7 @@
 
 from imu_cli.report.diagnosis import diagnosis_report
 from imu_cli.report.model import Paragraph
-from imu_cli.report.words import SPELT, chance, likelihood, notes, spans, where
+from imu_cli.report.words import SPELT, chance, likelihood, notes, rival_of, spans, what, where
 
 DOCUMENT = {
     "verdict": "consistent",
@@ -73,3 +73,14 @@ def test_the_log_likelihood_is_said_where_something_was_fitted() -> None:
     both = {"before": -33570.34, "after": -187.81}
     assert likelihood({"log_likelihood": both}) == "Log-likelihood: -33570.3 -> -187.8."
     assert likelihood({"log_likelihood": None}) == ""
+
+
+def test_what_is_seen_in_samples_follows_nothing_and_is_said_as_it_is() -> None:
+    assert what("nothing: it is stuck") == "it is stuck"
+    assert what("its own rate") == "follows its own rate"
+
+
+def test_rivals_are_said_by_how_probable_they_are_beside_the_finding() -> None:
+    assert rival_of({"effect": "earth_rate", "odds": 12.34}) == "earth_rate, 12 times as probable"
+    assert rival_of({"effect": "earth_rate", "odds": 0.1}) == "earth_rate, 0.1 times as probable"
+    assert rival_of({"effect": "earth_rate", "odds": 1.0}) == "earth_rate, just as probable"

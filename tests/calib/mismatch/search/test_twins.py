@@ -6,13 +6,15 @@ import numpy as np
 import pytest
 
 from calib.effects import get_effect
+from calib.effects.base import Term
+from calib.mismatch import diagnose_recording
 from calib.mismatch.hypotheses.families import effect_columns
 from calib.mismatch.noise.noise import expected_levels, make_whitener
 from calib.mismatch.search.accepted import Accepted, fitted
 from calib.mismatch.search.ranking import make_stack
-from calib.mismatch.search.twins import HEADING, MIMICKED, turns_about_up, twins
+from calib.mismatch.search.twins import HEADING, MIMICKED, STRAIGHT, turns_about_up, twins
 
-from ..bench import problem
+from ..bench import GRAVITY, problem, recording
 
 AXES = ("kx", "ky", "kz")
 
@@ -126,3 +128,16 @@ def test_a_g_sensitivity_of_all_axes_alike_turns_about_the_vertical(sizes, refer
     y = whitener.project(columns @ (np.array(sizes) / typical))
     said = turns_about_up(own, whitener, y, gravity=rows.state.gravity, reference=reference)
     assert said == other
+
+
+@pytest.mark.parametrize(("tau", "straight"), [(900.0, True), (12.0, False)])
+def test_what_has_not_settled_is_no_other_than_drift_in_a_straight_line(
+    tau: float, straight: bool
+) -> None:
+    size = 0.05 if straight else 0.005
+    real = recording(Term("gyro_warm_up", {"kx": size, "tau": tau}), poses=16)
+    found = diagnose_recording(replace(real, temperature=None), gravity=GRAVITY)
+    (named,) = found.findings
+    assert named.effect == "gyro_warm_up"
+    assert (STRAIGHT in {rival.effect for rival in named.rivals}) == straight
+    assert ("has not settled" in named.sentence) == straight
