@@ -78,9 +78,6 @@ SPOILT = 0.1
 MOST_RESTLESS = 0.5
 """Share of the recording in which one channel is disturbed above which nothing else is said."""
 
-ODD = 2
-"""How often single turns that do not close are left out, and all else is looked for again."""
-
 LEAST_TURNS = 3
 """Turns below which nothing that shows in motion alone is named."""
 
@@ -259,26 +256,28 @@ def _searched(
 ) -> tuple[Outcome, Estimate, list[Unexplained]]:
     """Return what a search finds, its fit, and the single turns that do not close beside it.
 
-    These are left out, and it searches again: as noise of all turns they hide what else there is.
-    If not ``turns``, none is looked for.
+    These are left out, and it searches once more: as noise of all turns they hide what else there
+    is. If not ``turns``, none is looked for.
     """
-    said: list[Unexplained] = []
     place = problem.place()
-    for last in range(ODD + 1):
-        rows = problem.rows()
-        problem.jolted = jolted(rows, skip=skip)
-        problem.leaning = lean_share(rows if problem.jolted is None else problem.rows())
-        outcome = search(problem, skip=skip)
-        fit = outcome.fit(reference=False)
-        odd = odd_turns(outcome) if turns and last < ODD else []
-        if not odd:
-            break
-        said += [turn.said for turn in odd]
+    outcome, fit = _found(problem, skip=skip)
+    odd = odd_turns(outcome) if turns else []
+    if odd:
         problem.go_back(place)
         problem.jolted, problem.leaning = None, 1.0
         problem.leave_out([turn.segment for turn in odd])
-        place = problem.place()
-    return outcome, fit, sorted(said, key=lambda u: u.intervals)
+        outcome, fit = _found(problem, skip=skip)
+        odd += odd_turns(outcome)
+    return outcome, fit, sorted((turn.said for turn in odd), key=lambda u: u.intervals)
+
+
+def _found(problem: SelfProblem, *, skip: tuple[str, ...]) -> tuple[Outcome, Estimate]:
+    """Return what a search finds, and its fit."""
+    rows = problem.rows()
+    problem.jolted = jolted(rows, skip=skip)
+    problem.leaning = lean_share(rows if problem.jolted is None else problem.rows())
+    outcome = search(problem, skip=skip)
+    return outcome, outcome.fit(reference=False)
 
 
 def _hopeless(*, full: bool, timeless: bool, few_turns: bool) -> tuple[str, ...]:

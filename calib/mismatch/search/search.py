@@ -125,13 +125,12 @@ def search(problem: Problem, *, skip: tuple[str, ...] = ()) -> Outcome:
         if max(found.against, default=0.0) < BEATEN:
             break
         other = _exchanged(problem, found, skip=skip)
-        best = other or found
-        if max(best.against, default=0.0) >= BEATEN:
-            # Between those that are tried a place may tell far more: what is said to be there is.
-            other = _exchanged(problem, best, skip=skip, by_name=True) or other
         if other is None:
             break
         found = other
+    if max(found.against, default=0.0) >= BEATEN:
+        # Between those that are tried a place may tell far more: what is said to be there is.
+        found = _exchanged(problem, found, skip=skip, by_name=True) or found
     state, levels, contrast = found.state, found.levels, found.contrast
     rows, stack = state.rows, state.stack
     accepted = [replace(a, posterior=p) for a, p in zip(state.accepted, found.odds, strict=True)]

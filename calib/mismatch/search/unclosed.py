@@ -44,6 +44,9 @@ ALIKE = 12.0
 """Degrees of freedom of the variances of turns. 513 turns of 27 public logs, of hands and of
 shocks, are most probable with 15 to 20; with 12 less so by two nats, and one may be off by more."""
 
+UNTOLD = 5.0
+"""Times its own error by which all else fails to foretell a turn, from which it is not judged."""
+
 FEWEST = 6
 """Turns that one is compared with, at least."""
 
@@ -67,11 +70,15 @@ class OddTurn(NamedTuple):
 
 
 def odd_turns(outcome: Outcome) -> list[OddTurn]:
-    """Return the turns that do not close as the others do, beside all that a search found."""
+    """Return the turns that do not close as the others do, beside all that a search found.
+
+    None beside what is unexplained elsewhere: it may be what they do not close by.
+    """
     rows, levels = outcome.rows, outcome.levels
     ends = rows.ends
     number = len(ends)
-    if number < FEWEST:
+    elsewhere = [a for a in outcome.accepted if not (a.candidate.physical or _of_one_turn(rows, a))]
+    if number < FEWEST or elsewhere:
         return []
     columns = np.zeros((len(rows.residual), number, 5))
     columns[ends, np.arange(number)[:, None], np.arange(5)] = 1.0
@@ -136,7 +143,10 @@ class _Foretold(NamedTuple):
                 ]
             )
         statistic = (2.0 * parts[0] / scale[0] + 3.0 * parts[1] / scale[1]) / 5.0
-        sigma = np.sqrt(np.einsum("kii->ki", covariance) * np.repeat(scale, (2, 3)))
+        square = np.maximum(np.einsum("kii->ki", covariance), 0.0)
+        alone = np.einsum("mki,m->ki", columns[: rows.n_dense], rows.variance(levels))
+        statistic[(square > UNTOLD**2 * alone).any(axis=1)] = 0.0
+        sigma = np.sqrt(square * np.repeat(scale, (2, 3)))
         return cls(off, sigma, statistic, scale)
 
 
