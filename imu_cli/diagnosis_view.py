@@ -58,10 +58,12 @@ def diagnosis_lines(document: Mapping[str, Any]) -> Iterator[str | Text | Table]
         yield styled(("Moved since the calibration", "bold"), "; calibrate again:")
         yield from (f"   {line}" for line in moved)
     # Nothing was fitted to what must be mended first.
-    if document["fit"]["residuals"] and (document["findings"] or document["unexplained"]):
+    if residuals := document["fit"]["residuals"]:
+        explained = bool(document["findings"] or document["unexplained"])
         yield ""
-        yield _residuals(document["fit"]["residuals"])
-        yield f" {likelihood(document['fit'])}"
+        yield _residuals(residuals, explained=explained)
+        if explained:
+            yield f" {likelihood(document['fit'])}"
     for note in notes(document):
         yield ""
         yield note
@@ -106,14 +108,17 @@ def _in_unit(unit: str, *values: float) -> str:
     return " -> ".join(f"{value * factor:.3g}" for value in values) + f" {name}"
 
 
-def _residuals(residuals: Sequence[Mapping[str, Any]]) -> Table:
+def _residuals(residuals: Sequence[Mapping[str, Any]], *, explained: bool) -> Table:
+    """Return what is left beside the noise floor; before and after, if anything was explained."""
     from rich.table import Table
 
     table = Table("residual", box=None)
-    for name in ("before", "after", "noise floor"):
+    columns = {"before": "before", "after": "after"} if explained else {"left": "before"}
+    columns["noise floor"] = "noise_floor"
+    for name in columns:
         table.add_column(name, justify="right", min_width=NUMBER)
     for item in residuals:
         unit, factor = people_unit(item["unit"])
-        values = (item[key] * factor for key in ("before", "after", "noise_floor"))
+        values = (item[key] * factor for key in columns.values())
         table.add_row(f"{item['rows']}, {unit}", *(f"{value:.3g}" for value in values))
     return table

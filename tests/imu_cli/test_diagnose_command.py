@@ -1,6 +1,7 @@
 """``imu-cal diagnose`` as a user meets it: JSON alone on stdout, a model, clear refusals."""
 
 import json
+import re
 import os
 import threading
 from dataclasses import replace
@@ -103,6 +104,7 @@ def test_what_a_calibration_states_without_standard_errors_can_have_moved_too(
     stated.write_text(json.dumps(document))
     same = CliRunner().invoke(app, ["diagnose", str(log), "--calibration", str(stated)])
     assert same.stdout.startswith("Consistent:")
+    assert re.search(r"residual +left +noise floor", same.stdout)
     document["parameters"]["gyro.bias.x"]["value"] += 0.03
     stated.write_text(json.dumps(document))
     found = CliRunner().invoke(app, ["diagnose", str(log), "--calibration", str(stated), "--json"])
