@@ -1,8 +1,8 @@
 """``imu-cal diagnose`` as a user meets it: JSON alone on stdout, a model, clear refusals."""
 
 import json
-import re
 import os
+import re
 import threading
 from dataclasses import replace
 from pathlib import Path
