@@ -15,7 +15,7 @@ from calib.mismatch.hypotheses.places import SEEN, joined
 from calib.mismatch.samples.knocks import knocked
 from calib.poses import Poses
 from calib.read_once import HELD
-from calib.recording import CHANNELS, TRIADS, Recording
+from calib.recording import AXES, CHANNELS, TRIADS, Recording
 from calib.types import BoolArray, FloatArray, IntArray
 
 LENGTH = 128
@@ -112,7 +112,9 @@ def look_at_spectrum(recording: Recording, poses: Poses) -> tuple[Unexplained, .
         line, spread = _lines(recording, poses, own, rest, channel, held)
         narrow = not line and not held.any()
         bursts = _bursts(poses, np.delete(own, spread, axis=0), rest, channel, narrow=narrow)
-        out += line + (bursts or _changes(recording, poses, own, rest, channel))
+        changes = _changes(recording, poses, own, rest, channel)
+        # Rests that are louder time and again, as something has it, are no bursts.
+        out += line + (changes if len(bursts) > 2 and changes else bursts or changes)
     return tuple(_merged(out))
 
 
@@ -358,7 +360,7 @@ def _peaks(mean: FloatArray, count: IntArray) -> tuple[FloatArray, FloatArray]:
 def _changes(
     recording: Recording, poses: Poses, power: FloatArray, pose: IntArray, channel: str
 ) -> list[Unexplained]:
-    """Noise power that rises or falls with temperature or time: a line through its logarithms.
+    """Noise power that goes with temperature, time or the pose: a line through its logarithms.
 
     The residual scatter of the rests about that line sets the standard error, so that rests which
     merely differ from each other are no trend.
@@ -367,11 +369,15 @@ def _changes(
     if len(found) < 10:
         return []
     level = np.log([power[:, pose == k].mean() for k in found])
-    known = {"time": poses.interval[found].mean(axis=1)}
+    known = {"the time": poses.interval[found].mean(axis=1)}
     if recording.temperature is not None:
-        known["temperature"] = np.array(
+        known["the temperature"] = np.array(
             [recording.temperature[poses.start[k] : poses.stop[k]].mean() for k in found]
         )
+    up = poses.accel[found] / np.linalg.norm(poses.accel[found], axis=1, keepdims=True)
+    for axis, along in zip(AXES, up.T, strict=True):
+        # By either end, or by both alike.
+        known[f"gravity along {axis}"], known[f"gravity along {axis}, either way"] = along, along**2
     best: tuple[float, str] = (CLAIM, "")
     for name, values in known.items():
         if np.ptp(values) <= 0:
@@ -383,9 +389,7 @@ def _changes(
     if not best[1]:
         return []
     where = (float(poses.interval[found[0], 0]), float(poses.interval[found[-1], 1]))
-    return [
-        Unexplained((channel,), (where,), f"the {best[1]}: the level of noise follows it", best[0])
-    ]
+    return [Unexplained((channel,), (where,), f"{best[1]}: the level of noise follows it", best[0])]
 
 
 def _trend(at: FloatArray, values: FloatArray) -> tuple[float, float]:

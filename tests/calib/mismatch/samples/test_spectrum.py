@@ -277,3 +277,16 @@ def test_coarse_counts_are_not_louder_where_a_signal_is_between_two() -> None:
     (found,) = [u for u in look_at_spectrum(shaken, poses) if "gyro.x" in u.channels]
     assert found.intervals[0][0] < real.time[b]
     assert found.intervals[0][1] > real.time[a]
+
+
+def test_noise_that_goes_with_the_pose_is_said_and_rests_that_differ_by_chance_are_not() -> None:
+    recording, poses = rests(5, np.ones(POSES))
+    rng = np.random.default_rng(1)
+    gyro, random = recording.gyro.copy(), recording.gyro.copy()
+    for a, b, accel in zip(poses.start, poses.stop, poses.accel, strict=True):
+        gyro[a:b, 2] *= 1.0 + 1.2 * abs(accel[1]) / 9.8
+        random[a:b, 2] *= rng.uniform(1.0, 2.2)
+    (found,) = look_at_spectrum(replace(recording, gyro=gyro), poses)
+    assert found.channels == ("gyro.z",)
+    assert found.follows == "gravity along y, either way: the level of noise follows it"
+    assert look_at_spectrum(replace(recording, gyro=random), poses) == ()
