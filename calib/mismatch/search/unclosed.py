@@ -133,21 +133,29 @@ class _Foretold(NamedTuple):
         off = np.einsum("kij,kj->ki", covariance, match)
         parts = [_size(off[:, at], covariance[:, at, at]) for at in (slice(0, 2), slice(2, 5))]
         if scale is None:
-            least = (rows.variance(_usual(rows, levels)) / rows.variance(levels))[rows.ends]
-            scale = np.array(
-                [
-                    max(float(np.median(part)) * n / float(chdtri(n, 0.5)), float(np.median(floor)))
-                    for part, n, floor in zip(
-                        parts, (2.0, 3.0), (least[:, :2], least[:, 2:]), strict=True
-                    )
-                ]
-            )
+            scale = _scales(rows, levels, parts)
         statistic = (2.0 * parts[0] / scale[0] + 3.0 * parts[1] / scale[1]) / 5.0
-        square = np.maximum(np.einsum("kii->ki", covariance), 0.0)
+        square = np.maximum(np.einsum("kii->ki", covariance), np.finfo(float).tiny)
         alone = np.einsum("mki,m->ki", columns[: rows.n_dense], rows.variance(levels))
         statistic[(square > UNTOLD**2 * alone).any(axis=1)] = 0.0
         sigma = np.sqrt(square * np.repeat(scale, (2, 3)))
         return cls(off, sigma, statistic, scale)
+
+
+def _scales(rows: Rows, levels: FloatArray, parts: list[FloatArray]) -> FloatArray:
+    """Return by how much the variances of attitudes and velocities are larger than said, (2,).
+
+    That is of the median turn, by its mean squares in each of the ``parts``; and by no less than
+    what is expected of closures by themselves is of what the levels make of them.
+    """
+    least = (rows.variance(_usual(rows, levels)) / rows.variance(levels))[rows.ends]
+    own = (least[:, :2], least[:, 2:])
+    return np.array(
+        [
+            max(float(np.median(part)) * n / float(chdtri(n, 0.5)), float(np.median(floor)))
+            for part, n, floor in zip(parts, (2.0, 3.0), own, strict=True)
+        ]
+    )
 
 
 def _size(off: FloatArray, covariance: FloatArray) -> FloatArray:
