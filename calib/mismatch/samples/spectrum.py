@@ -59,8 +59,9 @@ FAINTEST = 0.03
 """The same of a line in all rests: an amplitude of a quarter of a sample's noise."""
 
 
-HAND = (3.0, 14.0)
-"""Hz that a hand trembles at (physiological tremor, 4 to 12 Hz), and what a window spreads."""
+HAND = (0.5, 14.0)
+"""Hz that a hand sways and trembles at (physiological tremor: 4 to 12 Hz), and what a window
+spreads."""
 
 SEVERAL = 3
 """Bins from the lowest to the highest frequency of a motion from which it has more than one: a
@@ -181,7 +182,7 @@ def _trembling(power: FloatArray, interval: float, gravity: float) -> BoolArray:
     hand that sways as well, one or both show the whole band alike: above what is faster than hands.
     """
     bins = len(power)
-    frequency = (np.arange(bins) + 2) / (LENGTH * interval)
+    frequency = _frequency(bins, interval)
     hand = (frequency >= HAND[0]) & (frequency <= HAND[1])
     faster = frequency > HAND[1]
     excess, seen = np.zeros((bins, 2)), np.zeros((bins, 2), bool)
@@ -214,6 +215,11 @@ def _trembling(power: FloatArray, interval: float, gravity: float) -> BoolArray:
     # A window spreads each over its neighbours, and a hand has several.
     near = np.convolve(moves, np.ones(5), mode="same") > 0
     return np.asarray(hand & near)
+
+
+def _frequency(bins: int, interval: float) -> FloatArray:
+    """Return the frequencies of a periodogram's bins, without the first two, Hz."""
+    return (np.arange(bins) + 2) / (LENGTH * interval)
 
 
 def _skirted(held: BoolArray, mean: FloatArray) -> BoolArray:
@@ -369,21 +375,27 @@ def _changes(
     if len(found) < 10:
         return []
     level = np.log([power[:, pose == k].mean() for k in found])
+    # What a hand does goes with where gravity is; noise does so at any frequency.
+    faster = power[_frequency(len(power), recording.interval) > HAND[1]]
     known = {"the time": poses.interval[found].mean(axis=1)}
     if recording.temperature is not None:
         known["the temperature"] = np.array(
             [recording.temperature[poses.start[k] : poses.stop[k]].mean() for k in found]
         )
-    up = poses.accel[found] / np.linalg.norm(poses.accel[found], axis=1, keepdims=True)
-    for axis, along in zip(AXES, up.T, strict=True):
-        # By either end, or by both alike.
-        known[f"gravity along {axis}"], known[f"gravity along {axis}, either way"] = along, along**2
+    looked = {name: (values, level) for name, values in known.items()}
+    if len(faster) >= NEIGHBOURS:
+        fast = np.log([faster[:, pose == k].mean() for k in found])
+        up = poses.accel[found] / np.linalg.norm(poses.accel[found], axis=1, keepdims=True)
+        for axis, along in zip(AXES, up.T, strict=True):
+            # By either end, or by both alike.
+            looked[f"gravity along {axis}"] = along, fast
+            looked[f"gravity along {axis}, either way"] = along**2, fast
     best: tuple[float, str] = (CLAIM, "")
-    for name, values in known.items():
+    for name, (values, own) in looked.items():
         if np.ptp(values) <= 0:
             continue
-        slope, chance = _trend(values, level)
-        p = chance * len(known) * len(CHANNELS)
+        slope, chance = _trend(values, own)
+        p = chance * len(looked) * len(CHANNELS)
         if p < best[0] and abs(slope) * np.ptp(values) > np.log(_STEADY):
             best = (p, name)
     if not best[1]:
