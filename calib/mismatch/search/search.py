@@ -24,7 +24,15 @@ from calib.mismatch.noise.noise import (
     make_whitener,
 )
 from calib.mismatch.rows.rows import Rows
-from calib.mismatch.search.accepted import Accepted, accept, contrast_noise, fitted, joined, lasting
+from calib.mismatch.search.accepted import (
+    Accepted,
+    accept,
+    again,
+    contrast_noise,
+    fitted,
+    joined,
+    lasting,
+)
 from calib.mismatch.search.choice import LEAST, Choice, choose, is_part, possible
 from calib.mismatch.search.counts import parts_of_samples
 from calib.mismatch.search.determined import determined
@@ -197,8 +205,8 @@ def _rounds(
             accepted = [a for a in accepted if a not in gone]
             if any(a.in_model for a in gone):
                 rows = put_back(problem, rows, accepted)
-            rows, accepted, levels, again = refit(problem, rows, accepted, levels)
-            straight, base = straight and again, None
+            rows, accepted, levels, also = refit(problem, rows, accepted, levels)
+            straight, base = straight and also, None
         every = ranking.every
         if not (straight and unmoved(seen, rows)):
             del stack, ranking  # their columns are most of the memory that is used
@@ -260,11 +268,20 @@ def _exchanged(
     ranking = rank(rows, stack, accepted, levels)
     left = _State(rows, accepted, stack, seen, ranking, state.broken)
     first = ranking.best.get(found.instead[which] or "") if by_name else None
-    if by_name and (first is None or not first.physical or is_part(rows, first, accepted)):
+    if by_name and (
+        first is None
+        or not first.physical
+        or again(first, accepted)
+        or is_part(rows, first, accepted)
+    ):
         problem.go_back(place)
         return None
     other = _judged(problem, _rounds(problem, left, skip=skip, first=first))
-    if other.state.accepted and max(other.against) < max(found.against):
+    better = bool(other.state.accepted) and max(other.against) < max(found.against)
+    if by_name:
+        # Nor may it leave anything that was explained before.
+        better &= found.state.ranking.claims or not other.state.ranking.claims
+    if better:
         return other
     problem.go_back(place)
     return None
