@@ -136,8 +136,9 @@ def search(problem: Problem, *, skip: tuple[str, ...] = ()) -> Outcome:
         if other is None:
             break
         found = other
-    if max(found.against, default=0.0) >= BEATEN:
+    if not problem.reference and max(found.against, default=0.0) >= BEATEN:
         # Between those that are tried a place may tell far more: what is said to be there is.
+        # Beside a truth all samples tell of places.
         found = _exchanged(problem, found, skip=skip, by_name=True) or found
     state, levels, contrast = found.state, found.levels, found.contrast
     rows, stack = state.rows, state.stack
