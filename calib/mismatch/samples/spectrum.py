@@ -113,9 +113,10 @@ def look_at_spectrum(recording: Recording, poses: Poses) -> tuple[Unexplained, .
         line, spread = _lines(recording, poses, own, rest, channel, held)
         narrow = not line and not held.any()
         bursts = _bursts(poses, np.delete(own, spread, axis=0), rest, channel, narrow=narrow)
-        changes = _changes(recording, poses, own, rest, channel)
-        # Rests that are louder time and again, as something has it, are no bursts.
-        out += line + (changes if len(bursts) > 2 and changes else bursts or changes)
+        if not 0 < len(bursts) <= 2:
+            # Rests that are louder time and again, as something has it, are no bursts.
+            bursts = _changes(recording, poses, own, rest, channel) or bursts
+        out += line + bursts
     return tuple(_merged(out))
 
 
@@ -377,12 +378,10 @@ def _changes(
     level = np.log([power[:, pose == k].mean() for k in found])
     # What a hand does goes with where gravity is; noise does so at any frequency.
     faster = power[_frequency(len(power), recording.interval) > HAND[1]]
-    known = {"the time": poses.interval[found].mean(axis=1)}
-    if recording.temperature is not None:
-        known["the temperature"] = np.array(
-            [recording.temperature[poses.start[k] : poses.stop[k]].mean() for k in found]
-        )
-    looked = {name: (values, level) for name, values in known.items()}
+    looked = {"the time": (poses.interval[found].mean(axis=1), level)}
+    if (heat := recording.temperature) is not None:
+        warm = np.array([heat[poses.start[k] : poses.stop[k]].mean() for k in found])
+        looked["the temperature"] = warm, level
     if len(faster) >= NEIGHBOURS:
         fast = np.log([faster[:, pose == k].mean() for k in found])
         up = poses.accel[found] / np.linalg.norm(poses.accel[found], axis=1, keepdims=True)

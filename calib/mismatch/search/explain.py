@@ -33,7 +33,7 @@ from calib.mismatch.search.ranking import chance
 from calib.mismatch.search.returned import THERE, returned
 from calib.mismatch.search.search import BEATEN, SHOWN, TIE, TWIN, Outcome
 from calib.mismatch.search.separate import to_separate
-from calib.mismatch.search.twins import too_fast, unsettled
+from calib.mismatch.search.twins import STRAIGHT, UNSETTLED, is_straight, too_fast
 from calib.mismatch.search.witness import is_resolved
 from calib.recording import CHANNELS, TRIADS
 from calib.types import FloatArray
@@ -197,14 +197,10 @@ def _judge(case: _Case, which: int) -> Finding | Unexplained | None:
     if which in case.put_down:
         words.append(WORDS)
     rivals, fast = too_fast(effect, parameters, rivals)
-    rivals, slow = unsettled(
-        outcome.rows,
-        a,
-        fit.step[fit.at[which] : fit.at[which + 1]],
-        _beside(outcome, which),
-        rivals,
-    )
     predicted = a.columns @ fit.step[fit.at[which] : fit.at[which + 1]]
+    slow = ""
+    if effect.from_power_on and is_straight(outcome.rows, a, predicted, _beside(outcome, which)):
+        rivals, slow = (Rival(STRAIGHT, 1.0), *rivals), UNSETTLED
     return Finding(
         effect=effect.slug,
         title=effect.title,

@@ -52,6 +52,11 @@ ALIKE_AXES = ("gxx", "gyy", "gzz")
 STRAIGHT = "a straight line in time"
 """What drift follows that goes on."""
 
+UNSETTLED = (
+    "It has not settled when the recording ends: drift in a straight line looks the same, and how "
+    "far it goes, and for how long, is not known."
+)
+
 HEADING = "heading of the reference"
 """What else may turn about the vertical."""
 
@@ -163,35 +168,17 @@ def too_fast(
     )
 
 
-def unsettled(
-    rows: Rows, own: Accepted, step: FloatArray, whitener: Whitener, rivals: tuple[Rival, ...]
-) -> tuple[tuple[Rival, ...], str]:
-    """Return the rivals of a warm-up, and what to say, if it has not settled.
+def is_straight(rows: Rows, own: Accepted, predicted: FloatArray, whitener: Whitener) -> bool:
+    """Whether a straight line in time mimics what a finding adds to the rows, (m,).
 
-    What fades more slowly than a recording lasts is a straight line, as drift is that goes on.
-
-    Parameters
-    ----------
-    rows, own : Rows, Accepted
-    step : (k,) array
-        Its coefficients.
-    whitener : Whitener
-        With all that is fitted but the finding.
-    rivals : tuple of Rival
+    What fades more slowly than a recording lasts is one, as drift is that goes on. The whitener has
+    all that is fitted but the finding.
     """
-    if not get_effect(own.candidate.name).from_power_on:
-        return rivals, ""
-    explained = whitener.project(own.columns @ step)
-    lines = [
-        rows.columns(CHANNELS.index(c), rows.state.time[:, None]) for c in own.candidate.channels
-    ]
-    power = float(np.square(explained).sum())
-    if _left(whitener.project(np.hstack(lines)), explained) >= min(MIMICKED, LEAST * power):
-        return rivals, ""
-    return (Rival(STRAIGHT, 1.0), *rivals), (
-        "It has not settled when the recording ends: drift in a straight line looks the same, and "
-        "how far it goes, and for how long, is not known."
-    )
+    explained = whitener.project(predicted)
+    time = rows.state.time[:, None]
+    lines = [rows.columns(CHANNELS.index(c), time) for c in own.candidate.channels]
+    left = _left(whitener.project(np.hstack(lines)), explained)
+    return left < min(MIMICKED, LEAST * float(np.square(explained).sum()))
 
 
 def _wider(stack: Stack, own: Accepted) -> list[Candidate]:

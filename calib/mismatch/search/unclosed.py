@@ -63,7 +63,7 @@ a reading."""
 
 
 class OddTurn(NamedTuple):
-    """A turn that does not close: its segment, what is said of it, and how it may have come."""
+    """A turn that does not close: its segment, and what is said of it."""
 
     segment: int
     said: Unexplained
