@@ -265,6 +265,31 @@ def _passing_magnet(rows: Rows, rng: np.random.Generator) -> Case:
     return Case(draw(rng), (a, b), draw, parts)
 
 
+def _hysteresis(rows: Rows, rng: np.random.Generator) -> Case:
+    """A proof mass that has play, or that friction holds back: it remembers how it was loaded."""
+    channel = str(rng.choice(CHANNELS[:3]))
+    axis = CHANNELS.index(channel)
+
+    def draw(rng: np.random.Generator) -> Disturbance:
+        stuck, width = rng.random() < 0.5, float(rng.uniform(0.05, 0.5))
+
+        def add(state: State) -> dict[str, np.ndarray]:
+            load = state.gravity_direction[:, axis]
+            out, before = np.zeros(len(load)), load[0]
+            for k in range(1, len(load)):
+                lag = out[k - 1] + load[k] - before
+                before = load[k]
+                if stuck:
+                    out[k] = min(max(lag, -width), width)
+                else:
+                    out[k] = np.sign(load[k]) if abs(load[k]) > width else out[k - 1]
+            return {channel: out}
+
+        return add
+
+    return Case(draw(rng), whole(rows), draw)
+
+
 def _aliased_motor(rows: Rows, rng: np.random.Generator) -> Case:
     """A motor's hum, far above the rate of samples, whose speed wanders: it aliases anywhere."""
     a, b = _window(rows, rng)
@@ -322,6 +347,7 @@ OUTSIDE: dict[str, Callable[[Rows, np.random.Generator], Case]] = {
     "creep": _creep,
     "room_field": _room_field,
     "passing_magnet": _passing_magnet,
+    "hysteresis": _hysteresis,
     "aliased_motor": _aliased_motor,
     "slow_hum": _slow_hum,
     "brief_shorts": _brief_shorts,

@@ -25,6 +25,15 @@ OWN_RIPPLES = np.arange(6.0, 21.0)
 MEMORIES = np.array([0.5, 2.0, 8.0])
 """How long what creeps remembers poses, in times from one to the next."""
 
+PLAY = (0.0, 0.1, 0.2, 0.3, 0.4)
+"""Load in g, beyond which what has play goes to the other side."""
+
+LAGS = (0.1, 0.2, 0.4)
+"""Load in g, by which what is elastic lags behind at most."""
+
+LOADED = "its load before: play, or friction"
+"""What has play, or sticks, depends on how it was loaded before."""
+
 CAP = 6.0
 """How steeply what acts near one direction only falls off: to a half at 28 degrees."""
 
@@ -118,6 +127,54 @@ def history(rows: Rows) -> Iterator[tuple[str, FloatArray]]:
             known[k] = up[k - 1] + kept * (known[k - 1] - up[k - 1])
         kept = np.exp(-(state.time - start[segment]) / memory)[:, None]
         yield "the pose before", up[segment] + kept * (known - up)[segment]
+
+
+def remembered(rows: Rows, c: int) -> Iterator[tuple[str, FloatArray]]:
+    """Yield what a channel may remember of how its axis was loaded before, (n, 1).
+
+    What has play lies on the side that it was last loaded to, if by enough; where it sticks in a
+    turn, on that of the pose before. What is elastic, with friction, lags behind its load. A turn
+    tells as much of it as the rests: it goes its whole way.
+    """
+    if np.count_nonzero(rows.is_rest) < 2:
+        return
+    load = rows.state.gravity_direction[:, c % 3]
+    for least in PLAY:
+        yield LOADED, side_of(load, least)[:, None]
+    total = np.bincount(rows.point_segment, load, len(rows.is_rest))[rows.is_rest]
+    pose = np.cumsum(rows.is_rest)[rows.point_segment]
+    yield LOADED, np.concatenate(([0.0, 0.0], np.sign(total)))[pose][:, None]
+    for most in LAGS:
+        yield LOADED, lag_of(load, most)[:, None] / most
+
+
+def side_of(load: FloatArray, least: float) -> FloatArray:
+    """Return the side (n,) that something was last loaded to, by more than the least it takes."""
+    beyond = np.abs(load) > least
+    last = np.maximum.accumulate(np.where(beyond, np.arange(len(load)), -1))
+    return np.where(last < 0, 0.0, np.sign(load)[last])
+
+
+def lag_of(load: FloatArray, most: float) -> FloatArray:
+    """Return how far something is behind its load (n,), by so much at most.
+
+    The stop of Prandtl's model [1]_, from one reversal of the load to the next.
+
+    References
+    ----------
+    .. [1] Visintin, "Differential Models of Hysteresis", Springer 1994, ch. III (play and stop).
+    """
+    step = np.diff(load)
+    moved = np.flatnonzero(step)
+    if not len(moved):
+        return np.zeros(len(load))
+    turned = moved[1:][step[moved[1:]] * step[moved[:-1]] < 0]
+    ends = np.concatenate(([0], turned))
+    lag = [0.0]
+    for change in np.diff(load[ends]).tolist():
+        lag.append(min(max(lag[-1] + change, -most), most))
+    piece = np.searchsorted(ends, np.arange(len(load)), side="right") - 1
+    return np.asarray(np.clip(np.array(lag)[piece] + load - load[ends][piece], -most, most))
 
 
 SMEARED = {"accel": 0.05, "gyro": 0.01}

@@ -24,6 +24,7 @@ from calib.mismatch.hypotheses.candidates import (
     Candidate,
 )
 from calib.mismatch.hypotheses.followed import (
+    LOADED,
     OWN_RIPPLES,
     RIPPLES,
     after_turns,
@@ -32,6 +33,7 @@ from calib.mismatch.hypotheses.followed import (
     other_rates,
     own_rate,
     paired_rates,
+    remembered,
     ripples,
     sign_of,
     smooth,
@@ -74,7 +76,7 @@ _KINDS = {
     "bias in a window": 0.14,
     GAIN: 0.08,
     GAIN_IN_TIME: 0.02,
-    FLUCTUATING: 0.15,
+    FLUCTUATING: 0.14,
     "wave in a window": 0.11,
     THROUGHOUT: 0.03,
     "time": 0.02,
@@ -85,7 +87,8 @@ _KINDS = {
     "its own rate": 0.02,
     "rate about the other axes": 0.02,
     "rate and direction of gravity": 0.01,
-    "the pose before": 0.02,
+    "the pose before": 0.015,
+    LOADED: 0.015,
     "the turn before": 0.01,
     "time since the last turn": 0.01,
     "temperature and direction of gravity": 0.005,
@@ -176,7 +179,7 @@ def _add_columns(stack: Stack, rows: Rows, slots: Slots) -> _Layout:
         size = typical_size(name.split(".")[0])
         own = [("its own rate", own_rate(state, c))]
         own += [("rate about the other axes", f(state, c)) for f in (other_rates, paired_rates)]
-        own += [(SIGN, sign_of(rows, c)), *warmed(state, c)]
+        own += [(SIGN, sign_of(rows, c)), *warmed(state, c), *remembered(rows, c)]
         own += after_turns(rows, c) if c >= 3 else ()
         for label, values in [*followed, *own]:
             index = stack.columns.add(size * rows.columns(c, values), rows.touched([c]))

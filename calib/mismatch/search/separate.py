@@ -5,6 +5,7 @@ from __future__ import annotations
 from calib.effects import effects
 from calib.effects.base import Effect
 from calib.mismatch.findings.diagnosis import Rival
+from calib.mismatch.hypotheses.followed import LOADED
 from calib.mismatch.hypotheses.rivals import SIGN
 from calib.mismatch.search.twins import HEADING
 
@@ -21,6 +22,7 @@ _OF_MOTION = {
     "direction of gravity": "more poses, spread over all directions",
     "orientation": "the same poses with the bench turned to other headings",
     "the pose before": "the same poses in another order",
+    LOADED: "the same poses, reached by other ways",
     "the turn before": "the same poses, reached by other turns",
     "temperature": "the same poses at other temperatures",
     "temperature and direction of gravity": "the same poses at other temperatures",

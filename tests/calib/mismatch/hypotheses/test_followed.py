@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from calib.mismatch import diagnose_recording
-from calib.mismatch.hypotheses.followed import FORGETS, after_turns, sign_of
+from calib.mismatch.hypotheses.followed import (
+    FORGETS,
+    LOADED,
+    after_turns,
+    lag_of,
+    side_of,
+    sign_of,
+)
 from calib.mismatch.hypotheses.rivals import SIGN
 from calib.recording import Recording
 from calib.statics import find_poses
@@ -100,3 +108,52 @@ def test_after_turns_nothing_is_left_before_the_first_and_while_it_turns() -> No
         rest = (grid.pose == 3) & ~grid.turning
         assert (np.diff(values[rest, 0]) < 0).all()
         np.testing.assert_allclose(np.abs(values[rest, 1]), values[rest, 2])
+
+
+def stuck(load: FloatArray, most: float) -> FloatArray:
+    """Return how far something is behind its load that friction holds back, sample by sample."""
+    lag = [0.0]
+    for step in np.diff(load).tolist():
+        lag.append(min(max(lag[-1] + step, -most), most))
+    return np.array(lag)
+
+
+def lain(load: FloatArray, least: float) -> FloatArray:
+    """Return the side that what has play lies on, sample by sample."""
+    side = [0.0]
+    for value in load.tolist():
+        side.append(float(np.sign(value)) if abs(value) > least else side[-1])
+    return np.array(side[1:])
+
+
+def load(real: Recording, axis: int) -> FloatArray:
+    """Return what an axis is loaded by, in g."""
+    return np.asarray(motion_of(real).gravity_direction[:, axis])
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_what_remembers_its_load_is_as_sample_by_sample(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    way = np.clip(np.cumsum(0.1 * rng.normal(size=500)), -1.0, 1.0)
+    way[100:150] = way[100]
+    for size in (0.0, 0.1, 0.5):
+        assert side_of(way, size) == pytest.approx(lain(way, size))
+        assert lag_of(way, size) == pytest.approx(stuck(way, size), abs=1e-12)
+    assert not lag_of(np.full(7, 0.3), 0.1).any()
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("channel", "made"),
+    [
+        ("accel.x", lambda way: 0.02 * lain(way, 0.25)),
+        ("accel.z", lambda way: 0.08 * stuck(way, 0.25)),
+        ("gyro.y", lambda way: 4e-4 * lain(way, 0.15)),
+    ],
+)
+def test_what_has_play_or_sticks_follows_its_load_before(
+    channel: str, made: Callable[[FloatArray], FloatArray]
+) -> None:
+    real = recording(seed=8, poses=18)
+    own = made(load(real, "xyz".index(channel[-1])))
+    assert _said(with_added(real, {channel: own})) == [(LOADED, (channel,))]
