@@ -274,7 +274,7 @@ def _hysteresis(rows: Rows, rng: np.random.Generator) -> Case:
         stuck, width = rng.random() < 0.5, float(rng.uniform(0.05, 0.5))
 
         def add(state: State) -> dict[str, np.ndarray]:
-            load = state.gravity_direction[:, axis]
+            load = state.force[:, axis] / state.gravity
             out, before = np.zeros(len(load)), load[0]
             for k in range(1, len(load)):
                 lag = out[k - 1] + load[k] - before

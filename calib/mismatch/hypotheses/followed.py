@@ -7,6 +7,7 @@ variance makes as smooth as nature is.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import pairwise
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from calib.effects.base import State
 from calib.mismatch.hypotheses.windows import FAST
 from calib.mismatch.rows.rows import Rows
 from calib.recording import CHANNELS
-from calib.types import FloatArray
+from calib.types import FloatArray, IntArray
 
 RIPPLES = (2.0, 3.0, 4.0, 5.0)
 """How fast a function of one component of gravity's direction varies, rad per unit."""
@@ -28,8 +29,11 @@ MEMORIES = np.array([0.5, 2.0, 8.0])
 PLAY = (0.0, 0.1, 0.2, 0.3, 0.4)
 """Load in g, beyond which what has play goes to the other side."""
 
-LAGS = (0.1, 0.2, 0.4)
+LAGS = (0.05, 0.1, 0.2, 0.4)
 """Load in g, by which what is elastic lags behind at most."""
+
+FORGOTTEN = 500.0
+"""Times the memory after which nothing is left."""
 
 LOADED = "its load before: play, or friction"
 """What has play, or sticks, depends on how it was loaded before."""
@@ -96,8 +100,8 @@ def smooth(state: State) -> Iterator[tuple[str, FloatArray]]:
 def history(rows: Rows) -> Iterator[tuple[str, FloatArray]]:
     """Yield what came before: the direction of gravity in the last poses, and the last turn.
 
-    What has play or sticks remembers the last one, what creeps forgets it slowly. A turn belongs to
-    the rest before it.
+    What sticks remembers the last one, or which way its turn was; what creeps forgets it slowly,
+    and has followed by so much less.
     """
     rests = np.flatnonzero(rows.is_rest)
     if len(rests) < 2:
@@ -110,42 +114,63 @@ def history(rows: Rows) -> Iterator[tuple[str, FloatArray]]:
     )
     turn = rate * np.ptp(rows.interval, axis=1)[:, None]
     turn /= np.maximum(np.linalg.norm(turn, axis=1, keepdims=True), 1.0)
-    pose = np.cumsum(rows.is_rest)[segment] - 1
-    for name, what, last in (
-        ("the pose before", up, rests[:-1]),
-        ("the turn before", turn, rests[1:] - 1),
+    pose = poses_at(rows)
+    for name, what in (
+        ("the pose before", up[rests[:-1]]),
+        ("the turn before", turn[rests[1:] - 1]),
+        ("the turn before", np.sign(turn[rests[1:] - 1])),
     ):
-        # Nothing was before the first rest, and nothing is after the last.
-        before = np.zeros((len(rests) + 1, 3))
-        before[1:-1] = what[last]
-        yield name, before[pose]
-    start = rows.interval[:, 0]
+        # Nothing was before the first rest.
+        yield name, np.vstack((np.zeros(3), what))[pose]
     for memory in MEMORIES * float(np.median(np.diff(rows.interval[rests].mean(axis=1)))):
-        known = up.copy()
-        for k in range(1, number):
-            kept = np.exp(-(start[k] - start[k - 1]) / memory)
-            known[k] = up[k - 1] + kept * (known[k - 1] - up[k - 1])
-        kept = np.exp(-(state.time - start[segment]) / memory)[:, None]
-        yield "the pose before", up[segment] + kept * (known - up)[segment]
+        up = state.gravity_direction
+        yield "the pose before", up - lately(rows, up, memory)
+
+
+def poses_at(rows: Rows) -> IntArray:
+    """Return the number of the rest that each point is in, or nearest to: turns have halves."""
+    start, stop = rows.interval[rows.is_rest].T
+    return np.searchsorted(0.5 * (stop[:-1] + start[1:]), rows.state.time, side="right")
+
+
+def lately(rows: Rows, signal: FloatArray, memory: float) -> FloatArray:
+    """Return a signal (n, k) as what creeps still knows it, with a `memory` in seconds.
+
+    A low-pass of first order, exact where the signal stays: ``memory dx/dt = signal - x``.
+    """
+    time, out = rows.state.time, np.empty_like(signal)
+    ends = np.searchsorted(rows.point_segment, np.arange(len(rows.interval) + 1)).tolist()
+    known, before = signal[0], float(time[0])
+    for a, b in pairwise(ends):
+        if a == b:
+            continue
+        # Of what was so long ago nothing is known.
+        grown = np.exp(np.minimum((time[a:b] - before) / memory, FORGOTTEN))[:, None]
+        felt = np.cumsum(np.diff(grown, axis=0, prepend=1.0) * signal[a:b], axis=0)
+        out[a:b] = (known + felt) / grown
+        known, before = out[b - 1], float(time[b - 1])
+    return out
 
 
 def remembered(rows: Rows, c: int) -> Iterator[tuple[str, FloatArray]]:
     """Yield what a channel may remember of how its axis was loaded before, (n, 1).
 
     What has play lies on the side that it was last loaded to, if by enough; where it sticks in a
-    turn, on that of the pose before. What is elastic, with friction, lags behind its load. A turn
-    tells as much of it as the rests: it goes its whole way.
+    turn, on that of the pose before. What is elastic, with friction, lags behind its load, or goes
+    by the way that it came. A turn tells as much of it as the rests.
     """
     if np.count_nonzero(rows.is_rest) < 2:
         return
-    load = rows.state.gravity_direction[:, c % 3]
+    load = rows.state.force[:, c % 3] / rows.state.gravity
     for least in PLAY:
         yield LOADED, side_of(load, least)[:, None]
-    total = np.bincount(rows.point_segment, load, len(rows.is_rest))[rows.is_rest]
-    pose = np.cumsum(rows.is_rest)[rows.point_segment]
-    yield LOADED, np.concatenate(([0.0, 0.0], np.sign(total)))[pose][:, None]
     for most in LAGS:
         yield LOADED, lag_of(load, most)[:, None] / most
+    total = np.bincount(rows.point_segment, load, len(rows.is_rest))[rows.is_rest]
+    count = np.bincount(rows.point_segment, minlength=len(rows.is_rest))[rows.is_rest]
+    mean = total / np.maximum(count, 1)
+    for side in (mean[:-1], np.diff(mean)):
+        yield LOADED, np.append(0.0, np.sign(side))[poses_at(rows)][:, None]
 
 
 def side_of(load: FloatArray, least: float) -> FloatArray:
@@ -180,8 +205,18 @@ def lag_of(load: FloatArray, most: float) -> FloatArray:
 SMEARED = {"accel": 0.05, "gyro": 0.01}
 """How near to zero (SI) its noise leaves the sign of a signal open."""
 
+LEVEL = "a level of its output, on either side"
+"""What has a step there, as a converter that misses codes, follows that."""
+
+LOADS = np.delete(np.linspace(-0.9, 0.9, 19), 9)
+SPEEDS = np.concatenate((-np.geomspace(0.8, 0.1, 7), np.geomspace(0.1, 0.8, 7)))
+"""Levels, in parts of gravity and of the fastest rate."""
+
 FORGETS = np.geomspace(0.5, 8.0, 5)
 """s in which a gyroscope forgets a turn."""
+
+PASSES = np.geomspace(2.0, 128.0, 7)
+"""Time constants of high-passes, s."""
 
 
 def sign_of(rows: Rows, c: int) -> FloatArray:
@@ -189,6 +224,20 @@ def sign_of(rows: Rows, c: int) -> FloatArray:
     signal = rows.state.force if c < 3 else rows.state.rate
     reads = signal[:, c % 3] + rows.offset[c]
     return np.asarray(np.tanh(reads[:, None] / SMEARED[CHANNELS[c].split(".")[0]]))
+
+
+def past_levels(rows: Rows, c: int) -> Iterator[tuple[str, FloatArray]]:
+    """Yield on which side of a level a channel reads, (n, 1): codes that are missing, a kink.
+
+    Of an accelerometer every tenth of gravity, of a gyroscope parts of its fastest rate; that of
+    zero is its sign.
+    """
+    signal = (rows.state.force if c < 3 else rows.state.rate)[:, c % 3]
+    most = rows.state.gravity if c < 3 else float(np.abs(signal).max(initial=0.0))
+    smeared = SMEARED[CHANNELS[c].split(".")[0]]
+    for level in (LOADS if c < 3 else SPEEDS).tolist():
+        reads = signal + rows.offset[c] - level * most
+        yield LEVEL, np.tanh(reads[:, None] / smeared)
 
 
 def warmed(state: State, c: int) -> Iterator[tuple[str, FloatArray]]:
@@ -213,9 +262,10 @@ def warmed(state: State, c: int) -> Iterator[tuple[str, FloatArray]]:
 
 
 def after_turns(rows: Rows, c: int) -> Iterator[tuple[str, FloatArray]]:
-    """Yield what a channel may have after each turn, while it fades, (n, 3).
+    """Yield what a channel may have after each turn, while it fades, (n, k).
 
-    Once the same after all of them, and once as the turn was about its axis, either way or not.
+    Once the same after all of them, and once as the turn was about its axis, either way or not. And
+    what a high-pass takes away: turns go through it while they last, and what it let go comes back.
     """
     state = rows.state
     rests = np.flatnonzero(rows.is_rest)
@@ -236,6 +286,17 @@ def after_turns(rows: Rows, c: int) -> Iterator[tuple[str, FloatArray]]:
     own[state.turning] = 0.0
     for memory in FORGETS.tolist():
         yield "time since the last turn", np.exp(-state.since_turn / memory)[:, None] * own
+    for memory in PASSES.tolist():
+        yield "time since the last turn", lately(rows, scaled_rates(state)[:, [c % 3]], memory)
+
+
+def of_use(rows: Rows) -> Iterator[tuple[str, FloatArray]]:
+    """Yield what any channel may have of how much the sensor was turned of late, (n, 1)."""
+    if not rows.is_rest.any() or rows.is_rest.all():
+        return
+    speed = np.linalg.norm(scaled_rates(rows.state), axis=1, keepdims=True)
+    for memory in PASSES.tolist():
+        yield "time since the last turn", lately(rows, speed, memory)
 
 
 HARDLY = 0.03

@@ -24,15 +24,18 @@ from calib.mismatch.hypotheses.candidates import (
     Candidate,
 )
 from calib.mismatch.hypotheses.followed import (
+    LEVEL,
     LOADED,
     OWN_RIPPLES,
     RIPPLES,
     after_turns,
     axes,
     history,
+    of_use,
     other_rates,
     own_rate,
     paired_rates,
+    past_levels,
     remembered,
     ripples,
     sign_of,
@@ -82,8 +85,8 @@ _KINDS = {
     "time": 0.02,
     "temperature": 0.02,
     "direction of gravity": 0.09,
-    "orientation": 0.03,
-    "speed of rotation": 0.05,
+    "orientation": 0.025,
+    "speed of rotation": 0.045,
     "its own rate": 0.02,
     "rate about the other axes": 0.02,
     "rate and direction of gravity": 0.01,
@@ -94,6 +97,7 @@ _KINDS = {
     "temperature and direction of gravity": 0.005,
     "temperature and rate about the other axes": 0.005,
     SIGN: 0.01,
+    LEVEL: 0.01,
     FROM_START: 0.015,
 }
 """Share of each. What follows temperature, time or its own rate smoothly has names in the
@@ -174,12 +178,17 @@ def _add_columns(stack: Stack, rows: Rows, slots: Slots) -> _Layout:
         signal = in_segments(rows, c, own_signal(state, c))
         stack.columns.add(size * signal, rows.touched([c]))
     width = in_slots.shape[1] + signal.shape[1]
-    followed = [*smooth(state), *history(rows)]
+    followed = [*smooth(state), *history(rows), *of_use(rows)]
     for c, name in enumerate(CHANNELS):
         size = typical_size(name.split(".")[0])
         own = [("its own rate", own_rate(state, c))]
         own += [("rate about the other axes", f(state, c)) for f in (other_rates, paired_rates)]
-        own += [(SIGN, sign_of(rows, c)), *warmed(state, c), *remembered(rows, c)]
+        own += [
+            (SIGN, sign_of(rows, c)),
+            *warmed(state, c),
+            *remembered(rows, c),
+            *past_levels(rows, c),
+        ]
         own += after_turns(rows, c) if c >= 3 else ()
         for label, values in [*followed, *own]:
             index = stack.columns.add(size * rows.columns(c, values), rows.touched([c]))

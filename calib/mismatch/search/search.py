@@ -37,6 +37,7 @@ from calib.mismatch.search.choice import LEAST, Choice, choose, is_part, possibl
 from calib.mismatch.search.counts import parts_of_samples
 from calib.mismatch.search.determined import determined
 from calib.mismatch.search.estimate import Estimate, estimate, settle
+from calib.mismatch.search.late import with_delay
 from calib.mismatch.search.ranking import Ranking, make_stack, rank, with_fullest
 from calib.mismatch.search.refit import Problem, Refit, put_back, refit, unmoved
 from calib.mismatch.search.resettled import resettled
@@ -148,6 +149,8 @@ def search(problem: Problem, *, skip: tuple[str, ...] = ()) -> Outcome:
         for i in range(len(accepted))
     ]
     rows, accepted = resettled(problem, rows, accepted, levels, contrast)
+    if not problem.reference:
+        rows = with_delay(rows, accepted)
     rows, accepted = settle(rows, accepted, levels, contrast, reference=problem.reference)
     undetermined: tuple[str, ...] = ()
     if not problem.reference:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from calib.effects import effects
 from calib.effects.base import Effect
 from calib.mismatch.findings.diagnosis import Rival
-from calib.mismatch.hypotheses.followed import LOADED
+from calib.mismatch.hypotheses.followed import LEVEL, LOADED
 from calib.mismatch.hypotheses.rivals import SIGN
 from calib.mismatch.search.twins import HEADING
 
@@ -28,6 +28,7 @@ _OF_MOTION = {
     "temperature and direction of gravity": "the same poses at other temperatures",
     "temperature and rate about the other axes": "the same turns at other temperatures",
     "time since the last turn": "long rests after turns about one axis at a time, slow and fast",
+    LEVEL: "more poses, and turns at more rates, on either side of it",
     SIGN: "the counts as the converter gives them, before a host scales or cuts them",
     HEADING: "the same beside a reference that keeps its heading, as markers do",
 }

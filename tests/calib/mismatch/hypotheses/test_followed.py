@@ -11,9 +11,13 @@ import pytest
 from calib.mismatch import diagnose_recording
 from calib.mismatch.hypotheses.followed import (
     FORGETS,
+    LEVEL,
     LOADED,
+    PASSES,
     after_turns,
     lag_of,
+    lately,
+    poses_at,
     side_of,
     sign_of,
 )
@@ -101,8 +105,8 @@ def test_after_turns_nothing_is_left_before_the_first_and_while_it_turns() -> No
     grid, made = problem()
     rows = made.rows()
     found = list(after_turns(rows, 4))
-    assert len(found) == len(FORGETS)
-    for _, values in found:
+    assert len(found) == len(FORGETS) + len(PASSES)
+    for _, values in found[: len(FORGETS)]:
         assert not values[grid.turning].any()
         assert not values[grid.pose == 0].any()
         rest = (grid.pose == 3) & ~grid.turning
@@ -147,7 +151,7 @@ def test_what_remembers_its_load_is_as_sample_by_sample(seed: int) -> None:
     ("channel", "made"),
     [
         ("accel.x", lambda way: 0.02 * lain(way, 0.25)),
-        ("accel.z", lambda way: 0.08 * stuck(way, 0.25)),
+        ("accel.z", lambda way: 0.05 * stuck(way, 0.25)),
         ("gyro.y", lambda way: 4e-4 * lain(way, 0.15)),
     ],
 )
@@ -157,3 +161,73 @@ def test_what_has_play_or_sticks_follows_its_load_before(
     real = recording(seed=8, poses=18)
     own = made(load(real, "xyz".index(channel[-1])))
     assert _said(with_added(real, {channel: own})) == [(LOADED, (channel,))]
+
+
+def late(real: Recording, signal: FloatArray, memory: float) -> FloatArray:
+    """Return a signal (n,) through a low-pass of first order, sample by sample."""
+    kept, out = float(np.exp(-real.interval / memory)), [float(signal[0])]
+    for value in signal[1:].tolist():
+        out.append(value + kept * (out[-1] - value))
+    return np.array(out)
+
+
+@pytest.mark.parametrize("memory", [0.7, 5.0, 60.0])
+def test_what_is_known_of_late_is_a_low_pass_sample_by_sample(memory: float) -> None:
+    rows = problem()[1].rows()
+    time, signal = rows.state.time, rows.state.gravity_direction
+    known = [signal[0]]
+    for k in range(1, len(time)):
+        kept = np.exp(-(time[k] - time[k - 1]) / memory)
+        known.append(signal[k] + kept * (known[-1] - signal[k]))
+    assert lately(rows, signal, memory) == pytest.approx(np.array(known), abs=1e-9)
+
+
+def test_a_turn_belongs_by_halves_to_the_rests_beside_it() -> None:
+    rows = problem()[1].rows()
+    start, stop = rows.interval[rows.is_rest].T
+    pose = poses_at(rows)
+    for k in range(1, len(start)):
+        inside = (rows.state.time > stop[k - 1]) & (rows.state.time < start[k])
+        early = rows.state.time < 0.5 * (stop[k - 1] + start[k])
+        assert inside.any()
+        assert (pose[inside & early] == k - 1).all()
+        assert (pose[inside & ~early] == k).all()
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("channel", "made"),
+    [
+        ("gyro.z", lambda real, rate: -2e-3 * late(real, rate[:, 2], 30.0)),
+        ("gyro.x", lambda real, rate: 2e-3 * late(real, np.linalg.norm(rate, axis=1), 20.0)),
+        ("accel.y", lambda real, rate: 0.05 * late(real, np.linalg.norm(rate, axis=1), 8.0)),
+    ],
+)
+def test_what_turns_leave_behind_follows_the_time_since_them(
+    channel: str, made: Callable[[Recording, FloatArray], FloatArray]
+) -> None:
+    real = recording(seed=8, poses=24)
+    left = made(real, motion_of(real).rate)
+    assert _said(with_added(real, {channel: left})) == [("time since the last turn", (channel,))]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("axis", "level"), [(2, 3.4), (0, -5.0)])
+def test_a_step_at_a_level_of_an_output_is_no_asymmetry(axis: int, level: float) -> None:
+    real = recording(seed=8, poses=24)
+    channel = f"accel.{'xyz'[axis]}"
+    step = 0.012 * (real.accel[:, axis] > level)
+    assert _said(with_added(real, {channel: step})) == [(LEVEL, (channel,))]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("channel", "size"), [("accel.x", 0.012), ("gyro.y", 5e-4)])
+def test_what_goes_by_the_way_of_the_last_turn_follows_that(channel: str, size: float) -> None:
+    real = recording(seed=8, poses=24)
+    rate, poses = motion_of(real).rate[:, 2], find_poses(real)
+    way, value = np.zeros(len(real)), 0.0
+    for k in range(1, len(poses)):
+        turn = slice(int(poses.stop[k - 1]), int(poses.start[k]))
+        value = float(np.sign(rate[turn].sum()))
+        way[(turn.start + turn.stop) // 2 :] = value
+    assert _said(with_added(real, {channel: size * way})) == [("the turn before", (channel,))]
