@@ -81,10 +81,11 @@ def _alone(
         spans = _long_runs(alone, least)
         if c >= 3:
             seen = QUIET * float(np.linalg.norm(floor[:3]))
+            bias = float(np.median(mean[quiet[:, c] if quiet[:, c].any() else slice(None), c]))
             spans = [
                 (a, b)
                 for a, b in spans
-                if _is_no_turn(parts[a:b, :, c], mean[a:b, :3].mean(axis=0), c - 3, interval, seen)
+                if _is_no_turn(parts[a:b, :, c] - bias, mean[a:b, :3], c - 3, interval, seen)
             ]
         if not spans:
             continue
@@ -108,14 +109,19 @@ def _long_runs(flags: BoolArray, least: int) -> list[tuple[int, int]]:
 def _is_no_turn(
     rate: FloatArray, force: FloatArray, axis: int, interval: float, seen: float
 ) -> bool:
-    """Whether what a gyroscope shows is less than a hand wanders, or moves no gravity.
+    """Whether what a gyroscope shows is less than a hand wanders about, or moves no gravity.
 
-    A turn about its axis by an angle moves specific force (3,) by that times what is across it;
-    accelerometers that are quiet show less than ``seen``.
+    A turn about its axis by an angle moves specific force, of which there are means (n, 3), by that
+    times what is across it; accelerometers that are quiet show less than ``seen`` in a window.
     """
-    own = rate.ravel() - rate.mean()
-    angle = float(np.ptp(np.cumsum(own)) * interval)
-    return angle <= TURNED or angle * float(np.linalg.norm(np.delete(force, axis))) > 2.0 * seen
+    angle = np.cumsum(rate, axis=None).reshape(rate.shape) * interval
+    across = float(np.linalg.norm(np.delete(force.mean(axis=0), axis)))
+    moved = float(np.linalg.norm(np.ptp(force, axis=0)))
+    expected = float(np.ptp(angle.mean(axis=1))) * across
+    # A turn that begins goes one way.
+    most, way = float(np.ptp(angle)), float(np.abs(rate).sum()) * interval
+    wanders = most <= TURNED and most < 0.5 * way
+    return wanders or expected > 2.0 * max(seen, moved)
 
 
 def _floor(values: FloatArray) -> FloatArray:

@@ -99,6 +99,32 @@ def test_what_swings_about_the_vertical_on_each_face_is_no_disturbance(amplitude
     assert find_unrest(np.hstack((accel, gyro)), 0.01) == []
 
 
+@pytest.mark.parametrize("seed", range(6))
+def test_slow_turns_that_hardly_move_gravity_are_no_disturbance(seed: int) -> None:
+    # A turn by 30 degrees a second or so, about an axis that is nearly vertical, begins and ends
+    # while the accelerometer and the other gyroscopes are as quiet as at rest.
+    rng = np.random.default_rng(seed)
+    time = np.arange(0.0, 240.0, 1.0 / RATE)
+    up, values = np.zeros((len(time), 3)), np.zeros((len(time), 6))
+    axes = np.random.default_rng(100 + seed).integers(3, size=20)
+    for k, axis in enumerate(axes):
+        inside = slice(k * 1200, (k + 1) * 1200)
+        since = time[inside] - time[inside.start]
+        length = rng.uniform(5.0, 9.0)
+        part = np.clip((since - 3.0) / length, 0.0, 1.0)
+        angle = rng.uniform(1.0, 2.0) * rng.choice([-1.0, 1.0])
+        turned = angle * (10 * part**3 - 15 * part**4 + 6 * part**5)
+        tilt = rng.uniform(0.05, 0.4)
+        across, beside = (axis + 1) % 3, (axis + 2) % 3
+        up[inside, axis] = np.cos(tilt)
+        up[inside, across] = np.sin(tilt) * np.cos(turned)
+        up[inside, beside] = -np.sin(tilt) * np.sin(turned)
+        values[inside, 3 + axis] = np.gradient(turned, time[inside])
+    values[:, :3] = 9.80665 * up + rng.normal(size=up.shape) * 0.02
+    values[:, 3:] += rng.normal(size=up.shape) * 7e-4 + [0.001, 0.02, -0.01]
+    assert find_unrest(values, 1.0 / RATE) == []
+
+
 def test_short_and_unclocked_recordings_have_none() -> None:
     real = simulated(rate=RATE)
     assert find_unrest(values_of(real)[:90], real.interval) == []
