@@ -198,11 +198,12 @@ def _odd(gains: FloatArray) -> int | None:
 def _plain(accel: FloatArray, axis: int) -> bool:
     """Whether most poses that an axis has a part in are as long as gravity.
 
-    A single one that is none, but a steady push while moving, bends the ellipsoid of all (n, 3).
+    Or most of all, if it has a part in none: its gain is what an ellipsoid makes of the others. A
+    single one that is none, but a steady push while moving, bends the ellipsoid of all (n, 3).
     """
     norm = np.linalg.norm(accel, axis=1)
     felt = norm[np.abs(accel[:, axis]) > 0.5 * norm]
-    return bool(len(felt)) and abs(float(np.median(felt)) / G - 1) < PLAIN
+    return abs(float(np.median(felt if len(felt) else norm)) / G - 1) < PLAIN
 
 
 def _gyro_fault(recording: Recording, closure: Closure | None) -> UnitFault | None:

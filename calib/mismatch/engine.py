@@ -165,6 +165,10 @@ def _diagnose(thinned: Thinned, *, gravity: float, model: SensorModel | None) ->
         left_open = open_baseline(problem.twin.names, fit)
         able = len(poses) >= LEAST_DIRECTIONS and not left_open
         missing = with_turns(missing, directions, rests=len(poses), left_open=left_open)
+    elif left_open := open_baseline(problem.twin.names, fit):
+        # Many poses that lie in one plane tell of no more than two axes.
+        able &= not any(name.startswith("accel") for name in left_open)
+        missing += (to_determine(left_open),)
     findings, unexplained, final, open_, (known, covariance) = _explained(problem, outcome, fit)
     if timeless:
         known, covariance = without_rates(known, covariance)
@@ -345,7 +349,7 @@ def _unfit(thinned: Thinned, missing: tuple[str, ...], need: str, otherwise: Ver
     """Return the diagnosis of a recording of which no twin can be made, for what it needs first."""
     seen = thinned.seen
     return without_fit(
-        "unexplained" if seen.unexplained else otherwise,
+        verdict(seen.findings, seen.unexplained, able=False) if seen.unexplained else otherwise,
         (*missing, need),
         _summary(thinned, thinned.poses, ()),
         findings=seen.findings,

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from calib.effects import effects
+from calib.effects.base import Effect, TransformEffect
 from calib.mismatch.findings.diagnosis import Finding
 from calib.mismatch.rows.choice import distinct_directions
 from calib.mismatch.search.search import Outcome
@@ -99,9 +100,16 @@ def across_gravity(findings: Sequence[Finding], poses: Poses) -> bool:
 
 
 def hidden_effects(outcome: Outcome) -> dict[str, str]:
-    """Return the effects that these rows cannot show, with what they would need."""
+    """Return the effects that these rows cannot show, with what they would need.
+
+    What acts on the readout shows in samples.
+    """
     return {
         slug: effect.needs
         for slug, effect in effects().items()
-        if slug not in outcome.tried and effect.kind == "sensor"
+        if slug not in outcome.tried and effect.kind == "sensor" and not _in_samples(effect)
     }
+
+
+def _in_samples(effect: Effect) -> bool:
+    return isinstance(effect, TransformEffect) and effect.stage == "readout"

@@ -55,7 +55,7 @@ def test_a_push_among_the_rests_is_no_unit(real: Recording) -> None:
 
 
 @pytest.mark.parametrize("axis", range(3))
-@pytest.mark.parametrize("factor", [0.5, 2.0])
+@pytest.mark.parametrize("factor", [0.1, 0.5, 2.0])
 def test_an_axis_in_another_unit_is_found_in_all_poses(
     real: Recording, axis: int, factor: float
 ) -> None:
@@ -64,6 +64,18 @@ def test_an_axis_in_another_unit_is_found_in_all_poses(
     accel = STANDARD_GRAVITY * directions / np.linalg.norm(directions, axis=1, keepdims=True)
     accel[:, axis] *= factor
     assert channels_of(real, accel) == [axis]
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_an_axis_that_gravity_never_reached_has_no_unit(real: Recording, seed: int) -> None:
+    # Turned about nearly one axis: the ellipsoid of the poses has any length along that.
+    rng = np.random.default_rng(seed)
+    angle = rng.uniform(-np.pi, np.pi, 13)
+    up = np.stack((0.02 * rng.standard_normal(13), np.cos(angle), np.sin(angle)), axis=1)
+    up /= np.linalg.norm(up, axis=1, keepdims=True)
+    bias = np.array([0.35, -0.22, 0.6])
+    accel = STANDARD_GRAVITY * up * [1.01, 0.98, 1.02] + bias + 2e-3 * rng.standard_normal((13, 3))
+    assert channels_of(real, accel) == []
 
 
 def test_long_motion_between_two_rests_is_no_unit(real: Recording) -> None:

@@ -326,9 +326,19 @@ def without_fit(
 
 
 def claimed(model: SensorModel, given: Sequence[Term], findings: Sequence[Finding]) -> SensorModel:
-    """Return a fitted model without the terms that were tried and have no name in the end."""
-    slugs = {t.effect for t in given} | {f.effect for f in findings}
-    return replace(model, terms=tuple(t for t in model.terms if t.effect in slugs))
+    """Return a fitted model without the terms that were tried and have no name in the end.
+
+    Nor with the parameters of a finding that the recording leaves open: it was fitted without them.
+    """
+    known = {t.effect: set(t.parameters) for t in given}
+    for f in findings:
+        known[f.effect] = known.get(f.effect, set()) | set(f.parameters)
+    kept = (
+        Term(t.effect, {n: v for n, v in t.parameters.items() if n in known[t.effect]})
+        for t in model.terms
+        if t.effect in known
+    )
+    return replace(model, terms=tuple(t for t in kept if t.parameters))
 
 
 def summarise(recording: Recording) -> dict[str, object]:

@@ -24,15 +24,18 @@ def joined(items: list[Unexplained]) -> list[Unexplained]:
     """Return the items with pieces of one disturbance joined, in the place of the first.
 
     A disturbance that no single window describes (it grows, pauses, or reaches several channels) is
-    found piece by piece. What it follows and how sure it is are said of the surest.
+    found piece by piece. What it follows and how sure it is are said of the surest; its channels
+    too, where one has all of the other's.
     """
     out: list[Unexplained] = []
     for item in items:
         for i, other in enumerate(out):
             if _are_one(other, item):
-                channels = {*other.channels, *item.channels}
+                surest = min(other, item, key=lambda piece: piece.p_value)
+                both, own = {*other.channels, *item.channels}, (other.channels, item.channels)
+                channels = surest.channels if both in map(set, own) else both
                 out[i] = replace(
-                    min(other, item, key=lambda piece: piece.p_value),
+                    surest,
                     channels=tuple(c for c in CHANNELS if c in channels),
                     intervals=(_hull(other.intervals[0], item.intervals[0]),),
                 )

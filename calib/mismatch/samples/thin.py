@@ -313,5 +313,6 @@ def _gather(
     recording = join(left)
     assert recording.lost is not None
     cut = np.diff(index, prepend=index[0] - 1) - 1
-    merged = join_samples(seen)._replace(spoilt=np.concatenate(spoilt))
+    # No turn may be integrated across what was left out.
+    merged = join_samples(seen)._replace(spoilt=np.concatenate(spoilt) | (cut > 0))
     return replace(recording, lost=recording.lost + cut), merged, index

@@ -29,7 +29,6 @@ from calib.mismatch.samples.spectrum import SHARE
 from calib.mismatch.samples.tails import beyond, tails, usual_of
 from calib.poses import Poses
 from calib.recording import CHANNELS, Recording
-from calib.stillness import runs
 from calib.types import BoolArray, FloatArray, IntArray
 
 CLAIM = 1e-4
@@ -270,26 +269,29 @@ def _pulses(looks: list[_Look], time: FloatArray, tail: FloatArray) -> list[Unex
     start, stop = float(time[0]), float(time[-1])
     number = sum(look.size.size for look in looks)
     chance = CHANCE / (number / len(CHANNELS)) / 2
-    moments = int((stop - start) / APART) + 3
+    moments = _moments(looks, start)
     # The largest of each moment, at all widths: in the usual noise, and, as a share of what noise
     # hardly reaches, in that of its own rest.
-    seen, hit = np.zeros((moments, 6)), np.zeros((moments, 6))
+    seen, hit = np.zeros((2, len(moments), 6))
     for look in looks:
         # One after another in time: each moment's are side by side.
-        at, first = np.unique(((look.time - start) / APART).astype(np.int64) + 1, return_index=True)
+        own, first = np.unique(_moment(look, start), return_index=True)
+        at = np.searchsorted(moments, own)
         size = np.abs(look.size)
         seen[at] = np.maximum(seen[at], np.maximum.reduceat(size, first))
         limit = beyond(tail, look.width, chance)
         if look.width > 1 and (size > limit).any():
             # Single samples off course are mishaps of the readout, which the audit reports.
-            own = size / _own_scale(look)[look.rest] / limit
-            hit[at] = np.maximum(hit[at], np.maximum.reduceat(own, first))
-    near = np.maximum(seen[1:-1], np.maximum(seen[:-2], seen[2:]))
+            share = size / _own_scale(look)[look.rest] / limit
+            hit[at] = np.maximum(hit[at], np.maximum.reduceat(share, first))
+    near, beside = seen.copy(), np.flatnonzero(np.diff(moments) == 1)
+    near[beside + 1] = np.maximum(near[beside + 1], seen[beside])
+    near[beside] = np.maximum(near[beside], seen[beside + 1])
     companion = -float(ndtri(MISSED / (number / max((seen > 0).sum(), 1)) / 30))
     out = []
     for c, channel in enumerate(CHANNELS):
         alone = (np.delete(near, c, axis=1) < companion).all(axis=1)
-        found = np.flatnonzero((hit[1:-1, c] > 1.0) & alone)
+        found = moments[(hit[:, c] > 1.0) & alone]
         # A pulse on the edge of two moments is one.
         found = found[np.diff(found, prepend=-2) > 1]
         if len(found) < SEVERAL:
@@ -298,6 +300,16 @@ def _pulses(looks: list[_Look], time: FloatArray, tail: FloatArray) -> list[Unex
         where = densest(np.asarray(start + APART * (found + 0.5)), (start, stop))
         out.append(Unexplained((channel,), (where,), PULSES, p))
     return out
+
+
+def _moment(look: _Look, start: float) -> IntArray:
+    """Return in which moment, from the start on, each value of a look is."""
+    return np.asarray(((look.time - start) / APART).astype(np.int64))
+
+
+def _moments(looks: list[_Look], start: float) -> IntArray:
+    """Return the moments that are looked at: those of a clock that jumps by years are few."""
+    return np.unique(np.concatenate([_moment(look, start) for look in looks]))
 
 
 def is_told(item: Unexplained, others: Sequence[Unexplained]) -> bool:
@@ -316,15 +328,17 @@ def is_told(item: Unexplained, others: Sequence[Unexplained]) -> bool:
 def _jolts(looks: list[_Look], time: FloatArray) -> list[Unexplained]:
     """Return the few moments at which channels are off by many noises: one item of all of them."""
     start, stop = float(time[0]), float(time[-1])
-    moments = int((stop - start) / APART) + 1
-    seen = np.zeros((moments, 6))
+    moments = _moments(looks, start)
+    seen = np.zeros((len(moments), 6))
     for look in looks:
-        at = ((look.time - start) / APART).astype(np.int64)
-        np.maximum.at(seen, at, np.abs(look.size))
-    first, last = runs(np.asarray((seen > JOLT).any(axis=1)))
+        np.maximum.at(seen, np.searchsorted(moments, _moment(look, start)), np.abs(look.size))
+    large = (seen > JOLT).any(axis=1)
+    apart = np.diff(moments[large]) > 1
+    first = moments[large][np.append(True, apart)[: large.sum()]]
+    last = moments[large][np.append(apart, True)[: large.sum()]] + 1
     if not 0 < len(first) <= MOST_JOLTS:
         return []
-    shown = np.max([seen[a:b].max(axis=0) for a, b in zip(first, last, strict=True)], axis=0)
+    shown = seen[large].max(axis=0)
     where = tuple(
         (start + APART * a, min(start + APART * b, stop))
         for a, b in zip(first.tolist(), last.tolist(), strict=True)

@@ -12,8 +12,7 @@ from calib.mismatch.findings.heldout import HeldOut, LeftOut, held_out, pose_lev
 from calib.mismatch.noise.noise import make_whitener
 from calib.mismatch.rows.rows import Kind, Rows
 from calib.mismatch.search.accepted import Accepted, fitted
-from calib.mismatch.search.estimate import Estimate, pseudo_inverse, unique
-from calib.mismatch.search.joint import scaled
+from calib.mismatch.search.estimate import Estimate, solved, told
 from calib.mismatch.search.search import Outcome
 from calib.types import BoolArray, FloatArray
 
@@ -87,16 +86,10 @@ def _others(outcome: Outcome, which: int) -> list[Accepted]:
 def fit_without(outcome: Outcome, which: int) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Return what is left without one finding, the coefficients, and which are determined."""
     rows = judging(outcome, which)
-    unit, scale = scaled(fitted(rows, _others(outcome, which)))
-    whitener = make_whitener(rows, outcome.levels, outcome.contrast, unit[:, :0])
-    without, determined = _least_squares(whitener.whiten(unit), whitener.whiten(rows.residual))
-    return rows.residual - unit @ without, without / scale, determined
-
-
-def _least_squares(design: FloatArray, y: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """Return the shortest solution, and which of its elements are the same in all of them."""
-    inverse = pseudo_inverse(design)
-    return inverse @ y, unique(inverse, design)
+    others = tuple(_others(outcome, which))
+    without, _ = solved(rows, others, outcome.levels, outcome.contrast)
+    determined = told(rows, others, outcome.levels, outcome.contrast)
+    return rows.residual - fitted(rows, others) @ without, without, determined
 
 
 def changes(outcome: Outcome) -> tuple[tuple[Change, ...], tuple[float, float]]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from calib.mismatch.findings.diagnosis import Unexplained
@@ -32,6 +34,15 @@ def test_pieces_of_one_disturbance_are_joined(pieces, expected):
     found = joined([piece(*p) for p in pieces])
     assert [item.intervals[0] for item in found] == expected
     assert {c for item in found for c in item.channels} == {p[0] for p in pieces}
+
+
+@pytest.mark.parametrize("wide", [("gyro.x", "gyro.y", "gyro.z"), ("gyro.z",)])
+def test_the_surer_of_two_has_its_own_channels_where_one_has_those_of_the_other(wide):
+    weak = replace(piece("gyro.x", 10, 20), channels=wide, p_value=1e-6)
+    other = ("gyro.z",) if len(wide) > 1 else ("gyro.x", "gyro.y", "gyro.z")
+    sure = replace(piece("gyro.x", 11, 21), channels=other, p_value=1e-18)
+    (found,) = joined([weak, sure])
+    assert found.channels == other
 
 
 def test_waves_of_several_periods_throughout_are_one_that_is_no_sine():

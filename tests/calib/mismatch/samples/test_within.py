@@ -391,3 +391,14 @@ def test_corners_that_a_truth_does_not_follow_are_no_jolts() -> None:
     left = np.random.default_rng(2).normal(size=(len(time), 6))
     left[500::600, 3] += 100.0
     assert all("jolt" not in u.follows for u in look_beside(time, left, exact=True))
+
+
+@pytest.mark.parametrize("jump", [1e5, 1.7e9])
+def test_a_clock_that_is_set_between_takes_no_memory_for_what_was_not_recorded(jump: float) -> None:
+    # Nor do pulses after it fall on other channels than those before.
+    real = simulated(seed=61, poses=24)
+    after = np.arange(len(real)) > 0.5 * len(real)
+    for recording in (real, disturbed(real, [4], pulses, 65)[0]):
+        late = replace(recording, time=recording.time + jump * after)
+        plain, far = (look_within(one, find_poses(one)) for one in (recording, late))
+        assert [(u.follows, u.channels) for u in far] == [(u.follows, u.channels) for u in plain]
