@@ -75,3 +75,23 @@ def test_what_no_pose_shows_has_not_moved_since_a_calibration():
         if ".bias." not in name and name in sigma:
             assert abs(value) < 4.0 * sigma[name] + 0.05, name
             assert sigma[name] < 0.06, name
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("seed", [1, 2])
+def test_turns_about_one_axis_leave_half_of_a_calibration_open_and_that_is_said(seed):
+    found = diagnose_recording(turned(np.eye(3)[:1], np.zeros((3, 3)), seed), gravity=GRAVITY)
+    assert found.verdict == "undetermined"
+    assert not found.findings
+    (missing,) = [text for text in found.missing if text.startswith("motion that determines")]
+    assert "accel.scale_factor_error.x" in missing
+
+
+@pytest.mark.long
+def test_what_priors_hold_has_absorbed_no_more_than_there_was():
+    two = np.eye(3)[:2]
+    there = np.zeros((3, 3))
+    there[2, 0] = 2e-3
+    (item,) = diagnose_recording(turned(two, there, 1), gravity=GRAVITY).findings
+    # A part is within 5 %, and that holds it; it was -4.1 and 2.6 once.
+    assert all(abs(a.shift) < 0.2 for a in item.absorbed_by if "scale" in a.parameter)

@@ -1,6 +1,7 @@
 """Whole recordings through the diagnosis: silence, names, proof, verdicts, the document."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from calib.effects.accel_settling import NONE, WHOLE
 from calib.effects.base import FORM, PRESENCE, State, Term
 from calib.errors import InsufficientMotionError
 from calib.mismatch import diagnose_recording
+from calib.mismatch.findings.diagnosis import claimed
 from calib.model import SensorModel
 from calib.recording import Recording
 from calib.simulate import simulate
@@ -164,6 +166,27 @@ def test_wrong_units_and_axes_are_named_alone(accel, gyro, name):
     if name == "axis_error":
         assert "The gyro's axes show x: y, y: x, z: z." in found.findings[0].sentence
         assert [q.unit for q in found.findings[0].parameters.values()] == [PRESENCE, FORM]
+
+
+def test_a_model_has_no_parameter_that_the_recording_leaves_open():
+    found = diagnose_recording(
+        recording(Term("gyro_g_sensitivity", {"gxx": 1e-3})), gravity=GRAVITY
+    )
+    (item,) = found.findings
+    (term,) = found.model.terms
+    assert set(term.parameters) == set(item.parameters)
+    more = replace(term, parameters={**term.parameters, "gzz": 0.5})
+    model = claimed(replace(found.model, terms=(more,)), (), found.findings)
+    assert model.terms == (term,)
+    # What was given stays.
+    given = claimed(replace(found.model, terms=(more,)), (more,), ())
+    assert given.terms == (more,)
+
+
+def test_what_shows_in_samples_is_none_of_what_a_recording_cannot_show():
+    found = diagnose_recording(recording(), gravity=GRAVITY)
+    assert "accel_vibration_rectification" in found.hidden
+    assert not {"quantization", "saturation", "unit_error"} & set(found.hidden)
 
 
 def test_one_pose_cannot_tell():

@@ -84,6 +84,8 @@ def test_what_is_left_has_all_turns_and_windows_of_the_rests(real: Recording) ->
         assert np.isin(np.arange(a, b), at).all()
     np.testing.assert_allclose(left.poses.interval, poses.interval)
     np.testing.assert_array_equal(np.diff(at) - 1, left.recording.lost[1:])
+    # Nothing is integrated across what was left out.
+    assert left.seen.spoilt[left.recording.lost > 0].all()
 
 
 def test_motion_that_is_too_long_keeps_its_ends() -> None:
