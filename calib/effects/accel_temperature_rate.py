@@ -31,7 +31,7 @@ class AccelTemperatureRate(Effect):
     follows = "rate of temperature"
     needs = "heating and cooling through the same temperatures, or a span of heating rates"
     sentence = (
-        "At one temperature the accelerometer reads differently while it heats and while it cools."
+        "The accelerometer reads differently while its temperature changes, the faster the more."
     )
     absorbed_by = ("accel.bias",)
     rivals = ("accel_warm_up", "accel_bias_temperature")

@@ -47,8 +47,9 @@ class EarthRate(Effect):
     )
     follows = "heading and tilt at rest"
     needs = (
-        "a quiet gyro, long statics, several headings, so that its north part shows, or a known "
-        "latitude: its part up equals an isotropic g-sensitivity"
+        "a quiet gyro, long statics, several headings, so that its north part shows; its part up "
+        "looks like an isotropic g-sensitivity, but is 15.04 degrees an hour times the sine of "
+        "the latitude: compare the two"
     )
     sentence = (
         "The gyro at rest senses the Earth's rotation. Where east is the recording does not know: "

@@ -31,9 +31,7 @@ class GyroTemperatureRate(Effect):
     parameters = per_axis("gyro", "k", "(rad/s)/(K/s)", np.radians(0.02) / 0.03)
     follows = "rate of temperature"
     needs = "heating and cooling through the same temperatures, or a span of heating rates"
-    sentence = (
-        "At one temperature the gyroscope reads differently while it heats and while it cools."
-    )
+    sentence = "The gyroscope reads differently while its temperature changes, the faster the more."
     absorbed_by = ("gyro.bias",)
     rivals = ("gyro_warm_up", "gyro_bias_temperature")
     reads = ("temperature",)

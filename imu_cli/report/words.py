@@ -21,8 +21,18 @@ SEEN = "nothing: "
 """How begins what is no function of anything, but is seen in samples."""
 
 
+OR_ANOTHER = "Explained: everything beyond noise has a name, or one of several."
+"""The sentence where other names are as good, or nearly, for some of it."""
+
+NEARLY = 0.1
+"""Odds of a rival from which on it is said to be as good, or nearly."""
+
+
 def headline(document: Mapping[str, Any]) -> str:
     """Return the verdict as a sentence."""
+    rivals = [r for f in document.get("findings", ()) for r in f.get("rivals", ())]
+    if document["verdict"] == "explained" and any(r["odds"] >= NEARLY for r in rivals):
+        return OR_ANOTHER
     if document["verdict"] == "consistent" and document.get("moved"):
         return "Consistent with a calibration brought up to date: nothing else beyond noise."
     return VERDICTS[document["verdict"]][0]

@@ -43,6 +43,9 @@ from calib.types import BoolArray, FloatArray, IntArray
 from calib.weightless import find_weightless
 from calib.wrapped import find_wrapped
 
+NOISES = 6.0
+"""Noises beyond a limit that no sample of a triad has whose range that is."""
+
 
 def look_at_samples(recording: Recording, poses: Poses) -> Samples:
     """Look for what is wrong with single samples, units and axes."""
@@ -159,7 +162,8 @@ def _clipping(
     findings: list[Finding] = []
     if len(values) < faults.BLOCK:
         return clipped, findings
-    found = faults.limits_of(recording, np.maximum(faults.noise_at_rest(values), step))
+    noise = np.maximum(faults.noise_at_rest(values), step)
+    found = faults.limits_of(recording, noise)
     for first, triad in ((0, "accel"), (3, "gyro")):
         limit, own = 0.0, slice(first, first + 3)
         for c, at in enumerate(found[own], first):
@@ -167,8 +171,10 @@ def _clipping(
                 clipped[at, c] = True
                 limit = max(limit, float(np.abs(values[at, c]).max()))
         if limit:
-            # The range is one: what another axis reached for a sample or two was cut there as well.
-            clipped[:, own] |= np.abs(values[:, own]) >= limit - 1.5 * step[own]
+            size = np.abs(values[:, own])
+            if not (size > limit + 1.5 * step[own] + NOISES * noise[own]).any():
+                # The range is one: what another axis reached for a sample or two was cut there too.
+                clipped[:, own] |= size >= limit - 1.5 * step[own]
             findings.append(_saturation(recording, clipped, triad, limit))
     return clipped, findings
 

@@ -26,6 +26,7 @@ from calib.mismatch.rows.rows import Kind, Rows
 from calib.mismatch.search.accepted import UNLIKE, Accepted, fitted
 from calib.mismatch.search.counts import counted, is_whole
 from calib.mismatch.search.estimate import Estimate
+from calib.mismatch.search.late import firsts_late
 from calib.mismatch.search.partly import IN_A_PART, Part, acting_part
 from calib.mismatch.search.proof import fit_without, judging, only_levels, prove
 from calib.mismatch.search.put_down import WORDS, put_down
@@ -33,7 +34,7 @@ from calib.mismatch.search.ranking import chance
 from calib.mismatch.search.returned import THERE, returned
 from calib.mismatch.search.search import BEATEN, SHOWN, TIE, TWIN, Outcome
 from calib.mismatch.search.separate import to_separate
-from calib.mismatch.search.twins import STRAIGHT, UNSETTLED, is_straight, too_fast
+from calib.mismatch.search.twins import AGES, UNSETTLED, is_straight, straight, too_fast
 from calib.mismatch.search.witness import is_resolved
 from calib.recording import CHANNELS, TRIADS
 from calib.types import FloatArray
@@ -196,16 +197,21 @@ def _judge(case: _Case, which: int) -> Finding | Unexplained | None:
         words.append(TOGETHER)
     if which in case.put_down:
         words.append(WORDS)
+    firsts = firsts_late(effect.slug, parameters)
+    words += firsts.values()
     rivals, fast = too_fast(effect, parameters, rivals)
     predicted = a.columns @ fit.step[fit.at[which] : fit.at[which + 1]]
-    slow = ""
-    if effect.from_power_on and is_straight(outcome.rows, a, predicted, _beside(outcome, which)):
-        rivals, slow = (Rival(STRAIGHT, 1.0), *rivals), UNSETTLED
+    slow, line = "", straight(effect)
+    if line is not None and is_straight(
+        outcome.rows, a, predicted, _beside(outcome, which), gain=line.effect == AGES
+    ):
+        rivals = tuple(sorted((line, *rivals), key=lambda r: -r.odds))
+        slow = UNSETTLED if effect.from_power_on else ""
     return Finding(
         effect=effect.slug,
         title=effect.title,
         kind=effect.kind,
-        channels=_channels(effect, parameters),
+        channels=tuple(c for c in CHANNELS if c in {*_channels(effect, parameters), *firsts}),
         intervals=_intervals(outcome.rows, a),
         regime=effect.follows,
         parameters={n: counted(q) if q.unit == "samples" else q for n, q in parameters.items()},
@@ -380,14 +386,15 @@ def _at_rest(rows: Rows, seen: FloatArray, channels: tuple[str, ...]) -> Quantit
 
 
 def _channels(effect: Effect, parameters: Mapping[str, Quantity]) -> tuple[str, ...]:
-    """Return the channels that a significant parameter touches."""
-    found = set()
-    for p in effect.parameters:
-        q = parameters.get(p.name)
-        if q is not None and (q.sigma is None or abs(q.value) > 2 * q.sigma):
-            found |= set(p.channels)
-    if not found:
-        found = {c for p in effect.parameters if p.name in parameters for c in p.channels}
+    """Return the channels that a parameter touches which is there, at the strictest that any is."""
+    for errors in (3.0, 2.0, 0.0):
+        found = set()
+        for p in effect.parameters:
+            q = parameters.get(p.name)
+            if q is not None and (q.sigma is None or abs(q.value) >= errors * q.sigma):
+                found |= set(p.channels)
+        if found:
+            break
     return tuple(c for c in CHANNELS if c in found)
 
 

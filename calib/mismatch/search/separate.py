@@ -44,8 +44,9 @@ def to_separate(effect: Effect, rivals: tuple[Rival, ...]) -> str:
     heat = any(s.endswith(_HEAT) for s in slugs)
     if clock and heat:
         return (
-            "Cool the sensor while you repeat the poses, so that temperature and time since "
-            "power-on do not rise together."
+            "Cool the sensor by as much as it warmed while you repeat the poses, in the same "
+            "recording and without switching it off, so that temperature and time since power-on "
+            "do not rise together."
         )
     known = effects()
     parts = [f"{known[s].title}: {known[s].needs}" for s in slugs if s in known]

@@ -19,6 +19,7 @@ from calib.mismatch.findings.diagnosis import Rival
 from calib.mismatch.hypotheses.candidates import Candidate
 from calib.mismatch.hypotheses.families import candidate_columns, neighbours
 from calib.mismatch.hypotheses.score import Stack
+from calib.mismatch.hypotheses.windows import own_signal
 from calib.mismatch.noise.noise import Whitener
 from calib.mismatch.rows.rows import Rows
 from calib.mismatch.search.accepted import Accepted
@@ -51,6 +52,10 @@ ALIKE_AXES = ("gxx", "gyy", "gzz")
 
 STRAIGHT = "a straight line in time"
 """What drift follows that goes on."""
+
+AGES, AGED = "a gain that grows with time", 0.3
+"""What a scale factor that follows a temperature follows as well, where that rises evenly; and how
+probable it is beside that: gains that change by themselves are less common than that they do."""
 
 UNSETTLED = (
     "It has not settled when the recording ends: drift in a straight line looks the same, and how "
@@ -168,15 +173,25 @@ def too_fast(
     )
 
 
-def is_straight(rows: Rows, own: Accepted, predicted: FloatArray, whitener: Whitener) -> bool:
-    """Whether a straight line in time mimics what a finding adds to the rows, (m,).
+def straight(effect: Effect) -> Rival | None:
+    """Return the rival that a finding of an effect has if `is_straight`; None if it has none."""
+    if effect.from_power_on:
+        return Rival(STRAIGHT, 1.0)
+    return Rival(AGES, AGED) if effect.slug.endswith("_scale_temperature") else None
+
+
+def is_straight(
+    rows: Rows, own: Accepted, predicted: FloatArray, whitener: Whitener, *, gain: bool
+) -> bool:
+    """Whether a straight line in time, or such a gain, mimics what a finding adds to rows (m,).
 
     What fades more slowly than a recording lasts is one, as drift is that goes on. The whitener has
     all that is fitted but the finding.
     """
-    explained = whitener.project(predicted)
-    time = rows.state.time[:, None]
-    lines = [rows.columns(CHANNELS.index(c), time) for c in own.candidate.channels]
+    explained, lines = whitener.project(predicted), []
+    for c in map(CHANNELS.index, own.candidate.channels):
+        carrier = own_signal(rows.state, c) if gain else 1.0
+        lines.append(rows.columns(c, (carrier * rows.state.time)[:, None]))
     left = _left(whitener.project(np.hstack(lines)), explained)
     return left < min(MIMICKED, LEAST * float(np.square(explained).sum()))
 

@@ -141,6 +141,21 @@ def test_what_one_axis_shows_of_the_range_is_the_range_of_all() -> None:
     assert seen.spoilt[at]
 
 
+def test_what_one_axis_exceeds_is_no_range_of_it() -> None:
+    # An amplifier of one axis that runs into its supply.
+    recording = simulated()
+    peak = np.abs(recording.gyro).max(axis=0)
+    short, long = int(np.argmin(peak)), int(np.argmax(peak))
+    gyro = recording.gyro.copy()
+    limit = 0.6 * peak[short]
+    gyro[:, short] = np.clip(gyro[:, short], -limit, limit)
+    assert peak[long] > 1.2 * limit
+    (finding,) = look_at_samples(replace(recording, gyro=gyro), find_poses(recording)).findings
+    assert finding.effect == "saturation"
+    assert finding.channels == (f"gyro.{'xyz'[short]}",)
+    assert finding.parameters["gyro_full_scale"].value == pytest.approx(limit)
+
+
 @pytest.mark.parametrize(("seed", "share"), [(36, 0.6), (4, 0.45), (12, 0.6)])
 @pytest.mark.long
 def test_a_rest_that_a_clipped_turn_alone_joins_to_the_others_gets_no_name(
