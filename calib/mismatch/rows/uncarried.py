@@ -27,9 +27,12 @@ CARRIED = 6
 MOVED = 0.03
 """m/s² from which what carries a sensor is seen, however quiet that is: what settles is less."""
 
-LONGEST, PART = 20, 3
+LONGEST, PART = 30, 3
 """Blocks before a turn for which it is carried slowly, at most, and the part of a rest (a third):
 what changes for longer leans."""
+
+MOSTLY = 0.75
+"""Share of these that are off: where a force changes its sign it is none for a moment."""
 
 SOME, SELDOM = 0.1, 0.25
 """Share of the rests, and two at least, that end so where they begin so as well; and share that may
@@ -72,8 +75,8 @@ def uncarried(recording: Recording, poses: Poses) -> Poses:
 def _slowly(accel: FloatArray, size: int) -> int:
     """Return for how many samples at the end of a rest (n, 3) it is carried slowly.
 
-    From a force that grows with time, as where a smooth motion begins, a noise is seen when it has
-    begun for some time already.
+    A force that grows with time, as where a smooth motion begins, is seen when it has begun for
+    some time already; and it goes through nothing where the motion slows down.
     """
     blocks = accel[len(accel) % size :].reshape(-1, size, 3).mean(axis=1)
     own = len(blocks)
@@ -81,10 +84,12 @@ def _slowly(accel: FloatArray, size: int) -> int:
         return 0
     level = ONSET * scatter(blocks, 0.0)
     off = np.linalg.norm(blocks - np.median(blocks[own // 4 : own - own // 4], axis=0), axis=1)
-    seen = own - 1 - int(np.max(np.flatnonzero(off <= level), initial=-1))
-    most = float(off[own - seen :].max(initial=0.0))
-    if not 0 < seen <= min(LONGEST, own // PART) or most <= level:
+    above = off[::-1] > level
+    share = np.cumsum(above) / np.arange(1, own + 1)
+    seen = int(np.max(np.flatnonzero(above & (share >= MOSTLY)), initial=-1)) + 1
+    if not 0 < seen <= min(LONGEST, own // PART):
         return 0
+    most = float(off[own - seen :].max())
     return (seen + min(int(np.ceil(seen * level / (most - level))), seen) + 1) * size
 
 
