@@ -151,13 +151,16 @@ def _judge(case: _Case, which: int) -> Finding | Unexplained | None:
         return replace(back, intervals=(case.again[which],), follows=THERE)
     if which in case.passed:
         return None
-    rivals = _rivals(a, outcome.tried)
+    others = {b.candidate.name for i, b in enumerate(outcome.accepted) if i != which}
+    rivals = tuple(r for r in _rivals(a, outcome.tried) if r.effect not in others)
     left = partial(_unexplained, outcome, fit, which, rivals)
     if not a.candidate.physical:
         return left()
     effect = get_effect(a.candidate.name)
-    if effect.kind != "setup" and _is_taken_over(fit, outcome.accepted, which):
-        return None
+    if effect.kind != "setup" and _is_nothing(fit, which):
+        taken = _is_taken_over(outcome.accepted, which)
+        if taken or not (a.candidate.present or effect.shape):
+            return None
     part = _acting_part(outcome, which)
     if part is not None:
         rivals = (Rival(effect.slug, 1.0 / part.odds),)
@@ -252,15 +255,18 @@ def _acting_part(outcome: Outcome, which: int) -> Part | None:
     return acting_part(rows, outcome.accepted, which, outcome.levels, outcome.contrast)
 
 
-def _is_taken_over(fit: Estimate, accepted: Sequence[Accepted], which: int) -> bool:
-    """Whether nothing is left of an effect beside what was found later on its channels, unnamed.
+def _is_taken_over(accepted: Sequence[Accepted], which: int) -> bool:
+    """Whether something was found later on the channels of an effect, and has no name.
 
     What wanders, or follows where the sensor points, looks like a step at first.
     """
     own = accepted[which].candidate
     later = (a.candidate for a in accepted[which + 1 :] if not a.candidate.physical)
-    if own.present or not any(set(c.channels) & set(own.channels) for c in later):
-        return False
+    return not own.present and any(set(c.channels) & set(own.channels) for c in later)
+
+
+def _is_nothing(fit: Estimate, which: int) -> bool:
+    """Whether nothing is left of something beside all else that was found."""
     part = slice(fit.at[which], fit.at[which + 1])
     step, covariance = fit.step[part], fit.covariance[part, part]
     return float(chdtrc(len(step), step @ np.linalg.pinv(covariance) @ step)) > UNSURE
@@ -358,7 +364,9 @@ def _unexplained(
 ) -> Unexplained:
     rows, a = outcome.rows, outcome.accepted[which]
     c = a.candidate
-    whole = (float(rows.interval[0, 0]), float(rows.interval[-1, 1]))
+    begin, end = float(rows.interval[0, 0]), float(rows.interval[-1, 1])
+    # What fades may do so beyond the end.
+    where = (begin, end) if c.interval is None else (c.interval[0], min(c.interval[1], end))
     angle = angle_of(c)
     follows = get_effect(c.name).follows if c.physical else c.name
     in_time = c.interval is not None or TIME in follows or follows in (THROUGHOUT, FROM_START)
@@ -368,7 +376,7 @@ def _unexplained(
     at_rest = seen is not None and any(s.channel in CHANNELS for s in seen.series[:1])
     return Unexplained(
         channels=touched(c),
-        intervals=(c.interval or whole,),
+        intervals=(where,),
         follows=c.name if angle is None else f"{c.name}, by {np.degrees(angle):.2g}°",
         p_value=chance(a.e_value),
         rivals=rivals,
