@@ -215,6 +215,9 @@ SPEEDS = np.concatenate((-np.geomspace(0.8, 0.1, 7), np.geomspace(0.1, 0.8, 7)))
 FORGETS = np.geomspace(0.5, 8.0, 5)
 """s in which a gyroscope forgets a turn."""
 
+LATE = np.geomspace(10.0, 160.0, 5)
+"""s by which what follows a temperature is late."""
+
 PASSES = np.geomspace(2.0, 128.0, 7)
 """Time constants of high-passes, s."""
 
@@ -288,6 +291,15 @@ def after_turns(rows: Rows, c: int) -> Iterator[tuple[str, FloatArray]]:
         yield "time since the last turn", np.exp(-state.since_turn / memory)[:, None] * own
     for memory in PASSES.tolist():
         yield "time since the last turn", lately(rows, scaled_rates(state)[:, [c % 3]], memory)
+
+
+def lagging(rows: Rows) -> Iterator[tuple[str, FloatArray]]:
+    """Yield what follows a temperature late, (n, 1): its thermometer is not where the sensor is."""
+    warmth = rows.state.warmth
+    if warmth is None or not np.ptp(warmth) > 0:
+        return
+    for memory in LATE.tolist():
+        yield "temperature", lately(rows, warmth[:, None], memory) / np.ptp(warmth)
 
 
 def of_use(rows: Rows) -> Iterator[tuple[str, FloatArray]]:

@@ -31,6 +31,7 @@ from calib.mismatch.hypotheses.followed import (
     after_turns,
     axes,
     history,
+    lagging,
     of_use,
     other_rates,
     own_rate,
@@ -178,7 +179,7 @@ def _add_columns(stack: Stack, rows: Rows, slots: Slots) -> _Layout:
         signal = in_segments(rows, c, own_signal(state, c))
         stack.columns.add(size * signal, rows.touched([c]))
     width = in_slots.shape[1] + signal.shape[1]
-    followed = [*smooth(state), *history(rows), *of_use(rows)]
+    followed = [*smooth(state), *history(rows), *of_use(rows), *lagging(rows)]
     for c, name in enumerate(CHANNELS):
         size = typical_size(name.split(".")[0])
         own = [("its own rate", own_rate(state, c))]

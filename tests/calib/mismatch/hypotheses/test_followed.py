@@ -231,3 +231,13 @@ def test_what_goes_by_the_way_of_the_last_turn_follows_that(channel: str, size: 
         value = float(np.sign(rate[turn].sum()))
         way[(turn.start + turn.stop) // 2 :] = value
     assert _said(with_added(real, {channel: size * way})) == [("the turn before", (channel,))]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("channel", "size"), [("gyro.y", 3e-4), ("accel.z", 5e-3)])
+def test_what_follows_a_temperature_late_follows_that(channel: str, size: float) -> None:
+    real = recording(seed=8, poses=30)
+    course = 25.0 + 4.0 * np.sin(2.0 * np.pi * real.time / 90.0) + 2.0 * np.cos(real.time / 37.0)
+    warm = replace(real, temperature=course)
+    own = size * late(real, course - course.mean(), 30.0)
+    assert _said(with_added(warm, {channel: own})) == [("temperature", (channel,))]
