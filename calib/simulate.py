@@ -14,7 +14,7 @@ from calib.model import SensorModel
 from calib.recording import Clock, DeviceInfo, Recording
 from calib.simulation.kinematics import Motion
 from calib.simulation.noise import NoiseModel
-from calib.types import FloatArray, IntArray
+from calib.types import BoolArray, FloatArray
 
 
 @dataclass(frozen=True)
@@ -102,7 +102,8 @@ def simulate(
     Returns
     -------
     Recording
-        Shorter than asked by the samples that `model` loses, whose clock does not notice.
+        Shorter than asked by the samples that `model` loses, whose clock does not notice, and
+        without those where the motion is hidden.
 
     Raises
     ------
@@ -126,9 +127,9 @@ def simulate(
     if temperature is not None and noise.temperature:
         temperature = temperature + rng.normal(0.0, noise.temperature, len(true_time))
     stamps = sampling.stamps(true_time, rng=rng)
-    kept, lost = _lose(len(true_time), sampling, rng=rng)
-    there = kept < len(true_time) - model.ahead
-    kept, lost = kept[there], lost[there]
+    there = motion.seen(true_time) & ~_lost(len(true_time), sampling, rng=rng)
+    there[max(0, len(there) - model.ahead) :] = False
+    kept = np.flatnonzero(there)
     if device.rate is None:
         interval = np.median(np.diff(true_time)) if len(true_time) > 1 else np.inf
         device = replace(device, rate=float(rate if rate is not None else 1 / interval))
@@ -138,7 +139,7 @@ def simulate(
         gyro[kept],
         sampling.clock,
         temperature=None if temperature is None else temperature[kept],
-        lost=lost,
+        lost=np.diff(kept, prepend=-1) - 1,
         device=device,
         notes={"motion": motion.name},
     )
@@ -154,7 +155,7 @@ def digital_twin(
 ) -> Recording:
     """Return what `model` would have recorded on the motion of a recording.
 
-    It has the recording's times, lost samples, clock and device.
+    It has the recording's times, lost samples, clock and device, where the motion is not hidden.
 
     Parameters
     ----------
@@ -175,10 +176,13 @@ def digital_twin(
         device=recording.device,
         sampling=Sampling(clock_offset=start, clock=recording.clock),
     )
+    assert recording.lost is not None
+    assert twin.lost is not None
+    kept = np.flatnonzero(motion.seen(recording.time - start))[: len(twin)]
+    # Samples that are hidden count as lost.
+    known = np.diff(np.cumsum(recording.lost)[kept], prepend=0)
     notes = {"motion": "of a recording"}
-    n = len(twin.time)
-    lost = None if recording.lost is None else recording.lost[:n]
-    return replace(twin, time=recording.time[:n], lost=lost, notes=notes)
+    return replace(twin, time=recording.time[kept], lost=known + twin.lost, notes=notes)
 
 
 def _distorted(
@@ -217,8 +221,8 @@ def _read_out(values: FloatArray, full_scale: float | None, lsb: float | None) -
     return values if lsb is None else np.round(values / lsb) * lsb
 
 
-def _lose(n: int, sampling: Sampling, *, rng: np.random.Generator) -> tuple[IntArray, IntArray]:
-    """Return the indices of the samples that arrive, and how many went missing before each."""
+def _lost(n: int, sampling: Sampling, *, rng: np.random.Generator) -> BoolArray:
+    """Return which of n samples do not arrive."""
     gone = np.zeros(n, np.bool_)
     if sampling.lost:
         starts = np.flatnonzero(rng.random(n) < sampling.lost)
@@ -227,5 +231,4 @@ def _lose(n: int, sampling: Sampling, *, rng: np.random.Generator) -> tuple[IntA
         ):
             gone[start : start + length] = True
         gone[[0, -1]] = False
-    kept = np.flatnonzero(~gone)
-    return kept, np.diff(kept, prepend=-1) - 1
+    return gone

@@ -114,6 +114,19 @@ class Simulated:
     reference: Mapping[str, Any] = field(default_factory=dict)
     """What is to be known of the reference whose motion it is."""
 
+    def warnings(self) -> list[str]:
+        """Return what a user has to know of a reference that was not there all the time."""
+        holes = self.motion.intervals("hidden")
+        if not len(holes):
+            return []
+        first, last = holes[0] + self.recording.time[0]
+        many = "a hole" if len(holes) == 1 else f"{len(holes)} holes"
+        return [
+            f"the reference has {many} in which nobody knows how it moved, "
+            f"{_hidden(self.motion):.3g} s in all, the first about {first:.2f} to {last:.2f} s: no "
+            "samples were simulated there"
+        ]
+
     def summary(self, path: Path) -> list[str]:
         """Return lines of text for the screen."""
         r = self.recording
@@ -180,16 +193,23 @@ def _referenced(
     bandwidth = plan.bandwidth or shown_bandwidth(*seen)
     start = float(reference.time[reference.known][0])
     motion = motion_from_reference(*seen, gravity=gravity, bandwidth=bandwidth, start=start)
-    return motion.until(plan.duration), _known(reference, bandwidth)
+    motion = motion.until(plan.duration)
+    return motion, _known(reference, motion, bandwidth)
 
 
-def _known(reference: ReferenceMotion, bandwidth: float | None) -> dict[str, Any]:
+def _known(reference: ReferenceMotion, motion: Motion, bandwidth: float | None) -> dict[str, Any]:
     gaps = ~reference.known
     return {
         "bandwidth": bandwidth,
         "samples_missing": int(gaps.sum()),
+        "seconds_hidden": _hidden(motion),
         "position": reference.position is not None,
     }
+
+
+def _hidden(motion: Motion) -> float:
+    """Return how long nobody knows how it moved, s."""
+    return float(np.diff(motion.intervals("hidden"), axis=1).sum())
 
 
 def _of_reference(known: Mapping[str, Any]) -> str:
@@ -199,7 +219,8 @@ def _of_reference(known: Mapping[str, Any]) -> str:
         "with positions" if known["position"] else "its point does not move",
     ]
     if known["samples_missing"]:
-        parts.append(f"{known['samples_missing']} missing samples were bridged")
+        done = "left out or bridged" if known["seconds_hidden"] else "bridged"
+        parts.append(f"{known['samples_missing']} missing samples were {done}")
     return "; ".join(parts)
 
 
@@ -233,7 +254,7 @@ def _twin(plan: Plan, log: Path, *, rng: np.random.Generator) -> Simulated:
             model=own if calibration else None,
             bandwidth=plan.bandwidth,
         )
-        known = {**_known(plan.reference, bandwidth), **notes}
+        known = {**_known(plan.reference, motion, bandwidth), **notes}
     twin = digital_twin(recording, motion, model, noise, rng=rng)
     if plan.reference is None:
         twin = with_sensor(twin, model)

@@ -19,7 +19,7 @@ import numpy as np
 from calib.effects.base import State
 from calib.effects.observed import since_and_during
 from calib.rotation import mat_from_quat, quat_from_rotvec, quat_multiply
-from calib.types import FloatArray
+from calib.types import BoolArray, FloatArray
 
 
 class Angle(NamedTuple):
@@ -90,10 +90,11 @@ class Kinematics(NamedTuple):
 class Segment:
     """A labelled stretch of a motion, in seconds.
 
-    ``static`` is at rest, ``turn`` goes from rest to rest, ``spin`` turns at a steady rate.
+    ``static`` is at rest, ``turn`` goes from rest to rest, ``spin`` turns at a steady rate; how the
+    sensor moved in what is ``hidden`` nobody knows.
     """
 
-    kind: Literal["static", "turn", "spin"]
+    kind: Literal["static", "turn", "spin", "hidden"]
     start: float
     stop: float
     label: str = ""
@@ -142,6 +143,12 @@ class Motion:
     def turns(self) -> FloatArray:
         """Intervals of turns from rest to rest, (m, 2) s."""
         return self.intervals("turn")
+
+    def seen(self, time: FloatArray) -> BoolArray:
+        """Return at which of (n,) times it is known how the sensor moved."""
+        starts, stops = np.sort(self.intervals("hidden"), axis=0).T
+        begun = np.searchsorted(starts, time, side="right")
+        return np.asarray(begun == np.searchsorted(stops, time, side="left"))
 
     def until(self, duration: float) -> Motion:
         """Return this motion, ended at `duration` seconds if it lasts longer."""

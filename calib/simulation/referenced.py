@@ -2,7 +2,7 @@
 
 Orientation is a rotation spline and acceleration a cubic one, as for the motion of a recording
 (`calib.simulation.recorded`). The second derivative of a position makes much of its noise: where a
-reference has noise, it passes a low-pass first.
+reference has noise, it passes a low-pass first. What a hole hides is bridged, and marked as hidden.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from scipy.interpolate import CubicSpline
 from scipy.signal import butter, sosfiltfilt, spectrogram, welch
 
 from calib.effects.observed import observed_turns
+from calib.simulation.bridges import LOOSE, bridged, holes
 from calib.simulation.kinematics import Motion, Segment
 from calib.simulation.noise import CONSUMER
 from calib.simulation.recorded import splines
@@ -53,7 +54,8 @@ def motion_from_reference(
     time : (n,) array, s
         Increasing; the motion's time 0 is the first of them.
     quat : (n, 4) array
-        Orientations ``mat_ns``, scalar first. Rows that are not finite are left out.
+        Orientations ``mat_ns``, scalar first. Rows that are not finite are gaps. Of those that are
+        too long for a spline the motion has ``hidden`` segments, and moves smoothly over them.
     position : (n, 3) array, m, or None
         None has the sensor stay where it is.
     gravity : float, m/s²
@@ -82,21 +84,37 @@ def motion_from_reference(
     at = time[good] - (time[0] if start is None else start)
     if np.diff(at).min() <= 0:
         raise ValueError("`time` must increase")
-    quat = _continuous(quat[good])
+    values = _continuous(quat[good])
+    if position is not None:
+        values = np.hstack((values, position[good]))
+    hidden = _hidden(at, bandwidth)
+    at, values = bridged(at, values)
     if bandwidth is not None:
-        quat = _low_pass(at, quat, bandwidth)
-    quat /= np.linalg.norm(quat, axis=1, keepdims=True)
+        values = _low_pass(at, values, bandwidth)
+    quat = values[:, :4] / np.linalg.norm(values[:, :4], axis=1, keepdims=True)
     acceleration = np.zeros((len(at), 3))
     if position is not None:
-        position = position[good]
-        if bandwidth is not None:
-            position = _low_pass(at, position, bandwidth)
-        acceleration = CubicSpline(at, position)(at, 2)
+        acceleration = CubicSpline(at, values[:, 4:])(at, 2)
     kinematics = splines(at, quat, acceleration)
-    starts, ends = observed_turns(at, kinematics(at).turning.rate)
-    turns = zip(starts.tolist(), ends.tolist(), strict=True)
-    segments = tuple(Segment("turn", *turn, f"turn {k}") for k, turn in enumerate(turns, 1))
-    return Motion(name, float(at[-1]), kinematics, segments, gravity=gravity)
+    turns = np.transpose(observed_turns(at, kinematics(at).turning.rate))
+    segments = [Segment("turn", a, b, f"turn {k}") for k, (a, b) in enumerate(turns.tolist(), 1)]
+    segments += [
+        Segment("hidden", a, b, f"hole {k}") for k, (a, b) in enumerate(hidden.tolist(), 1)
+    ]
+    segments.sort(key=lambda segment: segment.start)
+    return Motion(name, float(at[-1]), kinematics, tuple(segments), gravity=gravity)
+
+
+def _hidden(time: FloatArray, bandwidth: float | None) -> FloatArray:
+    """Return from when to when holes between (n,) times hide the motion, (k, 2) s.
+
+    Beside a hole a spline, and a low-pass, has not forgotten its bridge.
+    """
+    beside = LOOSE * float(np.median(np.diff(time)))
+    if bandwidth is not None:
+        beside = max(beside, 0.5 / bandwidth)
+    before = np.flatnonzero(holes(time))
+    return np.stack((time[before] - beside, time[before + 1] + beside), axis=1)
 
 
 def shown_bandwidth(

@@ -179,6 +179,8 @@ def simulate(
         out.warn(
             f"{reference} has no positions: its point counts as fixed (--fixed-point, if it was)"
         )
+    for warning in result.warnings():
+        out.warn(warning)
     document = describe(result, output, seed=seed)
     if json:
         out.print_json(document)

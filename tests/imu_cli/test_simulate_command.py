@@ -249,7 +249,8 @@ def test_the_motion_of_a_reference(moved: Motion, sensor: Path, tmp_path: Path) 
     assert result.exit_code == 0, result.stderr
     document = json.loads(result.stdout)
     assert document["motion"] == "reference"
-    assert document["reference"] == {"bandwidth": None, "samples_missing": 0, "position": True}
+    known = {"bandwidth": None, "samples_missing": 0, "seconds_hidden": 0.0, "position": True}
+    assert document["reference"] == known
     assert len([s for s in document["segments"] if s["kind"] == "turn"]) == len(moved.turns)
     true = read_recording(truth)
     assert true.duration == pytest.approx(60.0, abs=0.03)
@@ -274,6 +275,26 @@ def test_a_reference_without_positions_is_said_to_stay(moved: Motion, tmp_path: 
     result = run("--reference", known, "--fixed-point", "--duration", "20s", "-o", path)
     assert result.exit_code == 0, result.stderr
     assert not result.stderr
+
+
+def test_a_hole_of_a_reference_is_left_out_and_said(moved: Motion, tmp_path: Path) -> None:
+    known = reference(tmp_path / "ref.csv", moved)
+    lines = known.read_text().splitlines()
+    lines[3001:3501] = [line.split(",")[0] + ",,,,,,," for line in lines[3001:3501]]
+    known.write_text("\n".join(lines) + "\n")
+    path, truth = tmp_path / "sim.arrow", tmp_path / "truth.arrow"
+    result = run("--reference", known, "--noise", 0, "-o", path, "--truth", truth)
+    assert result.exit_code == 0, result.stderr
+    said = " ".join(result.stderr.split())
+    assert "a hole in which nobody knows how it moved, 5.17 s in all" in said
+    assert "no samples were simulated there" in said
+    assert "500 missing samples were left out or bridged" in result.stdout
+    for name in (path, truth):
+        found = read_recording(name)
+        left = found.time[(found.time > 29.95) & (found.time < 35.05)]
+        assert not len(left)
+        assert found.samples_lost == found.lost.max() == pytest.approx(517, abs=1)
+        assert np.linalg.norm(found.accel, axis=1).max() < 20.0
 
 
 @pytest.mark.long

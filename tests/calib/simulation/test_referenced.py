@@ -46,6 +46,8 @@ def test_a_reference_gives_back_its_motion(rate: float) -> None:
     quat[50:53] = np.nan
     found = motion_from_reference(time + 7.0, quat, kinematics.path.position, gravity=G)
     between = time[20:-20] + 0.3 / rate
+    between = between[found.seen(between)]
+    assert len(between) > 0.93 * len(time)
     true, state = motion.state(between), found.state(between)
     np.testing.assert_allclose(state.rate, true.rate, atol=1e-3)
     np.testing.assert_allclose(state.force, true.force, atol=0.1)
@@ -106,6 +108,34 @@ def test_a_gap_delays_nothing_behind_it() -> None:
     after = time[(time > 6.5) & (time < motion.duration - 1)]
     error = found.state(after).rate - motion.state(after).rate
     assert np.sqrt(np.mean(error**2)) < 0.03
+
+
+@pytest.mark.parametrize("noise", [0.0, 1.0])
+@pytest.mark.parametrize("length", [60, 240, 600])
+def test_nothing_is_made_up_in_a_hole(noise: float, length: int) -> None:
+    motion, time, quat, position = captured(16, 120.0, noise * np.radians(0.05), noise * 1e-4)
+    size = np.linalg.norm(motion.kinematics(time).path.acceleration, axis=1)
+    fastest = np.linalg.norm(motion.kinematics(time).turning.rate, axis=1).max()
+    for start in range(300, 1800, 100):
+        seen = position.copy()
+        seen[start : start + length] = np.nan
+        found = motion_from_reference(time, quat, seen, gravity=G, bandwidth=8.0 if noise else None)
+        ((begin, end),) = found.intervals("hidden")
+        assert time[start - 1] - 0.1 < begin < time[start]
+        assert time[start + length - 1] < end < time[start + length] + 0.1
+        assert not found.seen(time[start : start + length]).any()
+        turning, path = found.kinematics(np.arange(begin, end, 1e-3))
+        assert np.linalg.norm(path.acceleration, axis=1).max() < 1.5 * size.max()
+        assert np.linalg.norm(turning.rate, axis=1).max() < 1.1 * fastest
+
+
+def test_a_few_rows_that_are_missing_hide_nothing() -> None:
+    motion, time, quat, position = captured(17, 120.0, 0.0, 0.0)
+    position[600:603] = np.nan
+    found = motion_from_reference(time, quat, position, gravity=G)
+    assert found.seen(time).all()
+    error = found.state(time).force - motion.state(time).force
+    assert np.abs(error[500:700]).max() < 0.2
 
 
 def test_a_reference_says_when_it_turns() -> None:
