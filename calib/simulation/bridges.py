@@ -16,7 +16,7 @@ HOLE = 0.035
 moved by hand, or by a table, has next to nothing beyond 15 Hz."""
 
 LONG_STEP = 2.5
-"""Usual steps up to which one is no hole, however long: the times of a reference may be uneven."""
+"""Usual steps from which on something is missing in a step where times are not even."""
 
 LOOSE = 8
 """Rows beside a hole, or an end, after which a spline has forgotten it to a hundredth."""

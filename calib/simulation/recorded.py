@@ -1,12 +1,7 @@
 """The motion of a real recording, from its own rests and turns.
 
-Orientation is a rotation spline (twice differentiable, so rate and angular acceleration are its
-exact derivatives); acceleration is a cubic spline, whose integrals are velocity and position.
-
-References
-----------
-.. [1] V. Mikhailov, scipy.spatial.transform.RotationSpline: cubic interpolation of attitude in
-   rotation vectors.
+Orientation and acceleration are splines (`calib.simulation.through`): the derivatives of the one
+are rate and angular acceleration, the integrals of the other velocity and position.
 """
 
 from __future__ import annotations
@@ -16,7 +11,6 @@ from collections.abc import Callable
 import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import uniform_filter1d
-from scipy.spatial.transform import Rotation, RotationSpline
 
 from calib.effects.base import State
 from calib.errors import InsufficientMotionError
@@ -29,7 +23,9 @@ from calib.rotation import (
     quat_from_rotvec,
     quat_multiply,
 )
-from calib.simulation.kinematics import Kinematics, Motion, Path, Segment, Turning
+from calib.simulation.bridges import bridged
+from calib.simulation.kinematics import Kinematics, Motion, Segment
+from calib.simulation.through import motion_through, one_sign, path_under
 from calib.thermometer import Temperature, known_temperature
 from calib.turns import turns_and_shaking
 from calib.types import FloatArray
@@ -109,7 +105,7 @@ def motion_of(
     return Motion(
         "recording",
         float(time[-1]),
-        splines(time, quat, acceleration),
+        _moving_as(time, quat, acceleration),
         tuple(sorted(segments, key=lambda segment: segment.start)),
         temperature=temperature,
         vibration=_interpolated(time, np.sqrt(shake)) if shake.any() else None,
@@ -117,26 +113,12 @@ def motion_of(
     )
 
 
-def splines(
+def _moving_as(
     time: FloatArray, quat: FloatArray, acceleration: FloatArray
 ) -> Callable[[FloatArray], Kinematics]:
     """Return the motion through orientations (n, 4) and accelerations in frame n (n, 3)."""
-    turning = RotationSpline(time, Rotation.from_quat(quat[:, [1, 2, 3, 0]]))
-    force = CubicSpline(time, acceleration)
-    velocity, position = force.antiderivative(1), force.antiderivative(2)
-
-    def at(when: FloatArray) -> Kinematics:
-        inside = np.clip(when, time[0], time[-1])
-        return Kinematics(
-            Turning(
-                turning(inside).as_quat()[:, [3, 0, 1, 2]],
-                turning(inside, 1),
-                turning(inside, 2),
-            ),
-            Path(position(inside), velocity(inside), force(inside)),
-        )
-
-    return at
+    time, values = bridged(time, np.hstack((one_sign(quat), acceleration)))
+    return motion_through(time, values[:, :4], path_under(time, values[:, 4:]))
 
 
 def _smooth(

@@ -1,21 +1,20 @@
 """The motion that a reference measured: motion capture, a table, a simulation.
 
-Orientation is a rotation spline and acceleration a cubic one, as for the motion of a recording
-(`calib.simulation.recorded`). The second derivative of a position makes much of its noise: where a
-reference has noise, it passes a low-pass first. What a hole hides is bridged, and marked as hidden.
+Orientation and position are splines (`calib.simulation.through`). The second derivative of a
+position makes much of its noise: where a reference has noise, it passes a low-pass first. What a
+hole hides is bridged, and marked as hidden.
 """
 
 from __future__ import annotations
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 from scipy.signal import butter, sosfiltfilt, spectrogram, welch
 
 from calib.effects.observed import observed_turns
 from calib.simulation.bridges import LOOSE, bridged, holes
 from calib.simulation.kinematics import Motion, Segment
 from calib.simulation.noise import CONSUMER
-from calib.simulation.recorded import splines
+from calib.simulation.through import motion_through, one_sign, path_through, spline_through
 from calib.types import FloatArray
 
 WINDOW = 4.0
@@ -84,18 +83,15 @@ def motion_from_reference(
     at = time[good] - (time[0] if start is None else start)
     if np.diff(at).min() <= 0:
         raise ValueError("`time` must increase")
-    values = _continuous(quat[good])
+    values = one_sign(quat[good])
     if position is not None:
         values = np.hstack((values, position[good]))
     hidden = _hidden(at, bandwidth)
     at, values = bridged(at, values)
     if bandwidth is not None:
         values = _low_pass(at, values, bandwidth)
-    quat = values[:, :4] / np.linalg.norm(values[:, :4], axis=1, keepdims=True)
-    acceleration = np.zeros((len(at), 3))
-    if position is not None:
-        acceleration = CubicSpline(at, values[:, 4:])(at, 2)
-    kinematics = splines(at, quat, acceleration)
+    where = np.zeros((len(at), 3)) if position is None else values[:, 4:]
+    kinematics = motion_through(at, values[:, :4], path_through(at, where))
     turns = np.transpose(observed_turns(at, kinematics(at).turning.rate))
     segments = [Segment("turn", a, b, f"turn {k}") for k, (a, b) in enumerate(turns.tolist(), 1)]
     segments += [
@@ -142,7 +138,7 @@ def shown_bandwidth(
         return None
     found = []
     # A rate is twice the change of a quaternion.
-    sides = [(2.0 * _continuous(quat[good]), 1, CONSUMER.gyro_noise_density)]
+    sides = [(2.0 * one_sign(quat[good]), 1, CONSUMER.gyro_noise_density)]
     if position is not None:
         sides.append((position[good], 2, CONSUMER.accel_noise_density))
     for values, order, density in sides:
@@ -177,12 +173,6 @@ def _lowest(f: FloatArray, power: FloatArray) -> float:
     return float(f[-1])
 
 
-def _continuous(quat: FloatArray) -> FloatArray:
-    """Return the quaternions with signs such that neighbours are near."""
-    flip = np.where(np.einsum("ij,ij->i", quat[1:], quat[:-1]) < 0, -1.0, 1.0)
-    return np.asarray(quat * np.concatenate([[1.0], np.cumprod(flip)])[:, None])
-
-
 def _even(time: FloatArray) -> tuple[FloatArray, float]:
     """Return even times over the span of (n,) times, and their step, s."""
     step = float(np.median(np.diff(time)))
@@ -201,5 +191,5 @@ def _low_pass(time: FloatArray, values: FloatArray, bandwidth: float) -> FloatAr
     at, step = _even(time)
     even = np.stack([np.interp(at, time, column) for column in values.T], axis=1)
     sos = butter(4, bandwidth, fs=1 / step, output="sos")
-    out: FloatArray = CubicSpline(at, sosfiltfilt(sos, even, axis=0))(time)
+    out: FloatArray = spline_through(at, sosfiltfilt(sos, even, axis=0))(time - at[0])
     return out

@@ -41,6 +41,8 @@ from calib.mismatch.samples.samples import look_at_samples
 from calib.model import SensorModel
 from calib.recording import Recording
 from calib.rotation import mat_from_quat, quat_multiply, rotate
+from calib.simulation.bridges import HOLE, LOOSE
+from calib.simulation.through import spline_through, turning_along
 from calib.statics import find_poses
 from calib.stillness import runs
 from calib.threads import one_thread
@@ -67,13 +69,6 @@ angles make grows with frequency."""
 EXACT = 1e-4
 """Of a quaternion that no system sees, but that rounding to four digits leaves: a motion captured
 is never so much about one axis, a table's profile is."""
-
-BRIDGE = 8
-"""Samples beside an end, or a gap, after which a spline has forgotten it to a hundredth."""
-
-HOLE = 0.035
-"""s from one orientation to the next up to which a spline knows what is between: a body that is
-moved by hand, or by a table, has next to nothing beyond 15 Hz."""
 
 ASTRAY = 0.05
 """Share of the signals' power that a reference in another world leaves at least: gravity that is
@@ -216,7 +211,7 @@ class ReferenceMotion:
         from scipy.interpolate import PchipInterpolator, make_interp_spline
 
         good = self.known
-        least = FEWEST + 2 * BRIDGE
+        least = FEWEST + 2 * LOOSE
         if good.sum() < least:
             raise NoCommonMotionError(
                 f"the reference has {good.sum()} rows that can be used, expected at least {least}: "
@@ -236,21 +231,18 @@ class ReferenceMotion:
         if bandwidth is not None:
             values = smoothed(time, values, bandwidth)
         # A cubic spline would lose 2 % of the acceleration of a tremor.
-        spline = make_interp_spline(time - time[0], values, k=DEGREE)
-        slope, bend = spline(time - time[0], nu=1), spline(time - time[0], nu=2)
-        size = np.linalg.norm(values[:, :4], axis=1, keepdims=True)
-        quat = values[:, :4] / size
-        # dq/dt = q (0, w) / 2
-        rate = 2 * quat_multiply(quat * [1, -1, -1, -1], slope[:, :4] / size)[:, 1:]
+        since = time - time[0]
+        turning = turning_along(spline_through(time, values[:, :4]), since)
         total = np.tile([0.0, 0.0, gravity], (len(time), 1))
         if self.position is not None:
-            total += bend[:, 4:]
-        force = np.einsum("nij,ni->nj", mat_from_quat(quat), total)
-        bridged = np.convolve(~good, np.ones(2 * BRIDGE + 1), mode="same") > 0
+            total += spline_through(time, values[:, 4:])(since, nu=2)
+        force = np.einsum("nij,ni->nj", mat_from_quat(turning.quat), total)
+        bridged = np.convolve(~good, np.ones(2 * LOOSE + 1), mode="same") > 0
         # At its ends the derivatives of a spline are loose.
-        inner = slice(BRIDGE, -BRIDGE)
-        recording = Recording(time[inner], force[inner], rate[inner], "device")
-        return RecordingTruth(recording, gravity, bridged[inner], quat[inner], placed=self.placed)
+        inner = slice(LOOSE, -LOOSE)
+        recording = Recording(time[inner], force[inner], turning.rate[inner], "device")
+        quat = turning.quat[inner]
+        return RecordingTruth(recording, gravity, bridged[inner], quat, placed=self.placed)
 
     def inverted(self) -> ReferenceMotion:
         """Return the reference with the inverse orientations."""

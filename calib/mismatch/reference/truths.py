@@ -10,6 +10,8 @@ import numpy as np
 from calib.effects.base import State
 from calib.recording import Recording
 from calib.rotation import mat_from_quat
+from calib.simulation.bridges import LONG_STEP as LONG_STEP
+from calib.simulation.through import DEGREE as DEGREE
 from calib.types import BoolArray, FloatArray
 
 if TYPE_CHECKING:
@@ -18,13 +20,6 @@ if TYPE_CHECKING:
 MISSING, UNEVEN = 1.5, 0.01
 """Intervals from which on something is missing in a step, and the scatter of the others, of an
 interval, from which on times are not even."""
-
-LONG_STEP = 2.5
-"""Intervals from which on something is missing in a step where times are not even."""
-
-DEGREE = 7
-"""Of the interpolating spline: a sinusoid at a fifth of the rate is off by 5e-6; by a cubic one 0.3
-%, which would show in the differences as a bandwidth."""
 
 GAP = 3.5
 """Sample intervals over which a truth is interpolated; beyond, it is not known."""

@@ -119,3 +119,29 @@ def test_white_noise_at_rest_is_measured() -> None:
     assert found.accel_noise_density == pytest.approx(4e-3, rel=0.03)
     assert found.gyro_noise_density == pytest.approx(1e-4, rel=0.03)
     assert noise_at_rest(recording, poses.select(np.zeros(0, int))) == NoiseModel()
+
+
+def test_angular_acceleration_is_not_lost_between_samples() -> None:
+    """A cubic spline was off by 9 % of it."""
+    rng = np.random.default_rng(11)
+    motion = bench_protocol(rng, poses=6, first_pose=1.0, tremor=0.5)
+    recording = simulate(motion, MODEL, NoiseModel(), rng=rng, rate=50.0)
+    found = motion_of(recording, MODEL, find_poses(recording), gravity=G).state(recording.time)
+    true = motion.state(recording.time).angular_acceleration
+    assert found.angular_acceleration is not None
+    assert true is not None
+    error = found.angular_acceleration - true
+    assert np.sqrt(np.mean(error**2) / np.mean(true**2)) < 0.02
+
+
+def test_no_motion_runs_free_in_a_gap_of_the_recording() -> None:
+    motion, recording, _ = recorded(12)
+    (start, stop), *_ = motion.turns
+    middle = 0.5 * (start + stop)
+    cut = recording.select((recording.time < middle) | (recording.time > middle + 0.4))
+    found = motion_of(cut, MODEL, find_poses(cut), gravity=G)
+    state = found.state(np.arange(middle, middle + 0.4, 1e-3))
+    assert np.linalg.norm(state.force, axis=1).max() < 2 * G
+    assert (
+        np.linalg.norm(state.rate, axis=1).max() < 2 * np.linalg.norm(recording.gyro, axis=1).max()
+    )
