@@ -7,7 +7,8 @@ CSV      columns ``time`` (s), ``qw qx qy qz`` and, if known, ``x y z`` (m); emp
          ``nan`` are gaps. Without positions the body counts as carried, and the accelerometer is
          judged at rest only, but where it turns about one axis alone or is said to be fixed
 CSV      columns ``time`` (s) and one of ``angle`` (rad), ``angle_deg``, ``rate`` (rad/s),
-         ``rate_dps``: a table that turns about a vertical axis
+         ``rate_dps``: a table that turns about a vertical axis. It may turn by any angle from row
+         to row, but where all angles are within one turn: then they count as wrapped
 others   any recording: another IMU on the same body
 ======== ======================================================================================
 """
@@ -24,9 +25,12 @@ import numpy as np
 
 from calib.errors import RecordingFormatError, RecordingNotFoundError
 from calib.recording import Recording
+from calib.simulation.through import DEGREE
 from drivers.formats import read_recording
 
 if TYPE_CHECKING:
+    from scipy.interpolate import BSpline
+
     from calib.mismatch.reference.referencemode import ReferenceMotion
     from calib.types import FloatArray
 
@@ -35,6 +39,13 @@ POSITION = ("x", "y", "z")
 TABLE = ("angle", "angle_deg", "rate", "rate_dps")
 FORCE = {"ax", "accel_x"}
 """A file that has one of these is the log of an IMU, whatever else is in it."""
+FARTHEST = np.radians(30.0)
+"""By which a table may turn from row to row before there are rows between: a spline through
+orientations is exact then, and from 180 degrees on they tell nothing of which way it turned."""
+MOST_ROWS = 1e7
+"""Of a table with rows between: a day at 100 Hz."""
+FEWEST = 4
+"""Rows that tell how anything moved."""
 HDF5 = b"\x89HDF\r\n\x1a\n"
 
 
@@ -165,8 +176,8 @@ def _columns(path: Path, names: list[str]) -> dict[str, FloatArray]:
                     f"{path}: line {number} has {len(row)} cells, expected {len(names)} "
                     f"({', '.join(names)})"
                 )
-    if len(values) < 4:
-        raise RecordingFormatError(f"{path}: it has {len(values)} rows, expected at least four")
+    if len(values) < FEWEST:
+        raise RecordingFormatError(f"{path}: it has {len(values)} rows, expected at least {FEWEST}")
     found = dict(zip(names, np.array(values, np.float64).T, strict=True))
     time = found["time"]
     if not np.isfinite(time).all() or np.diff(time).min() <= 0:
@@ -200,28 +211,78 @@ def _table(path: Path, columns: dict[str, FloatArray]) -> ReferenceMotion:
     if given[0].endswith(("_deg", "_dps")):
         values = np.radians(values)
     if given[0].startswith("rate"):
-        values = _angles(path, time, values)
+        _refuse_gaps(path, time, values)
+        spline = _settled_spline(time, values).antiderivative()
+        values = spline(time - time[0])
+    else:
+        values = _unwrapped(values)
+        known = np.isfinite(values)
+        if known.sum() < FEWEST:
+            raise RecordingFormatError(
+                f"{path}: {given[0]} is given in {known.sum()} rows, expected at least {FEWEST}"
+            )
+        spline = _settled_spline(time[known], values[known])
+    time, values = _finer(path, time, values, spline)
     quat = np.zeros((len(time), 4))
     quat[:, 0], quat[:, 3] = np.cos(0.5 * values), np.sin(0.5 * values)
     return ReferenceMotion(time, quat, fixed=True)
 
 
-def _angles(path: Path, time: FloatArray, rate: FloatArray) -> FloatArray:
-    """Return the integral of a commanded rate, by the spline that gives the rate back."""
-    from scipy.interpolate import make_interp_spline  # a third of a second to import
-
-    from calib.mismatch.reference.truths import DEGREE
-
+def _refuse_gaps(path: Path, time: FloatArray, rate: FloatArray) -> None:
     known = np.isfinite(rate)
     if not known.all():
         raise RecordingFormatError(
             f"{path}: the rate is missing at {time[~known][0]:.6g} s; after a gap the angle is not "
             "known: give the angle instead"
         )
-    # Straight lines would lose 0.2 % of the rate where a table speeds up, at 20 Hz.
-    spline = make_interp_spline(time - time[0], rate, k=min(DEGREE, (len(time) - 2) | 1))
-    out: FloatArray = spline.antiderivative()(time - time[0])
+
+
+def _unwrapped(angle: FloatArray) -> FloatArray:
+    """Return angles that do not jump by turns, if all of them are within one; nan are gaps."""
+    known = np.isfinite(angle)
+    if not known.any() or np.ptp(angle[known]) > 2 * np.pi:
+        return angle
+    out = angle.copy()
+    out[known] = np.unwrap(angle[known])
     return out
+
+
+def _settled_spline(time: FloatArray, values: FloatArray) -> BSpline:
+    """Return the spline, over time since the first, through a table's values (n,).
+
+    Straight lines would lose 0.2 % of the rate where a table speeds up, at 20 Hz. At either end it
+    settles: a table rests or turns steadily there, and a spline whose ends are free rings where it
+    speeds up within a few rows of them.
+    """
+    from scipy.interpolate import make_interp_spline  # a third of a second to import
+
+    ends = [(order, 0.0) for order in range((DEGREE + 1) // 2, DEGREE)]
+    return make_interp_spline(time - time[0], values, k=DEGREE, bc_type=(ends, ends))
+
+
+def _finer(
+    path: Path, time: FloatArray, angle: FloatArray, spline: BSpline
+) -> tuple[FloatArray, FloatArray]:
+    """Return rows that are near enough for orientations, which repeat with every turn.
+
+    What is between two rows is that of the spline, over time since the first angle; gaps stay.
+    """
+    seen = np.flatnonzero(np.isfinite(angle))
+    turned = np.abs(np.diff(angle[seen])) / np.diff(seen)
+    if turned.max() <= FARTHEST:
+        return time, angle
+    count = np.ceil(turned.max() / FARTHEST) * (len(time) - 1)
+    if count > MOST_ROWS:
+        raise RecordingFormatError(
+            f"{path}: the table turns by {np.degrees(turned.max()):.4g} degrees in a row to "
+            f"{time[seen[turned.argmax() + 1]]:.6g} s, expected rows that are nearer to each other"
+        )
+    row = np.arange(len(time), dtype=float)
+    between = np.linspace(0.0, row[-1], int(count) + 1)
+    at = np.interp(between, row, time)
+    out = np.asarray(spline(at - time[seen[0]]))
+    out[~np.isfinite(np.interp(between, row, angle))] = np.nan
+    return at, out
 
 
 def _unit(path: Path, quat: FloatArray) -> FloatArray:
@@ -252,7 +313,7 @@ def _hdf5(path: Path) -> ReferenceMotion | None:
             rate = float(file.attrs.get("sampling_rate", np.nan))
     except (OSError, KeyError, TypeError, ValueError, RuntimeError) as error:
         raise RecordingFormatError(f"{path}: the HDF5 file is damaged ({error})") from error
-    if quat.ndim != 2 or quat.shape[1] != 4 or len(quat) < 4:
+    if quat.ndim != 2 or quat.shape[1] != 4 or len(quat) < FEWEST:
         raise RecordingFormatError(f"{path}: opt_quat is {quat.shape}, expected (n, 4)")
     if position is not None and position.shape != (len(quat), 3):
         raise RecordingFormatError(
