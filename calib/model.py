@@ -145,10 +145,12 @@ class SensorModel:
             signals = effect.transform(time, signals, parameters)
         return signals
 
-    @property
-    def ahead(self) -> int:
-        """Samples at the end of what `distort` returns that have no input: others went missing."""
-        return sum(e.ahead(p) for e, p in self._transforms("readout"))
+    def ahead(self, time: FloatArray) -> int:
+        """Return how many samples at the end of (n,) times `distort` has no input for.
+
+        Others went missing before them.
+        """
+        return sum(e.ahead(p, time=time) for e, p in self._transforms("readout"))
 
     def with_terms_moved(self, steps: Mapping[str, float]) -> SensorModel:
         """Return the model with parameters of its further terms moved, by their full names."""

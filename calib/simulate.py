@@ -128,7 +128,7 @@ def simulate(
         temperature = temperature + rng.normal(0.0, noise.temperature, len(true_time))
     stamps = sampling.stamps(true_time, rng=rng)
     there = motion.seen(true_time) & ~_lost(len(true_time), sampling, rng=rng)
-    there[max(0, len(there) - model.ahead) :] = False
+    there[max(0, len(there) - model.ahead(state.time)) :] = False
     kept = np.flatnonzero(there)
     if device.rate is None:
         interval = np.median(np.diff(true_time)) if len(true_time) > 1 else np.inf

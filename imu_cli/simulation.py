@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import typer
 
 from calib.calibration import Calibration
 from calib.effects import effects
@@ -32,6 +33,10 @@ from drivers.formats import read_recording
 
 MOST_SAMPLES = 5e7
 """About 24 h at 500 Hz, and 20 GB of memory."""
+
+
+WHENEVER = -1e12, 1e12
+"""s: the span of a recording that has not been read."""
 
 
 @dataclass(frozen=True)
@@ -81,7 +86,7 @@ class Plan:
             raise ValueError(f"--gravity must be in m/s², 9.7 to 9.9 on Earth, got {self.gravity}")
         if self.bandwidth is not None and not (np.isfinite(self.bandwidth) and self.bandwidth > 0):
             raise ValueError(f"--bandwidth must be positive, got {self.bandwidth}")
-        self.terms((0.0, self.duration))
+        self.terms((0.0, self.duration) if self.like is None else WHENEVER)
 
     @property
     def device(self) -> DeviceInfo:
@@ -238,7 +243,10 @@ def _twin(plan: Plan, log: Path, *, rng: np.random.Generator) -> Simulated:
         own = replace(own, terms=without_alignment(own.terms))
         model = replace(model, terms=without_alignment(model.terms))
     span = float(recording.time[0]), float(recording.time[-1])
-    model = replace(model, terms=model.terms + plan.terms(span))
+    try:
+        model = replace(model, terms=model.terms + plan.terms(span))
+    except ValueError as error:
+        raise typer.BadParameter(str(error), param_hint="--effect") from error
     assumed = calibration or sensor
     gravity = plan.gravity or (G if assumed is None else assumed.gravity.value)
     poses = find_poses(recording)

@@ -109,6 +109,11 @@ class ShapeParameter:
     optional: bool = False
 
     @property
+    def is_moment(self) -> bool:
+        """Whether it is a time of the recording."""
+        return self.low is None and self.unit == "s"
+
+    @property
     def codes(self) -> range:
         """The values of an integer."""
         return range(int(self.low or 0), int(self.high or 0) + 1)
@@ -392,10 +397,10 @@ class Effect(ABC):
         """
         out = {p.name: p.typical for p in self.parameters if p.unit != PRESENCE}
         for item in self.shape:
-            if item.low is None or item.high is None:
-                if item.unit != "s":
-                    raise ValueError(f"{self.slug} has no typical `{item.name}`: give it")
+            if item.is_moment:
                 out[item.name] = 0.5 * (span[0] + span[1])
+            elif item.low is None or item.high is None:
+                raise ValueError(f"{self.slug} has no typical `{item.name}`: give it")
             elif item.spacing == "log":
                 out[item.name] = float(np.sqrt(item.low * item.high))
             elif not item.optional:
@@ -406,12 +411,12 @@ class Effect(ABC):
         return out
 
     def check(self, parameters: Mapping[str, float]) -> None:
-        """Check that `parameters` are this effect's own, finite, with every shape parameter there.
+        """Check that `parameters` are this effect's own, can be, and lack no shape parameter.
 
         Raises
         ------
         ValueError
-            Naming the parameter, and those that the effect has.
+            Naming the parameter, what was expected of it and what came, or those that there are.
         """
         linear = [p.name for p in self.parameters]
         shape = [p.name for p in self.shape]
@@ -422,14 +427,57 @@ class Effect(ABC):
             if not np.isfinite(value):
                 raise ValueError(f"`{name}` of {self.slug} must be finite, got {value}")
         for item in self.shape:
-            if item.spacing == "integer" and item.name in parameters:
-                codes, value = item.codes, parameters[item.name]
-                if value not in codes:
-                    span = f"{codes[0]} to {codes[-1]}"
-                    raise ValueError(f"`{item.name}` of {self.slug} must be {span}, got {value}")
+            if item.name in parameters:
+                self._check_shape(item, parameters[item.name])
         missing = [p.name for p in self.shape if not p.optional and p.name not in parameters]
         if missing:
             raise ValueError(f"{self.slug} needs `{missing[0]}` as well")
+        self._check_sizes(parameters)
+
+    def _check_shape(self, item: ShapeParameter, value: float) -> None:
+        if item.spacing == "integer" and value not in item.codes:
+            span = f"{item.codes[0]} to {item.codes[-1]}"
+            raise ValueError(f"`{item.name}` of {self.slug} must be {span}, got {value}")
+        # Time constants, frequencies, counts and ranges.
+        if item.spacing == "log" and value <= 0:
+            raise ValueError(
+                f"`{item.name}` of {self.slug} must be above 0 {item.unit}, got {value}"
+            )
+
+    def _check_sizes(self, parameters: Mapping[str, float]) -> None:
+        """Check that whatever is there has a size, whose name begins with its own."""
+        sizes = {
+            p.name: [item.name for item in self.shape if item.name.startswith(f"{p.name}_")]
+            for p in self.parameters
+            if p.unit == PRESENCE
+        }
+        for name, own in sizes.items():
+            if parameters.get(name) and not set(own) & set(parameters):
+                raise ValueError(
+                    f"`{name}` of {self.slug} is {parameters[name]:g} and has no size: give "
+                    + " or ".join(f"`{size}`" for size in own)
+                )
+        every = [size for own in sizes.values() for size in own]
+        if len(sizes) == len(self.parameters) and not set(every) & set(parameters):
+            raise ValueError(
+                f"{self.slug} has no size: give " + " or ".join(f"`{size}`" for size in every)
+            )
+
+    def check_moments(self, parameters: Mapping[str, float], *, span: tuple[float, float]) -> None:
+        """Check that moments are those of a recording that lasts from and to ``span``, s.
+
+        Raises
+        ------
+        ValueError
+            Naming the parameter, its value and the span.
+        """
+        for item in self.shape:
+            value = parameters.get(item.name)
+            if value is not None and item.is_moment and not span[0] <= value <= span[1]:
+                raise ValueError(
+                    f"`{item.name}` of {self.slug} must be in the recording, {span[0]:.6g} to "
+                    f"{span[1]:.6g} s, got {value:.6g}"
+                )
 
 
 class TransformEffect(Effect):
@@ -451,8 +499,8 @@ class TransformEffect(Effect):
     ) -> Signals:
         """Return the signals with the effect taken out, as far as that is possible."""
 
-    def ahead(self, parameters: Mapping[str, float]) -> int:
-        """Return by how many samples `transform` is ahead: so many at the end have no input."""
+    def ahead(self, parameters: Mapping[str, float], *, time: FloatArray) -> int:
+        """Return how many samples at the end of (n,) times have no input, as others are gone."""
         return 0
 
     def restorer(

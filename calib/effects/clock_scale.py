@@ -38,6 +38,13 @@ class ClockScale(TransformEffect):
             }
         }
 
+    def check(self, parameters: Mapping[str, float]) -> None:
+        """Check the parameters as every effect does, and that the clock runs, and forwards."""
+        super().check(parameters)
+        scale = parameters.get("scale", 0.0)
+        if scale <= -1:
+            raise ValueError(f"`scale` of clock_scale must be above -1, got {scale}")
+
     def transform(
         self, time: FloatArray, signals: Signals, parameters: Mapping[str, float]
     ) -> Signals:

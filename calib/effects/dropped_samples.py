@@ -41,8 +41,9 @@ class DroppedSamples(TransformEffect):
     def reach(self, parameters: Mapping[str, float], *, interval: float) -> int:
         return SPLINE_REACH + int(np.ceil(abs(parameters.get("count", 0.0))))
 
-    def ahead(self, parameters: Mapping[str, float]) -> int:
-        return max(0, int(np.ceil(parameters.get("count", 0.0))))
+    def ahead(self, parameters: Mapping[str, float], *, time: FloatArray) -> int:
+        after = int(np.sum(time >= parameters["moment"]))
+        return min(after, max(0, int(np.ceil(parameters.get("count", 0.0)))))
 
     def columns(self, state: State, shape: Mapping[str, float]) -> dict[str, Column]:
         """Return the derivative times one sample interval, from the moment on.

@@ -11,8 +11,8 @@ from calib.effects.base import Term
 def parse_term(text: str, *, span: tuple[float, float]) -> Term:
     """Return the term of ``slug:name=value,name=value`` in SI units, or of ``slug`` alone.
 
-    Alone, or with shape parameters only, its linear parameters have their typical size.
-    ValueError says what is wrong.
+    Alone, or with shape parameters only, its linear parameters have their typical size. Moments are
+    in ``span``, s. ValueError says what is wrong.
     """
     slug, _, rest = text.partition(":")
     if slug not in effects():
@@ -34,4 +34,5 @@ def parse_term(text: str, *, span: tuple[float, float]) -> Term:
         if not shape or not shape & set(given) or not all(p.optional for p in effect.shape):
             given = {**effect.typical(span=span), **given}
     effect.check(given)
+    effect.check_moments(given, span=span)
     return Term(slug, given)

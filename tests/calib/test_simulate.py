@@ -343,6 +343,22 @@ def test_samples_that_a_clock_does_not_miss_are_not_made_up_at_the_end() -> None
     )
 
 
+def test_samples_that_are_gone_after_the_end_leave_the_rest_as_it_is() -> None:
+    motion = bench_protocol(np.random.default_rng(6), poses=3, first_pose=1.0)
+    end = motion.duration
+
+    def record(moment: float) -> Recording:
+        model = SensorModel(terms=(Term("dropped_samples", {"count": 50.0, "moment": moment}),))
+        return simulate(motion, model, QUIET, rng=np.random.default_rng(0), rate=50.0)
+
+    whole = record(end + 1.0)
+    assert len(whole) == int(end * 50) + 1
+    # Only what is after the moment has moved up.
+    near = record(whole.time[-10])
+    assert len(near) == len(whole) - 10
+    np.testing.assert_array_equal(near.gyro, whole.gyro[:-10])
+
+
 @pytest.mark.parametrize("rate", [40.0, 100.0])
 def test_what_is_late_is_the_motion_however_few_samples_it_has(rate: float) -> None:
     delay = 0.0065

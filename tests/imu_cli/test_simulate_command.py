@@ -176,6 +176,9 @@ def test_events_are_in_the_twin_of_their_own_recording_only(sensor: Path, tmp_pa
         (["--effect", "gyro_warm_up:kx=much"], "no number"),
         (["--effect", "saturation"], "full_scale"),
         (["--effect", "axis_error"], "accel_axes"),
+        (["--effect", "bandwidth:gyro_cutoff=-5"], "above 0 Hz, got -5"),
+        (["--effect", "saturation:gyro=1"], "`gyro_full_scale`"),
+        (["--effect", "dropped_samples:count=1,moment=1e3"], "0 to 180 s, got 1000"),
         (["--duration", "long"], "no duration"),
         (["--rate", "0"], "--rate"),
         (["--seed", "-1"], "--seed"),
@@ -347,6 +350,12 @@ def test_moments_lie_within_the_recording_that_is_twinned(sensor: Path, tmp_path
     )
     assert result.exit_code == 0, result.stderr
     assert "moment = 20" in result.stdout
+    result = run(
+        *("--like", log, "--calibration", sensor, "-o", twin),
+        *("--effect", "gyro_bias_step:bx=0.1,moment=60"),
+    )
+    assert result.exit_code == 2
+    assert "got 60" in result.stderr
 
 
 def test_durations() -> None:

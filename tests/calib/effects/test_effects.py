@@ -11,6 +11,7 @@ from calib.effects import effects, get_effect
 from calib.effects.accel_settling import FADING, NONE, WHOLE
 from calib.effects.bandwidth import low_pass
 from calib.effects.base import PRESENCE, Effect, Signals, State, Term, TransformEffect
+from calib.effects.text import parse_term
 from calib.model import SensorModel, Triad
 from calib.recording import AXES, CHANNELS
 from calib.simulate import simulate
@@ -510,6 +511,38 @@ def test_settling_has_a_form_for_what_there_is_in_turns(state: State) -> None:
 def test_a_form_is_one_of_those_that_there_are(value: float) -> None:
     with pytest.raises(ValueError, match="`in_turns` of accel_settling must be 0 to 2"):
         SensorModel(terms=(Term("accel_settling", {"tau": 1.0, "in_turns": value}),))
+
+
+@pytest.mark.parametrize(
+    ("slug", "values", "said"),
+    [
+        ("accel_warm_up", {"kx": 0.05, "tau": -60.0}, r"`tau` of .* above 0 s, got -60"),
+        ("accel_settling", {"kx": 0.05, "tau": 0.0}, r"`tau` of .* above 0 s, got 0"),
+        ("saturation", {"gyro_full_scale": -1.0}, r"`gyro_full_scale` .* above 0 rad/s, got -1"),
+        ("quantization", {"gyro_lsb": 0.0}, r"`gyro_lsb` .* above 0 rad/s, got 0"),
+        ("bandwidth", {"gyro_cutoff": -5.0}, r"`gyro_cutoff` .* above 0 Hz, got -5"),
+        ("bandwidth", {"accel_cutoff": 0.0}, r"`accel_cutoff` .* above 0 Hz, got 0"),
+        ("bandwidth", {"order": 2.0}, "has no size: give `accel_cutoff` or `gyro_cutoff` or `both"),
+        ("saturation", {"gyro": 1.0}, "`gyro` of .* is 1 and has no size: give `gyro_full_scale`"),
+        ("saturation", {"gyro": 1.0, "accel_full_scale": 9.0}, "`gyro` of .* has no size"),
+        ("axis_error", {"accel": 1.0}, "give `accel_axes`"),
+        ("clock_scale", {"scale": -1.0}, "`scale` of clock_scale must be above -1, got -1"),
+    ],
+)
+def test_what_cannot_be_is_refused(slug: str, values: dict[str, float], said: str) -> None:
+    with pytest.raises(ValueError, match=said):
+        SensorModel(terms=(Term(slug, values),))
+    text = ",".join(f"{name}={value}" for name, value in values.items())
+    with pytest.raises(ValueError, match=said):
+        parse_term(f"{slug}:{text}", span=(0.0, 60.0))
+
+
+@pytest.mark.parametrize("slug", ["dropped_samples", "gyro_bias_step", "accel_bias_step"])
+def test_a_moment_is_in_the_recording(slug: str) -> None:
+    for moment in (-1.0, 20.5):
+        with pytest.raises(ValueError, match=f"`moment` of {slug} .* 0 to 20 s, got {moment:g}"):
+            parse_term(f"{slug}:moment={moment}", span=(0.0, 20.0))
+    assert parse_term(f"{slug}:moment=20", span=(0.0, 20.0)).parameters["moment"] == 20.0
 
 
 @pytest.mark.parametrize(
