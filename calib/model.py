@@ -148,9 +148,10 @@ class SensorModel:
     def ahead(self, time: FloatArray) -> int:
         """Return how many samples at the end of (n,) times `distort` has no input for.
 
-        Others went missing before them.
+        They would show what is after the end: samples before them are gone, or the clock is slow.
         """
-        return sum(e.ahead(p, time=time) for e, p in self._transforms("readout"))
+        found = (*self._transforms("signal"), *self._transforms("readout"))
+        return sum(effect.ahead(parameters, time=time) for effect, parameters in found)
 
     def with_terms_moved(self, steps: Mapping[str, float]) -> SensorModel:
         """Return the model with parameters of its further terms moved, by their full names."""

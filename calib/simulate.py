@@ -102,8 +102,8 @@ def simulate(
     Returns
     -------
     Recording
-        Shorter than asked by the samples that `model` loses, whose clock does not notice, and
-        without those where the motion is hidden.
+        Shorter than asked by the samples that `model` loses, whose clock does not notice, or that a
+        slow clock puts after the motion's end, and without those where the motion is hidden.
 
     Raises
     ------

@@ -500,7 +500,7 @@ class TransformEffect(Effect):
         """Return the signals with the effect taken out, as far as that is possible."""
 
     def ahead(self, parameters: Mapping[str, float], *, time: FloatArray) -> int:
-        """Return how many samples at the end of (n,) times have no input, as others are gone."""
+        """Return how many samples at the end of (n,) times have no input: what is after the end."""
         return 0
 
     def restorer(

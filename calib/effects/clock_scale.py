@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+import numpy as np
+
 from calib.effects.base import Column, Parameter, Signals, State, TransformEffect
 from calib.effects.resampling import resample, triad_column
 from calib.recording import CHANNELS
@@ -45,10 +47,14 @@ class ClockScale(TransformEffect):
         if scale <= -1:
             raise ValueError(f"`scale` of clock_scale must be above -1, got {scale}")
 
+    def ahead(self, parameters: Mapping[str, float], *, time: FloatArray) -> int:
+        # By a slow clock a motion is over sooner.
+        return int(np.sum(_true_time(time, parameters) > time[-1]))
+
     def transform(
         self, time: FloatArray, signals: Signals, parameters: Mapping[str, float]
     ) -> Signals:
-        at = time[0] + (time - time[0]) / (1.0 + parameters.get("scale", 0.0))
+        at = _true_time(time, parameters)
         return Signals(*(resample(time, values, at) for values in signals))
 
     def inverse(
@@ -59,6 +65,10 @@ class ClockScale(TransformEffect):
 
     def size_if(self, common: float, *, gravity: float) -> float:
         return common
+
+
+def _true_time(time: FloatArray, parameters: Mapping[str, float]) -> FloatArray:
+    return np.asarray(time[0] + (time - time[0]) / (1.0 + parameters.get("scale", 0.0)))
 
 
 EFFECT = ClockScale()

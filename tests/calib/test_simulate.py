@@ -343,6 +343,18 @@ def test_samples_that_a_clock_does_not_miss_are_not_made_up_at_the_end() -> None
     )
 
 
+@pytest.mark.parametrize("scale", [-0.01, 0.01])
+def test_a_recording_by_a_slow_clock_ends_with_the_motion(scale: float) -> None:
+    """Nothing stands still after it."""
+    motion = paper_sinusoid()
+    model = SensorModel(terms=(Term("clock_scale", {"scale": scale}),))
+    found = simulate(motion, model, QUIET, rng=np.random.default_rng(0), rate=100.0)
+    end = motion.duration * min(1.0, 1.0 + scale)
+    assert found.time[-1] == pytest.approx(end, abs=0.02)
+    true = motion.state(found.time / (1.0 + scale))
+    np.testing.assert_allclose(found.gyro, true.rate, atol=1e-4)
+
+
 def test_samples_that_are_gone_after_the_end_leave_the_rest_as_it_is() -> None:
     motion = bench_protocol(np.random.default_rng(6), poses=3, first_pose=1.0)
     end = motion.duration
