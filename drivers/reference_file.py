@@ -3,9 +3,10 @@
 ======== ======================================================================================
 HDF5     ``opt_quat`` (n, 4) and, if positions were captured, ``opt_pos`` (n, 3) in m, with the
          attribute ``sampling_rate`` in Hz (as BROAD has them)
-CSV      columns ``time`` (s), ``qw qx qy qz`` and, if known, ``x y z`` (m); empty cells and
-         ``nan`` are gaps. Without positions the body counts as carried, and the accelerometer is
-         judged at rest only, but where it turns about one axis alone or is said to be fixed
+CSV      columns ``time`` (s), ``qw qx qy qz`` and, if known, ``x y z`` (m); empty cells,
+         ``nan`` and quaternions of zeros are gaps. Without positions the body counts as
+         carried, and the accelerometer is judged at rest only, but where it turns about one axis
+         alone or is said to be fixed
 CSV      columns ``time`` (s) and one of ``angle`` (rad), ``angle_deg``, ``rate`` (rad/s),
          ``rate_dps``: a table that turns about a vertical axis. It may turn by any angle from row
          to row, but where all angles are within one turn: then they count as wrapped
@@ -286,15 +287,16 @@ def _finer(
 
 
 def _unit(path: Path, quat: FloatArray) -> FloatArray:
+    """Return quaternions of length 1; those that are zero, as of a body out of sight, are nan."""
     size = np.linalg.norm(quat, axis=1)
-    good = np.isfinite(size)
+    good = np.isfinite(size) & (size > 0)
     if not good.any() or np.abs(size[good] - 1).max() > 0.05:
         seen = f"{size[good].min():.3g} to {size[good].max():.3g}" if good.any() else "none"
         raise RecordingFormatError(
             f"{path}: lengths of the quaternions are {seen}, expected 1 (scalar first: qw, qx, qy, "
             "qz)"
         )
-    out: FloatArray = quat / size[:, None]
+    out: FloatArray = quat / np.where(good, size, np.nan)[:, None]
     return out
 
 

@@ -15,7 +15,7 @@ from calib.simulation.bridges import LOOSE, bridged, holes
 from calib.simulation.kinematics import Motion, Segment
 from calib.simulation.noise import CONSUMER
 from calib.simulation.through import motion_through, one_sign, path_through, spline_through
-from calib.types import FloatArray
+from calib.types import BoolArray, FloatArray
 
 WINDOW = 4.0
 """s of the periodograms whose mean tells motion from noise."""
@@ -53,8 +53,8 @@ def motion_from_reference(
     time : (n,) array, s
         Increasing; the motion's time 0 is the first of them.
     quat : (n, 4) array
-        Orientations ``mat_ns``, scalar first. Rows that are not finite are gaps. Of those that are
-        too long for a spline the motion has ``hidden`` segments, and moves smoothly over them.
+        Orientations ``mat_ns``, scalar first. Rows that are not finite, or zero, are gaps. Where
+        they are too long for a spline the motion goes on smoothly, and has ``hidden`` segments.
     position : (n, 3) array, m, or None
         None has the sensor stay where it is.
     gravity : float, m/s²
@@ -67,19 +67,18 @@ def motion_from_reference(
     Raises
     ------
     ValueError
-        If shapes disagree, time does not increase, or fewer than four rows are finite.
+        If shapes disagree, time does not increase, or fewer than four rows are known.
     """
     time, quat = np.asarray(time, np.float64), np.asarray(quat, np.float64)
     if quat.shape != (len(time), 4):
         raise ValueError(f"`quat` must be {(len(time), 4)}, got {quat.shape}")
-    good = np.isfinite(quat).all(axis=1)
     if position is not None:
         position = np.asarray(position, np.float64)
         if position.shape != (len(time), 3):
             raise ValueError(f"`position` must be {(len(time), 3)}, got {position.shape}")
-        good &= np.isfinite(position).all(axis=1)
+    good = _known(quat, position)
     if good.sum() < 4:
-        raise ValueError(f"`quat` has {good.sum()} finite rows, expected at least four")
+        raise ValueError(f"`quat` has {good.sum()} known rows, expected at least four")
     at = time[good] - (time[0] if start is None else start)
     if np.diff(at).min() <= 0:
         raise ValueError("`time` must increase")
@@ -99,6 +98,14 @@ def motion_from_reference(
     ]
     segments.sort(key=lambda segment: segment.start)
     return Motion(name, float(at[-1]), kinematics, tuple(segments), gravity=gravity)
+
+
+def _known(quat: FloatArray, position: FloatArray | None) -> BoolArray:
+    """Return which rows say how the body lay, and where it was if that is asked for."""
+    good = np.isfinite(quat).all(axis=1) & quat.any(axis=1)
+    if position is not None:
+        good &= np.isfinite(position).all(axis=1)
+    return np.asarray(good)
 
 
 def _hidden(time: FloatArray, bandwidth: float | None) -> FloatArray:
@@ -127,9 +134,7 @@ def shown_bandwidth(
     time, quat, position
         As for `motion_from_reference`.
     """
-    good = np.isfinite(quat).all(axis=1)
-    if position is not None:
-        good &= np.isfinite(position).all(axis=1)
+    good = _known(quat, position)
     if good.sum() < 2:
         return None
     at, step = _even(time[good])

@@ -109,6 +109,20 @@ def test_a_profile_of_few_rates_is_integrated_too(tmp_path: Path) -> None:
     assert 2 * np.arctan2(found.quat[-1, 3], found.quat[-1, 0]) == pytest.approx(0.2)
 
 
+def test_quaternions_of_zeros_are_gaps(tmp_path: Path) -> None:
+    rows = [f"{0.01 * k:.2f},0.6,0,0.8,0" for k in range(40)]
+    rows[10:20] = [f"{0.01 * k:.2f},0,0,0,0" for k in range(10, 20)]
+    path = tmp_path / "captured.csv"
+    path.write_text("\n".join(["time,qw,qx,qy,qz", *rows]) + "\n")
+    found = read_reference(path)
+    assert isinstance(found, ReferenceMotion)
+    assert np.flatnonzero(~found.known).tolist() == list(range(10, 20))
+    assert np.isnan(found.quat[10:20]).all()
+    path.write_text("\n".join(["time,qw,qx,qy,qz", *rows[10:20]]) + "\n")
+    with pytest.raises(RecordingFormatError, match="quaternions are none, expected 1"):
+        read_reference(path)
+
+
 @pytest.mark.parametrize("name", ["angle_deg", "qw,qx,qy,qz", "qw,qx,qy,qz,x,y,z"])
 def test_what_moved_is_no_recording_of_what_was_felt(tmp_path: Path, name: str) -> None:
     path = tmp_path / "moved.csv"

@@ -115,6 +115,17 @@ def test_a_gap_delays_nothing_behind_it() -> None:
     assert np.sqrt(np.mean(error**2)) < 0.03
 
 
+def test_quaternions_of_zeros_are_gaps() -> None:
+    _, time, quat, position = captured(18, 120.0, 0.0, 0.0)
+    found = []
+    for nothing in (np.nan, 0.0):
+        quat[600:700] = nothing
+        assert shown_bandwidth(time, quat, position) is None
+        found.append(motion_from_reference(time, quat, position, gravity=G))
+    assert len(found[1].intervals("hidden")) == 1
+    np.testing.assert_array_equal(*(motion.state(time).rate for motion in found))
+
+
 @pytest.mark.parametrize("noise", [0.0, 1.0])
 @pytest.mark.parametrize("length", [60, 240, 600])
 def test_nothing_is_made_up_in_a_hole(noise: float, length: int) -> None:
