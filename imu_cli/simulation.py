@@ -268,7 +268,9 @@ def _twin(plan: Plan, log: Path, *, rng: np.random.Generator) -> Simulated:
         twin = with_sensor(twin, model)
     truth = None
     if plan.truth:
-        truth = digital_twin(recording, motion, SensorModel(), NoiseModel(), rng=rng)
+        # What is true has no range and no counts.
+        ideal = replace(recording, device=DeviceInfo(chip="simulated"))
+        truth = digital_twin(ideal, motion, SensorModel(), NoiseModel(), rng=rng)
     return Simulated(twin, truth, motion, model, noise, known)
 
 

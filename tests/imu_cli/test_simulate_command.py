@@ -111,6 +111,20 @@ def test_twin_of_a_recording(sensor: Path, tmp_path: Path) -> None:
     assert np.std(found.accel - recorded.accel) < 0.06
 
 
+def test_the_truth_of_a_twin_is_neither_clipped_nor_rounded(sensor: Path, tmp_path: Path) -> None:
+    log, twin, truth = (tmp_path / f"{name}.arrow" for name in ("log", "twin", "truth"))
+    coarse = ("--accel-range", 2, "--gyro-range", 125, "--bits", 8)
+    assert run("--sensor", sensor, "--duration", "60s", *coarse, "-o", log).exit_code == 0
+    given = ("--like", log, "--calibration", sensor, "-o", twin, "--truth", truth)
+    result = run(*given)
+    assert result.exit_code == 0, result.stderr
+    seen, true = read_recording(twin), read_recording(truth)
+    assert len(np.unique(seen.gyro)) <= 256
+    assert len(np.unique(true.gyro[:, 0])) > 1000
+    assert true.device.gyro_full_scale is None
+    np.testing.assert_array_equal(true.time, seen.time)
+
+
 def test_a_garbled_sample_is_no_motion_of_the_twin(sensor: Path, tmp_path: Path) -> None:
     log, garbled = tmp_path / "log.csv", tmp_path / "garbled.csv"
     assert run("--sensor", sensor, "--duration", "40s", "-o", log).exit_code == 0
