@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calib.effects import get_effect
 from calib.effects.base import Signals, State
 from calib.model import SensorModel
 from calib.recording import Clock, DeviceInfo, Recording
@@ -88,6 +89,8 @@ def simulate(
     ----------
     motion : Motion
     model : SensorModel
+        Its moments are read off the sensor's own clock, as whoever sees the recording reads them;
+        time constants and cut-offs are true ones.
     noise : NoiseModel
     rng : numpy Generator
     rate : float, Hz
@@ -112,7 +115,7 @@ def simulate(
     """
     device = DeviceInfo(chip="simulated") if device is None else device
     true_time = _sample_times(motion, rate, time)
-    # Moments and warm-up are counted on the sensor's own clock.
+    model = _by_true_time(model, sampling)
     start = sampling.clock_offset
     state = motion.state(true_time)
     state = replace(state, time=true_time + start, power_on=motion.power_on + start)
@@ -183,6 +186,20 @@ def digital_twin(
     known = np.diff(np.cumsum(recording.lost)[kept], prepend=0)
     notes = {"motion": "of a recording"}
     return replace(twin, time=recording.time[kept], lost=known + twin.lost, notes=notes)
+
+
+def _by_true_time(model: SensorModel, sampling: Sampling) -> SensorModel:
+    """Return the model with its moments in true seconds, from what the clock shows at time 0."""
+
+    def true(moment: float) -> float:
+        return sampling.clock_offset + (moment - sampling.clock_offset) / (1 + sampling.clock_scale)
+
+    terms = []
+    for term in model.terms:
+        moments = {item.name for item in get_effect(term.effect).shape if item.is_moment}
+        values = {k: true(v) if k in moments else v for k, v in term.parameters.items()}
+        terms.append(replace(term, parameters=values))
+    return replace(model, terms=tuple(terms))
 
 
 def _distorted(

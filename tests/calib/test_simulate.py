@@ -355,6 +355,26 @@ def test_a_recording_by_a_slow_clock_ends_with_the_motion(scale: float) -> None:
     np.testing.assert_allclose(found.gyro, true.rate, atol=1e-4)
 
 
+@pytest.mark.parametrize("scale", [0.0, 0.05, -0.05])
+@pytest.mark.parametrize("offset", [0.0, 1000.0])
+def test_moments_are_read_off_the_clock_of_the_sensor(scale: float, offset: float) -> None:
+    motion = paper_sinusoid()
+    step = Term("gyro_bias_step", {"bx": 0.5, "moment": offset + 50.0037})
+    with_step, without = (
+        simulate(
+            motion,
+            SensorModel(terms=terms),
+            QUIET,
+            rng=np.random.default_rng(0),
+            rate=100.0,
+            sampling=Sampling(clock_offset=offset, clock_scale=scale),
+        )
+        for terms in ((step,), ())
+    )
+    stepped = with_step.gyro[:, 0] - without.gyro[:, 0] > 0.25
+    np.testing.assert_array_equal(stepped, with_step.time > offset + 50.0037)
+
+
 def test_samples_that_are_gone_after_the_end_leave_the_rest_as_it_is() -> None:
     motion = bench_protocol(np.random.default_rng(6), poses=3, first_pose=1.0)
     end = motion.duration
