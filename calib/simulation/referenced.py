@@ -11,6 +11,7 @@ import numpy as np
 from scipy.signal import butter, sosfiltfilt, spectrogram, welch
 
 from calib.effects.observed import observed_turns
+from calib.errors import InsufficientMotionError
 from calib.simulation.bridges import LOOSE, bridged, holes
 from calib.simulation.kinematics import Motion, Segment
 from calib.simulation.noise import CONSUMER
@@ -68,6 +69,8 @@ def motion_from_reference(
     ------
     ValueError
         If shapes disagree, time does not increase, or fewer than four rows are known.
+    InsufficientMotionError
+        If there are holes all over.
     """
     time, quat = np.asarray(time, np.float64), np.asarray(quat, np.float64)
     if quat.shape != (len(time), 4):
@@ -97,7 +100,13 @@ def motion_from_reference(
         Segment("hidden", a, b, f"hole {k}") for k, (a, b) in enumerate(hidden.tolist(), 1)
     ]
     segments.sort(key=lambda segment: segment.start)
-    return Motion(name, float(at[-1]), kinematics, tuple(segments), gravity=gravity)
+    motion = Motion(name, float(at[-1]), kinematics, tuple(segments), gravity=gravity)
+    if not motion.seen(at).any():
+        raise InsufficientMotionError(
+            f"the reference is torn by {len(hidden)} holes: nowhere is it free of them for long "
+            f"enough to be followed, expected more than {2 * LOOSE} rows in a row"
+        )
+    return motion
 
 
 def _known(quat: FloatArray, position: FloatArray | None) -> BoolArray:

@@ -1,5 +1,7 @@
 """The motion of a recording, found again from what a sensor saw of it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -10,7 +12,7 @@ from calib.poses import Poses, average_poses
 from calib.recording import Recording
 from calib.simulate import digital_twin, simulate
 from calib.simulation.bench import bench_protocol
-from calib.simulation.kinematics import Motion
+from calib.simulation.kinematics import Motion, Segment
 from calib.simulation.motions import pendulum
 from calib.simulation.noise import NoiseModel, noise_at_rest
 from calib.simulation.recorded import motion_of
@@ -101,6 +103,20 @@ def test_a_twin_has_the_clock_and_the_gaps_of_its_recording() -> None:
     np.testing.assert_array_equal(twin.time, cut.time)
     np.testing.assert_array_equal(twin.lost, cut.lost)
     assert twin.clock == "host"
+
+
+def test_a_twin_has_no_samples_where_its_motion_is_hidden() -> None:
+    _, recording, poses = recorded(5)
+    lost = np.zeros(len(recording), int)
+    lost[[400, 1000, 1500]] = 3, 5, 7
+    recording = replace(recording, lost=lost, time=recording.time + 100.0)
+    motion = motion_of(recording, MODEL, poses, gravity=G)
+    motion = replace(motion, segments=(*motion.segments, Segment("hidden", 9.495, 12.005)))
+    twin = digital_twin(recording, motion, MODEL, NOISE, rng=np.random.default_rng(0))
+    kept = np.concatenate((np.arange(950), np.arange(1201, len(recording))))
+    np.testing.assert_array_equal(twin.time, recording.time[kept])
+    assert np.flatnonzero(twin.lost).tolist() == [400, 950, 950 + 299]
+    assert twin.lost[[400, 950, 950 + 299]].tolist() == [3, 251 + 5, 7]
 
 
 def test_a_recording_without_poses_has_a_motion() -> None:

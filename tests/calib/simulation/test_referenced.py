@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from calib.errors import InsufficientMotionError
 from calib.mismatch import ReferenceMotion
 from calib.rotation import quat_from_rotvec, quat_multiply
 from calib.simulation.bench import bench_protocol
@@ -143,6 +144,13 @@ def test_nothing_is_made_up_in_a_hole(noise: float, length: int) -> None:
         turning, path = found.kinematics(np.arange(begin, end, 1e-3))
         assert np.linalg.norm(path.acceleration, axis=1).max() < 1.5 * size.max()
         assert np.linalg.norm(turning.rate, axis=1).max() < 1.1 * fastest
+
+
+def test_holes_all_over_leave_no_motion() -> None:
+    _, time, quat, position = captured(19, 120.0, 0.0, 0.0)
+    position[np.arange(len(time)) % 20 < 13] = np.nan
+    with pytest.raises(InsufficientMotionError, match=r"torn by \d+ holes.* more than 16 rows"):
+        motion_from_reference(time, quat, position, gravity=G)
 
 
 def test_a_few_rows_that_are_missing_hide_nothing() -> None:
