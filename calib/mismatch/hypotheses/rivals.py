@@ -25,24 +25,26 @@ from calib.mismatch.hypotheses.candidates import (
 )
 from calib.mismatch.hypotheses.followed import (
     LEVEL,
-    LOADED,
     OWN_RIPPLES,
     RIPPLES,
-    after_turns,
     axes,
-    history,
-    lagging,
-    of_use,
     other_rates,
     own_rate,
     paired_rates,
     past_levels,
-    remembered,
     ripples,
     sign_of,
     smooth,
     warmed,
     wave,
+)
+from calib.mismatch.hypotheses.remembered import (
+    LOADED,
+    after_turns,
+    history,
+    lagging,
+    of_use,
+    remembered,
 )
 from calib.mismatch.hypotheses.score import Stack
 from calib.mismatch.hypotheses.turned import turned_axes

@@ -5,7 +5,8 @@ from __future__ import annotations
 from calib.effects import effects
 from calib.effects.base import Effect
 from calib.mismatch.findings.diagnosis import Rival
-from calib.mismatch.hypotheses.followed import LEVEL, LOADED
+from calib.mismatch.hypotheses.followed import LEVEL
+from calib.mismatch.hypotheses.remembered import LOADED
 from calib.mismatch.hypotheses.rivals import SIGN
 from calib.mismatch.search.twins import HEADING
 

@@ -7,6 +7,7 @@ from functools import cache
 import numpy as np
 
 from calib.effects.base import State, Term
+from calib.mismatch import diagnose_recording
 from calib.mismatch.noise.coupling import drift_in_contrasts
 from calib.mismatch.noise.noise import covariance
 from calib.mismatch.rows.grid import Grid, make_grid
@@ -60,6 +61,13 @@ def with_added(real: Recording, signals: Mapping[str, FloatArray]) -> Recording:
     for channel, values in signals.items():
         both[:, CHANNELS.index(channel)] += values
     return Recording(real.time, both[:, :3], both[:, 3:], "device", temperature=real.temperature)
+
+
+def left_of(real: Recording) -> list[tuple[str, tuple[str, ...]]]:
+    """Return what is unexplained in a recording in which nothing has a name, and its channels."""
+    found = diagnose_recording(real, gravity=GRAVITY)
+    assert not found.findings
+    return [(left.follows, left.channels) for left in found.unexplained]
 
 
 @cache

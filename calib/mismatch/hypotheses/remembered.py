@@ -1,0 +1,192 @@
+"""What a disturbance may remember: poses, turns, loads and temperatures that were before.
+
+Each basis is (n, k) values at the points of a recording. What a turn does to it counts as much as
+rests do: velocity closes only with what an accelerometer felt on the way.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import pairwise
+
+import numpy as np
+
+from calib.mismatch.hypotheses.followed import scaled_rates
+from calib.mismatch.rows.rows import Rows
+from calib.types import FloatArray, IntArray
+
+MEMORIES = np.array([0.5, 2.0, 8.0])
+"""How long what creeps remembers poses, in times from one to the next."""
+
+PLAY = (0.0, 0.1, 0.2, 0.3, 0.4)
+"""Load in g, beyond which what has play goes to the other side."""
+
+LAGS = (0.05, 0.1, 0.2, 0.4)
+"""Load in g, by which what is elastic lags behind at most."""
+
+FORGOTTEN = 500.0
+"""Times the memory after which nothing is left."""
+
+LOADED = "its load before: play, or friction"
+"""What has play, or sticks, depends on how it was loaded before."""
+
+FORGETS = np.geomspace(0.5, 8.0, 5)
+"""s in which a gyroscope forgets a turn."""
+
+LATE = np.geomspace(10.0, 160.0, 5)
+"""s by which what follows a temperature is late."""
+
+PASSES = np.geomspace(2.0, 128.0, 7)
+"""Time constants of high-passes, s."""
+
+
+def history(rows: Rows) -> Iterator[tuple[str, FloatArray]]:
+    """Yield what came before: the direction of gravity in the last poses, and the last turn.
+
+    What sticks remembers the last one, or which way its turn was; what creeps forgets it slowly,
+    and has followed by so much less.
+    """
+    rests = np.flatnonzero(rows.is_rest)
+    if len(rests) < 2:
+        return
+    state, segment, number = rows.state, rows.point_segment, len(rows.interval)
+    count = np.maximum(np.bincount(segment, minlength=number), 1)[:, None]
+    up, rate = (
+        np.stack([np.bincount(segment, v, number) for v in signal.T], axis=1) / count
+        for signal in (state.gravity_direction, state.rate)
+    )
+    turn = rate * np.ptp(rows.interval, axis=1)[:, None]
+    turn /= np.maximum(np.linalg.norm(turn, axis=1, keepdims=True), 1.0)
+    pose = poses_at(rows)
+    for name, what in (
+        ("the pose before", up[rests[:-1]]),
+        ("the turn before", turn[rests[1:] - 1]),
+        ("the turn before", np.sign(turn[rests[1:] - 1])),
+    ):
+        # Nothing was before the first rest.
+        yield name, np.vstack((np.zeros(3), what))[pose]
+    for memory in MEMORIES * float(np.median(np.diff(rows.interval[rests].mean(axis=1)))):
+        up = state.gravity_direction
+        yield "the pose before", up - lately(rows, up, memory)
+
+
+def poses_at(rows: Rows) -> IntArray:
+    """Return the number of the rest that each point is in, or nearest to: turns have halves."""
+    start, stop = rows.interval[rows.is_rest].T
+    return np.searchsorted(0.5 * (stop[:-1] + start[1:]), rows.state.time, side="right")
+
+
+def lately(rows: Rows, signal: FloatArray, memory: float) -> FloatArray:
+    """Return a signal (n, k) as what creeps still knows it, with a `memory` in seconds.
+
+    A low-pass of first order, exact where the signal stays: ``memory dx/dt = signal - x``.
+    """
+    time, out = rows.state.time, np.empty_like(signal)
+    ends = np.searchsorted(rows.point_segment, np.arange(len(rows.interval) + 1)).tolist()
+    known, before = signal[0], float(time[0])
+    for a, b in pairwise(ends):
+        if a == b:
+            continue
+        # Of what was so long ago nothing is known.
+        grown = np.exp(np.minimum((time[a:b] - before) / memory, FORGOTTEN))[:, None]
+        felt = np.cumsum(np.diff(grown, axis=0, prepend=1.0) * signal[a:b], axis=0)
+        out[a:b] = (known + felt) / grown
+        known, before = out[b - 1], float(time[b - 1])
+    return out
+
+
+def remembered(rows: Rows, c: int) -> Iterator[tuple[str, FloatArray]]:
+    """Yield what a channel may remember of how its axis was loaded before, (n, 1).
+
+    What has play lies on the side that it was last loaded to, if by enough; where it sticks in a
+    turn, on that of the pose before. What is elastic, with friction, lags behind its load, or goes
+    by the way that it came. A turn tells as much of it as the rests.
+    """
+    if np.count_nonzero(rows.is_rest) < 2:
+        return
+    load = rows.state.force[:, c % 3] / rows.state.gravity
+    for least in PLAY:
+        yield LOADED, side_of(load, least)[:, None]
+    for most in LAGS:
+        yield LOADED, lag_of(load, most)[:, None] / most
+    total = np.bincount(rows.point_segment, load, len(rows.is_rest))[rows.is_rest]
+    count = np.bincount(rows.point_segment, minlength=len(rows.is_rest))[rows.is_rest]
+    mean = total / np.maximum(count, 1)
+    for side in (mean[:-1], np.diff(mean)):
+        yield LOADED, np.append(0.0, np.sign(side))[poses_at(rows)][:, None]
+
+
+def side_of(load: FloatArray, least: float) -> FloatArray:
+    """Return the side (n,) that something was last loaded to, by more than the least it takes."""
+    beyond = np.abs(load) > least
+    last = np.maximum.accumulate(np.where(beyond, np.arange(len(load)), -1))
+    return np.where(last < 0, 0.0, np.sign(load)[last])
+
+
+def lag_of(load: FloatArray, most: float) -> FloatArray:
+    """Return how far something is behind its load (n,), by so much at most.
+
+    The stop of Prandtl's model [1]_, from one reversal of the load to the next.
+
+    References
+    ----------
+    .. [1] Visintin, "Differential Models of Hysteresis", Springer 1994, ch. III (play and stop).
+    """
+    step = np.diff(load)
+    moved = np.flatnonzero(step)
+    if not len(moved):
+        return np.zeros(len(load))
+    turned = moved[1:][step[moved[1:]] * step[moved[:-1]] < 0]
+    ends = np.concatenate(([0], turned))
+    lag = [0.0]
+    for change in np.diff(load[ends]).tolist():
+        lag.append(min(max(lag[-1] + change, -most), most))
+    piece = np.searchsorted(ends, np.arange(len(load)), side="right") - 1
+    return np.asarray(np.clip(np.array(lag)[piece] + load - load[ends][piece], -most, most))
+
+
+def after_turns(rows: Rows, c: int) -> Iterator[tuple[str, FloatArray]]:
+    """Yield what a channel may have after each turn, while it fades, (n, k).
+
+    Once the same after all of them, and once as the turn was about its axis, either way or not. And
+    what a high-pass takes away: turns go through it while they last, and what it let go comes back.
+    """
+    state = rows.state
+    rests = np.flatnonzero(rows.is_rest)
+    if state.since_turn is None or state.turning is None or len(rests) < 2:
+        return
+    segment, number = rows.point_segment, len(rows.interval)
+    rate = scaled_rates(state)[:, c % 3]
+    most, least = np.zeros((2, number))
+    np.maximum.at(most, segment, rate)
+    np.minimum.at(least, segment, rate)
+    peak = np.where(most > -least, most, least)
+    # Nothing was before the first rest.
+    last = np.zeros(number)
+    last[rests[1:]] = peak[rests[1:] - 1]
+    turned = np.zeros(number)
+    turned[rests[1:]] = 1.0
+    own = np.stack((turned, last, np.abs(last)), axis=1)[segment]
+    own[state.turning] = 0.0
+    for memory in FORGETS.tolist():
+        yield "time since the last turn", np.exp(-state.since_turn / memory)[:, None] * own
+    for memory in PASSES.tolist():
+        yield "time since the last turn", lately(rows, scaled_rates(state)[:, [c % 3]], memory)
+
+
+def lagging(rows: Rows) -> Iterator[tuple[str, FloatArray]]:
+    """Yield what follows a temperature late, (n, 1): its thermometer is not where the sensor is."""
+    warmth = rows.state.warmth
+    if warmth is None or not np.ptp(warmth) > 0:
+        return
+    for memory in LATE.tolist():
+        yield "temperature", lately(rows, warmth[:, None], memory) / np.ptp(warmth)
+
+
+def of_use(rows: Rows) -> Iterator[tuple[str, FloatArray]]:
+    """Yield what any channel may have of how much the sensor was turned of late, (n, 1)."""
+    if not rows.is_rest.any() or rows.is_rest.all():
+        return
+    speed = np.linalg.norm(scaled_rates(rows.state), axis=1, keepdims=True)
+    for memory in PASSES.tolist():
+        yield "time since the last turn", lately(rows, speed, memory)
