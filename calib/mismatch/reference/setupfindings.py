@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from calib.calibration import Quantity
@@ -16,14 +18,15 @@ from calib.mismatch.search.ranking import CLAIM, chance
 from calib.mismatch.search.search import Outcome
 from calib.recording import CHANNELS
 from calib.rotation import rotvec_from_mat, rotvec_slope
-from calib.types import FloatArray
+from calib.types import FloatArray, IntArray
 
 _LINEAR = {"time_offset": 0.02, "clock_scale": 1e-4, "reference_misalignment": 0.1}
 """Sizes (SI) up to which an alignment acts in proportion, so that it can be left out again to see
 what it is worth on held-out windows."""
 
-_STAMPED = {"time_offset": 0, "clock_scale": 1}
-"""Alignments that are no better known than the clocks."""
+SETTLED_FIRST = ("clock_scale", "time_offset", "reference_misalignment")
+"""In this order alignments are judged: a delay is that of the first sample, as the clock ran since.
+Where the clock ran as the other did, it is what it is at any moment, and best known."""
 
 
 def find_setups(
@@ -40,37 +43,65 @@ def find_setups(
     ``clocks`` are the standard errors, (2,), of the offset (s) and the pace of what stamped,
     ``axes`` is that of the directions of the other's axes, rad.
     """
-    out = []
-    alignment, mat = problem.setup.alignment, problem.setup.mat_sr
-    p = len(problem.names)
+    found = _aligned(problem, fit, clocks, axes)
     slugs = [name.split(".")[0] for name in problem.alignments]
-    # The fit's last small step is still to be taken from where the rows stand.
-    step = fit.step[p : p + len(slugs)]
-    turn = rotvec_from_mat(mat)
-    value = np.array([-alignment.offset, 1.0 / (1.0 + alignment.stretch) - 1.0, *(-turn)])
-    # Steps turn the frame where it is by now, and what is said is one vector from the start.
-    slope = np.eye(5)
-    slope[2:, 2:] = rotvec_slope(turn)
-    slope = slope[: len(slugs), : len(slugs)]
-    value = value[: len(slugs)] + slope @ step
-    errors = slope @ fit.covariance[p : p + len(slugs), p : p + len(slugs)] @ slope.T
     prior = PHYSICAL / len(tried_effects(reference=True))
-    for slug in dict.fromkeys(slugs):
-        if slug not in setups:
-            continue
+    out = {}
+    for slug in sorted(set(slugs), key=SETTLED_FIRST.index):
         own = np.array([i for i, s in enumerate(slugs) if s == slug])
         names = [problem.alignments[i].split(".")[1] for i in own]
         sizes = {x.name: x.typical for x in get_effect(slug).parameters}
+        value, covariance = found.value[own], found.covariance[np.ix_(own, own)]
         typical = np.array([sizes[n] for n in names])
-        covariance = errors[np.ix_(own, own)]
-        if slug in _STAMPED:
-            covariance = covariance + clocks[_STAMPED[slug]] ** 2
-        if slug == "reference_misalignment":
-            covariance = covariance + axes**2 * np.eye(len(own))
-        e_value = prior * bayes_factor(value[own], covariance, typical)
-        if e_value >= CLAIM:
-            out.append(_setup(outcome, problem, slug, names, own, value[own], covariance, e_value))
-    return out
+        e_value = prior * bayes_factor(value, covariance, typical)
+        if slug in setups and e_value >= CLAIM:
+            out[slug] = _setup(outcome, problem, slug, names, own, value, covariance, e_value)
+        elif slug in setups:
+            found = found.without(own)
+    return [out[slug] for slug in dict.fromkeys(slugs) if slug in out]
+
+
+class _Aligned(NamedTuple):
+    """The parameters of an alignment (n,) as their effects count them, and their covariance."""
+
+    value: FloatArray
+    covariance: FloatArray
+
+    def without(self, none: IntArray) -> _Aligned:
+        """Return what they are if those at these places are nothing.
+
+        By the regression of the others on them.
+        """
+        share = np.linalg.solve(self.covariance[np.ix_(none, none)], self.covariance[none]).T
+        return _Aligned(
+            self.value - share @ self.value[none], self.covariance - share @ self.covariance[none]
+        )
+
+
+def _aligned(
+    problem: ComparisonProblem, fit: Estimate, clocks: FloatArray, axes: float
+) -> _Aligned:
+    """Return what the alignment is by the fit, the delay being that of the first sample.
+
+    Where that is, `clock_scale` counts from: at the middle a clock that runs slow is late by its
+    share of half of the recording.
+    """
+    alignment, turn = problem.setup.alignment, rotvec_from_mat(problem.setup.mat_sr)
+    first, p, number = problem.power_on, len(problem.names), len(problem.alignments)
+    late = first - float(alignment.times(np.array([first]))[0])
+    value = np.array([late, 1.0 / (1.0 + alignment.stretch) - 1.0, *(-turn)])[:number]
+    slope = np.eye(5)
+    slope[0, 1] = first - alignment.middle
+    # Steps turn the frame where it is by now, and what is said is one vector from the start.
+    slope[2:, 2:] = rotvec_slope(turn)
+    slope = slope[:number, :number]
+    covariance = fit.covariance[p : p + number, p : p + number]
+    stamped = np.array([*clocks, axes, axes, axes])[:number]
+    # The fit's last small step is still to be taken from where the rows stand.
+    return _Aligned(
+        value + slope @ fit.step[p : p + number],
+        slope @ covariance @ slope.T + slope @ np.diag(np.square(stamped)) @ slope.T,
+    )
 
 
 def bayes_factor(value: FloatArray, covariance: FloatArray, typical: FloatArray) -> float:
@@ -89,7 +120,7 @@ def _setup(
     problem: ComparisonProblem,
     slug: str,
     names: list[str],
-    own: FloatArray,
+    own: IntArray,
     value: FloatArray,
     covariance: FloatArray,
     e_value: float,
@@ -101,10 +132,9 @@ def _setup(
     if np.abs(value).max() <= _LINEAR[slug]:
         keep = np.ones(rows.nuisance.shape[1], bool)
         keep[own] = False
-        columns = rows.nuisance[:, own]
-        mean = np.hstack(
-            (rows.baseline, rows.nuisance[:, keep], *(a.columns for a in outcome.accepted))
-        )
+        nuisance = _from_the_first(rows.nuisance, problem)
+        columns = nuisance[:, own]
+        mean = np.hstack((rows.baseline, nuisance[:, keep], *(a.columns for a in outcome.accepted)))
         proof, reason = (
             held_out(
                 rows,
@@ -137,3 +167,10 @@ def _setup(
         to_separate="",
         sentence=effect.sentence,
     )
+
+
+def _from_the_first(nuisance: FloatArray, problem: ComparisonProblem) -> FloatArray:
+    """Return (m, k) columns of nuisances with that of the clock counted from the first sample."""
+    out = nuisance.copy()
+    out[:, 1] += (problem.setup.alignment.middle - problem.power_on) * nuisance[:, 0]
+    return out

@@ -1,11 +1,48 @@
 """The evidence of an alignment against scipy's own densities."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
+from calib.effects.base import Term
+from calib.mismatch import ReferenceMotion, diagnose_reference
 from calib.mismatch.hypotheses.factors import SCALES, SHARES
 from calib.mismatch.reference.setupfindings import bayes_factor
+from calib.model import SensorModel
+from calib.recording import Recording
+from calib.simulate import Sampling, simulate
+from calib.simulation.bench import bench_protocol
+from calib.simulation.kinematics import Motion
+from calib.simulation.noise import CONSUMER, NoiseModel
+
+SLOW = Term("clock_scale", {"scale": 0.004})
+LATE = Term("time_offset", {"delay": 0.02})
+
+
+@cache
+def motion() -> Motion:
+    rng = np.random.default_rng(1)
+    return bench_protocol(rng, poses=8, first_pose=1.0, pose_duration=(2.0, 3.0), tremor=0.3)
+
+
+def recorded(terms: tuple[Term, ...], noise: NoiseModel) -> Recording:
+    return simulate(
+        motion(),
+        SensorModel(terms=terms),
+        noise,
+        rng=np.random.default_rng(2),
+        rate=50.0,
+        sampling=Sampling(clock_offset=30.0),
+    )
+
+
+def captured(rate: float = 120.0) -> ReferenceMotion:
+    time = np.arange(0.0, motion().duration, 1.0 / rate)
+    turning, path = motion().kinematics(time)
+    assert path is not None
+    return ReferenceMotion(time + 30.0, turning.quat, path.position)
 
 
 @pytest.mark.parametrize("value", [[0.0, 0.0], [3e-3, -1e-3]])
@@ -23,3 +60,20 @@ def test_evidence_is_a_ratio_of_densities(value: list[float]) -> None:
 def test_what_is_beyond_doubt_stays_finite() -> None:
     found = bayes_factor(np.array([1.0]), np.array([[1e-12]]), np.array([1.0]))
     assert 1e250 < found < np.inf
+
+
+@pytest.mark.parametrize("terms", [(SLOW,), (LATE,), (LATE, SLOW)])
+def test_what_is_said_of_the_clocks_makes_the_recording_again(terms):
+    """A clock that ran slow was late as well, by its share of half of the recording."""
+    found = diagnose_reference(recorded(terms, CONSUMER), captured(), gravity=9.80665)
+    assert {f.effect for f in found.findings} == {t.effect for t in terms}
+    for term in terms:
+        said = next(f.parameters for f in found.findings if f.effect == term.effect)
+        for name, value in term.parameters.items():
+            assert said[name].value == pytest.approx(value, abs=4 * said[name].sigma)
+    said = tuple(
+        Term(f.effect, {n: q.value for n, q in f.parameters.items()}) for f in found.findings
+    )
+    again, real = recorded(said, NoiseModel()), recorded(terms, NoiseModel())
+    noise = np.std(recorded(terms, CONSUMER).gyro - real.gyro)
+    assert np.std(again.gyro - real.gyro) < 0.2 * noise
