@@ -22,6 +22,7 @@ from calib.mismatch.reference.alignment import Alignment
 from calib.mismatch.reference.corners import MOVES, ORDER, is_common, shared_jumps, unfollowed
 from calib.mismatch.reference.floor import audible_beside
 from calib.mismatch.reference.scatter import LOUD, QUIETEST
+from calib.mismatch.reference.spectra import spectra_of
 from calib.mismatch.reference.truths import (
     DEGREE,
     LONG_STEP,
@@ -219,24 +220,19 @@ def _shows_all(
     Of the cross-spectrum with the recording, relative to the truth's own, noise of the truth's
     takes its share; so does a low-pass of the sensor, which leaves less in the recording.
     """
-    from scipy.signal import csd, welch  # half a second to import
-
     at = alignment.times(real.time)
     rate = truth.state(np.clip(at, *truth.span)).rate @ mat.T
     sampling = 1.0 / real.interval
-    length = min(len(rate) // 8, round(2.0 * sampling))
-    if length < 16:
-        return False
     # Through the usual windows slow motion would be seen at all frequencies, and in both.
-    window = "blackmanharris"
-    f, own = welch(rate, sampling, window, nperseg=length, axis=0)
-    _, both = csd(rate, real.gyro, sampling, window, nperseg=length, axis=0)
-    _, seen = welch(real.gyro, sampling, window, nperseg=length, axis=0)
+    spectra = spectra_of(rate, real.gyro, sampling, _known(real, truth, at), "blackmanharris")
+    if spectra is None:
+        return False
+    f, own, seen, both = spectra.frequency, spectra.one, spectra.other, spectra.cross
     white = 2.0 * noise**2 / sampling
     reached = KNOWN * 0.5 * min(sampling, 1.0 / truth.recording.interval)
     fast = (f > NARROWEST) & (f < reached)
     # Neighbours of that window are half of them independent, and so are half of its overlaps.
-    number = 0.5 * len(rate) / length
+    number = 0.5 * spectra.number
     for k in range(3):
         heard = np.flatnonzero(fast & (own[:, k] > HEARD * white))
         groups = np.array_split(heard, max(1, len(heard) // SMOOTH))
@@ -386,29 +382,31 @@ def common_band(
     Derivatives of captured orientations and positions grow with frequency, and so does their
     noise. The lower of what the rates and what the specific forces allow holds for both.
     """
-    from scipy.signal import coherence  # half a second to import
-
     if truth.recording.interval < real.interval:
         # Its noise above what the recording resolves must not be folded down.
         narrow = low_passed(truth.recording, 0.4 / real.interval)
         truth = replace(truth, recording=narrow)
     at = alignment.times(real.time)
-    state = truth.state(np.clip(at, *truth.span))
+    state, known = truth.state(np.clip(at, *truth.span)), _known(real, truth, at)
     rate = 1.0 / real.interval
     found = []
     for measured, true in ((real.gyro, state.rate), (real.accel, state.force))[
         : 2 if forces else 1
     ]:
-        length = min(len(measured) // 8, round(2.0 * rate))
-        if length < 16:
+        spectra = spectra_of(measured, true @ mat.T, rate, known, "hann")
+        if spectra is None:
             continue
-        with np.errstate(invalid="ignore"):  # a channel that stands still has no power to share
-            f, each = coherence(measured, true @ mat.T, fs=rate, nperseg=length, axis=0)
-        shared = np.nan_to_num(each).max(axis=1)
-        above = np.flatnonzero((f > NARROWEST) & (shared < COHERENT))
+        shared = spectra.coherence().max(axis=1)
+        above = np.flatnonzero((spectra.frequency > NARROWEST) & (shared < COHERENT))
         if len(above):
-            found.append(float(f[above[0]]))
+            found.append(float(spectra.frequency[above[0]]))
     return max(min(found), NARROWEST) if found else None
+
+
+def _known(real: Recording, truth: RecordingTruth, at: FloatArray) -> BoolArray:
+    """Return which samples the truth covers that follow the one before, (n,) bool."""
+    follows = np.diff(real.time, prepend=real.time[0]) < LONG_STEP * real.interval
+    return np.asarray(truth.covers(at) & follows)
 
 
 def low_passed(recording: Recording, bandwidth: float) -> Recording:

@@ -9,7 +9,9 @@ from calib.effects.base import Term
 from calib.mismatch import diagnose_against
 from calib.mismatch.reference.alignment import Alignment
 from calib.mismatch.reference.band import (
+    NARROWEST,
     _low_passed,
+    common_band,
     denoised,
     fastest_noise,
     low_passed,
@@ -44,6 +46,23 @@ def test_a_motion_that_never_rests_is_no_noise(name: str, rate: float) -> None:
     assert noise is not None
     density = np.array([CONSUMER.accel_noise_density, CONSUMER.gyro_noise_density])
     assert noise == pytest.approx(density * np.sqrt(50.0), rel=0.1)
+
+
+def test_a_motion_that_never_rests_is_no_noise_though_a_truth_saw_a_third_of_it() -> None:
+    real, exact = pair("hand-held", noise=NoiseModel())
+    part = RecordingTruth(exact.slice(len(exact) // 3, 2 * len(exact) // 3), GRAVITY)
+    assert noise_beside_exact(real, part, SAME, np.eye(3)) is not None
+
+
+def test_the_band_is_that_of_what_a_truth_saw_of_the_recording() -> None:
+    """Of a third of it nothing was common, and what was compared ended at 5 Hz."""
+    real, noisy = pair("hand-held", noise=CONSUMER.scaled(2.0))
+    part = RecordingTruth(noisy.slice(len(noisy) // 3, 2 * len(noisy) // 3), GRAVITY)
+    cut = real.slice(*np.searchsorted(real.time, part.span).tolist())
+    whole, own = (common_band(r, part, SAME, np.eye(3), forces=True) for r in (real, cut))
+    assert own is not None
+    assert own > 1.5 * NARROWEST
+    assert whole == pytest.approx(own, abs=1.0)
 
 
 @pytest.mark.parametrize("name", ["hand-held", "pendulum"])
