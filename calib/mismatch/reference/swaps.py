@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from calib.mismatch.reference.alignment import Alignment
+from calib.mismatch.reference.truths import near
 from calib.recording import Recording
 from calib.rotation import quat_multiply
 from calib.types import BoolArray, FloatArray
@@ -69,12 +70,15 @@ def swapped(
     # Bias, scale and misalignment of the gyroscope, and what is left of the offset of the clocks.
     design = np.hstack((np.diff(at)[:, None], seen, fast))
     left = turned - seen
+    # What the body turned by in a gap of the gyroscope's own nobody saw.
+    both = near(real.time, at[:-1]) & near(real.time, at[1:])
     usual = np.linalg.norm(left, axis=1)
-    usual = usual < FAR * np.median(usual)
+    usual = both & (usual < FAR * np.median(usual[both]))
     left = left - design @ np.linalg.lstsq(design[usual], left[usual])[0]
     interval = float(np.median(np.diff(at)))
     # Turns that are missed in a gap do not add up as vectors.
     left[(np.diff(at) > 1.5 * interval) & (np.linalg.norm(seen, axis=1) > SMALL)] = 0.0
+    left[~both] = 0.0
     total = np.vstack((np.zeros(3), np.cumsum(left, axis=0)))
     every = max(1, round(WINDOW / POINTS / interval))
     width = round(WINDOW / (every * interval))

@@ -93,3 +93,13 @@ def test_a_gap_in_which_the_body_turns_on_is_no_swap():
     for first in (2000, 4500):
         quat[first : first + 70] = np.nan
     assert not swapped(time, quat, real, Alignment(0.0, 0.0, 0.0), np.eye(3)).any()
+
+
+def test_a_gap_of_the_gyroscope_is_no_swap():
+    """It was summed up straight across what it had not seen."""
+    real = recorded()
+    rate = np.linalg.norm(real.gyro, axis=1)
+    fast = real.time[np.argmax(np.convolve(rate, np.ones(100), mode="same"))]
+    torn = real.select(np.abs(real.time - fast) > 1.0)
+    seen = captured(swaps=False)
+    assert not swapped(seen.time, seen.quat, torn, Alignment(0.0, 0.0, 0.0), np.eye(3)).any()
