@@ -1,21 +1,29 @@
-"""Whether an accelerometer has other axes than the simulation that it is compared with.
+"""Whether an accelerometer has other axes than what it is compared with, and how far it is turned.
 
 Its three angles of non-orthogonality are those of a frame of its own: x along its x axis, y in the
 plane of its x and y. A simulation's frame may be another (y axis, and the plane of y and z; or the
 body's), and its gyroscope's may be that. Then the accelerometer is turned against it as well.
+
+What else a bias may do (follow temperature, warm up, step, settle) goes with the direction of
+gravity too where poses are visited in order. So the angles are asked of what turns show while they
+last, whatever the bias of each window is, and those of one half of the windows must hold in the
+other.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from calib.effects import get_effect
-from calib.mismatch.noise.noise import expected_levels, make_whitener
+from calib.mismatch.noise.noise import Whitener, expected_levels, make_whitener
 from calib.mismatch.reference.setup import ACCEL_ANGLES
-from calib.mismatch.rows.rows import Rows
+from calib.mismatch.rows.rows import Kind, Rows
 from calib.mismatch.search.accepted import contrast_noise, fitted
 from calib.mismatch.search.refine import likelihood_gain
 from calib.mismatch.twin.twin import baseline_column
+from calib.types import FloatArray
 
 CLEARLY = 10.0
 """Log-likelihood that turning the accelerometer gains at least, and turning both triads does not:
@@ -27,13 +35,39 @@ def has_own_axes(rows: Rows) -> bool:
 
     Both triads are where the sensor is mounted at an angle: that is a finding.
     """
-    mean = fitted(rows, [])
-    whitener = make_whitener(rows, expected_levels(rows), contrast_noise(rows, []), mean)
+    rows = _of_any_bias(rows)
+    whitener = _whitener(rows)
     y = whitener.project(rows.residual)
-    alone = [baseline_column(name, rows.state) for name in ACCEL_ANGLES]
+    alone = _turning(rows, whitener)
     both = get_effect("reference_misalignment").columns(rows.state, {}).values()
-    gains = [
-        likelihood_gain(whitener.project(np.stack([rows.column(c) for c in each], axis=1)), y)
-        for each in (alone, both)
-    ]
-    return gains[0] - max(gains[1], 0.0) > CLEARLY
+    turned = whitener.project(np.stack([rows.column(c) for c in both], axis=1))
+    first = rows.segment % 2 == 0
+    gain = _foretold(alone, y, first) + _foretold(alone, y, ~first)
+    return gain - max(likelihood_gain(turned, y), 0.0) > CLEARLY
+
+
+def _of_any_bias(rows: Rows) -> Rows:
+    """Return rows without the means of windows of the accelerometer, which its bias is in."""
+    means = (rows.kind == int(Kind.MEAN)) & (rows.channel < 3)
+    left = rows.without(means)
+    return replace(left, components=tuple(c for c in left.components if len(c.index)))
+
+
+def _whitener(rows: Rows) -> Whitener:
+    return make_whitener(rows, expected_levels(rows), contrast_noise(rows, []), fitted(rows, []))
+
+
+def _turning(rows: Rows, whitener: Whitener) -> FloatArray:
+    """Return what a unit of each of `ACCEL_ANGLES` adds to the whitened rows, (m, 3)."""
+    columns = [rows.column(baseline_column(name, rows.state)) for name in ACCEL_ANGLES]
+    return whitener.project(np.stack(columns, axis=1))
+
+
+def _foretold(columns: FloatArray, y: FloatArray, told: FloatArray) -> float:
+    """Return the log-likelihood that whitened columns gain where they were not fitted.
+
+    They are fitted to the rows that are ``told``, (m,) bool.
+    """
+    values = np.linalg.lstsq(columns[told], y[told], rcond=1e-9)[0]
+    step = columns[~told] @ values
+    return float(step @ y[~told] - 0.5 * step @ step)

@@ -458,6 +458,23 @@ def test_a_sensor_that_is_mounted_at_an_angle_is_found():
     assert "own_axes" not in found.summary
 
 
+@pytest.mark.parametrize(
+    "term",
+    [
+        Term("accel_warm_up", {"kx": 0.1, "tau": 40.0}),
+        Term("accel_bias_step", {"bx": 0.05, "moment": 20.0}),
+        Term("accel_settling", {"kx": 0.05, "tau": 2.0}),
+    ],
+    ids=lambda term: term.effect,
+)
+def test_what_else_a_bias_may_do_turns_no_axes(term):
+    """Poses are visited in order, so that it goes with the direction of gravity as well."""
+    real = recorded(term, seed=5)
+    seen = look_at_samples(real, find_poses(real))
+    problem, _ = compare_simulation(real, simulation(), seen, gravity=GRAVITY)
+    assert not problem.own_axes
+
+
 @pytest.mark.long
 def test_a_gyroscope_with_axes_of_its_own_is_found():
     found = diagnose_against(*turned(accel=False, gyro=True), gravity=GRAVITY)
