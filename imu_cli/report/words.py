@@ -159,7 +159,7 @@ def notes(document: Mapping[str, Any]) -> list[str]:
         )
     if "own_axes" in recording:
         out.append(
-            "The accelerometer is turned against the frame of the simulation, and the gyroscope is "
+            "The accelerometer is turned against the frame of the other, and the gyroscope is "
             "not by as much: its axes were fitted as they are."
         )
     if "silent" in recording:

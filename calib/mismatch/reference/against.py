@@ -45,7 +45,7 @@ from calib.timing import clock_errors, evened
 from calib.types import FloatArray
 
 OWN_AXES = "own_axes"
-"""Whether the accelerometer is turned against the frame of the simulation, and it alone."""
+"""Whether the accelerometer is turned against the frame of the other, and it alone."""
 
 CORNERS = "corners"
 """How many samples are about corners that those of a simulation are too few to follow: they are

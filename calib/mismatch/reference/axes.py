@@ -15,19 +15,28 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from scipy.special import chdtrc
 
 from calib.effects import get_effect
 from calib.mismatch.noise.noise import Whitener, expected_levels, make_whitener
+from calib.mismatch.reference.carried import OF_GYRO
 from calib.mismatch.reference.setup import ACCEL_ANGLES
 from calib.mismatch.rows.rows import Kind, Rows
 from calib.mismatch.search.accepted import contrast_noise, fitted
 from calib.mismatch.search.refine import likelihood_gain
 from calib.mismatch.twin.twin import baseline_column
-from calib.types import FloatArray
+from calib.recording import AXES
+from calib.types import BoolArray, FloatArray
 
 CLEARLY = 10.0
 """Log-likelihood that turning the accelerometer gains at least, and turning both triads does not:
 what is concealed from a simulation in the sensor's own frame gains less by it."""
+
+BY_CHANCE = 0.01
+"""Probability that the other one's errors alone turn it as far, above which they may have."""
+
+UPPER = tuple(np.transpose([[AXES.index(a) for a in name[-2:]] for name in ACCEL_ANGLES]))
+"""Where the angles are in a matrix."""
 
 
 def has_own_axes(rows: Rows) -> bool:
@@ -35,7 +44,44 @@ def has_own_axes(rows: Rows) -> bool:
 
     Both triads are where the sensor is mounted at an angle: that is a finding.
     """
+    return _gain(_of_any_bias(rows)) > CLEARLY
+
+
+def has_the_others(rows: Rows, errors: FloatArray, spread: FloatArray) -> bool:
+    """Return whether the accelerometer is turned as the errors of another IMU may turn it.
+
+    Where two are mounted at an angle the scale factors of the other's accelerometer have an upper
+    triangle in the sensor's frame. What is more than those errors can be is the sensor's own, and
+    left to be found. So is it where the gyroscopes differ by more than a rotation: their axes take
+    it up.
+
+    Parameters
+    ----------
+    rows : Rows
+    errors, spread : (18,) arrays
+        Of the other IMU in the sensor's frame, and how far they may be off
+        (`calib.mismatch.reference.carried.known_errors`): its gyroscope's axes are turned against
+        its accelerometer's by the odd part of E.
+    """
     rows = _of_any_bias(rows)
+    if _gain(rows) <= CLEARLY:
+        return False
+    whitener = _whitener(rows)
+    y, columns = whitener.project(rows.residual), _turning(rows, whitener)
+    effect = get_effect("gyro_misalignment").columns(rows.state, {}).values()
+    axes = whitener.project(np.stack([rows.column(c) for c in effect], axis=1))
+    if likelihood_gain(np.hstack((columns, axes)), y) - likelihood_gain(columns, y) > CLEARLY:
+        return False
+    covariance = np.linalg.pinv(columns.T @ columns)
+    matrix, loose = (x[3:OF_GYRO].reshape(3, 3) for x in (errors, spread))
+    odd, either = 0.5 * (matrix - matrix.T), 0.25 * (np.square(loose) + np.square(loose.T))
+    off = covariance @ (columns.T @ y) - odd[UPPER]
+    total = float(off @ np.linalg.solve(covariance + np.diag(either[UPPER]), off))
+    return bool(chdtrc(len(off), total) > BY_CHANCE)
+
+
+def _gain(rows: Rows) -> float:
+    """Return the log-likelihood that turning the accelerometer gains, and both triads do not."""
     whitener = _whitener(rows)
     y = whitener.project(rows.residual)
     alone = _turning(rows, whitener)
@@ -43,7 +89,7 @@ def has_own_axes(rows: Rows) -> bool:
     turned = whitener.project(np.stack([rows.column(c) for c in both], axis=1))
     first = rows.segment % 2 == 0
     gain = _foretold(alone, y, first) + _foretold(alone, y, ~first)
-    return gain - max(likelihood_gain(turned, y), 0.0) > CLEARLY
+    return gain - max(likelihood_gain(turned, y), 0.0)
 
 
 def _of_any_bias(rows: Rows) -> Rows:
@@ -63,7 +109,7 @@ def _turning(rows: Rows, whitener: Whitener) -> FloatArray:
     return whitener.project(np.stack(columns, axis=1))
 
 
-def _foretold(columns: FloatArray, y: FloatArray, told: FloatArray) -> float:
+def _foretold(columns: FloatArray, y: FloatArray, told: BoolArray) -> float:
     """Return the log-likelihood that whitened columns gain where they were not fitted.
 
     They are fitted to the rows that are ``told``, (m,) bool.

@@ -9,6 +9,7 @@ are findings (`time_offset`, `clock_scale`, `reference_misalignment`), and so ar
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -18,9 +19,10 @@ from calib.errors import EmptyRecordingError, InvalidSampleError, NoCommonMotion
 from calib.measured import measured
 from calib.mismatch.findings.diagnosis import Diagnosis, summarise
 from calib.mismatch.noise.hush import audible
-from calib.mismatch.reference.against import at_rest, undetermined, unfit
+from calib.mismatch.reference.against import OWN_AXES, at_rest, undetermined, unfit
 from calib.mismatch.reference.alignment import Alignment, align
 from calib.mismatch.reference.alike import check_apart, misleads
+from calib.mismatch.reference.axes import has_the_others
 from calib.mismatch.reference.band import BEYOND, Matched, limited, low_passed, matched, smoothed
 from calib.mismatch.reference.carried import known_errors, settled
 from calib.mismatch.reference.comparison import ComparisonProblem
@@ -385,7 +387,8 @@ def compared(
         common, alignment, mat, notes, reference = _captured(real, reference, gravity, seen.spoilt)
     if common.jumps is not None and common.jumps.any():
         notes[JUMPS] = _left_out(real.time, common.jumps, common.jumps)
-    problem = ComparisonProblem(
+    compare = partial(
+        ComparisonProblem,
         common.real,
         common.truth,
         alignment,
@@ -403,6 +406,9 @@ def compared(
         white=white,
         notes=notes,
     )
+    problem = compare()
+    if other is not None and has_the_others(problem.rows(), *other):
+        problem = compare(own_axes=True, notes={**notes, OWN_AXES: True})
     skip = list(NOT_OF_IMUS) if isinstance(reference, Recording) else []
     if common.limited:
         # What both were limited to hides the sensor's own low-pass.
