@@ -22,6 +22,11 @@ ALIKE = 0.1
 """Share of the signals' powers, in sum, that the right mounting leaves at most: errors of 5 % of
 scale leave a twentieth of that."""
 
+ARM, FELT, EXACT = 0.3, 0.1, 1e-3
+"""m that a sensor may be off the axis of a table of the usual size; the share of gravity that is
+next to nothing: it tilts a mounting by 6 degrees; and that by which gravity alone is off, through a
+low-pass. Any motion of a point is more."""
+
 UNLIKE = 5.0
 """How many times more another frame must leave, or it is as good."""
 
@@ -68,12 +73,27 @@ def _rotation(seen: _Signals) -> FloatArray:
 
 
 def both(real: Recording, truth: RecordingTruth, alignment: Alignment) -> _Signals:
-    """Return what the recording and the truth have in common: rates beside rest, and forces."""
+    """Return what the recording and the truth have in common: rates beside rest, and forces.
+
+    Where the truth's are those of a body that nothing moves, but turns, forces are those of samples
+    at which an arm of `ARM` would make a sensor feel next to nothing: off the axis of a fast table
+    it feels more than gravity. They may be none.
+    """
     at = alignment.times(real.time)
     inside = truth.covers(at)
     state = truth.state(at[inside])
     gyro, rate = (r - np.median(r, axis=0) for r in (real.gyro[inside], state.rate))
-    return (gyro, rate), (real.accel[inside], state.force)
+    accel, force = real.accel[inside], state.force
+    if _is_of_turns_alone(force, truth.gravity):
+        slow = ARM * np.linalg.norm(state.gradient, axis=(1, 2)) < FELT * truth.gravity
+        accel, force = accel[slow], force[slow]
+    return (gyro, rate), (accel, force)
+
+
+def _is_of_turns_alone(force: FloatArray, gravity: float) -> bool:
+    """Whether (n, 3) forces are gravity alone, most of the time."""
+    off = np.abs(np.linalg.norm(force, axis=1) - gravity)
+    return bool(len(force)) and float(np.median(off)) < EXACT * gravity
 
 
 def _left(both: _Signals, mat: FloatArray) -> float:

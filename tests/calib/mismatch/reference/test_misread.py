@@ -6,12 +6,17 @@ import numpy as np
 import pytest
 
 from calib.effects.axis_error import ORDERS, signed_permutation
-from calib.mismatch import diagnose_against, diagnose_reference
-from calib.mismatch.reference.alignment import align
+from calib.mismatch import ReferenceMotion, diagnose_against, diagnose_reference
+from calib.mismatch.reference.alignment import Alignment, align
 from calib.mismatch.reference.misread import misread
+from calib.mismatch.reference.mounted import mounting
 from calib.mismatch.reference.truths import RecordingTruth
+from calib.model import SensorModel
 from calib.recording import Recording
 from calib.rotation import mat_from_rotvec
+from calib.simulate import simulate
+from calib.simulation.noise import CONSUMER
+from calib.simulation.turntable import turntable
 from tests.calib.mismatch.reference.test_against import GRAVITY, recorded, simulation
 
 MOUNTED = mat_from_rotvec(np.array([0.7, -1.9, 0.4]))
@@ -72,3 +77,24 @@ def test_it_ends_the_diagnosis_and_says_what_to_mend():
     (finding,) = doubled.findings
     assert finding.effect == "unit_error"
     assert "reads 2" in finding.sentence
+
+
+@pytest.mark.parametrize(("rate", "arm"), [(12.0, 0.08), (26.0, 0.08), (20.0, 0.15)])
+def test_more_than_gravity_off_the_axis_of_a_table_is_no_unit_and_no_axis(rate: float, arm: float):
+    motion = turntable((rate,), spin=90.0, rest=8.0, ramp=4.0, offset=(arm, 0.0, 0.02))
+    rng = np.random.default_rng(1)
+    real = simulate(motion, SensorModel(), CONSUMER, rng=rng, rate=100.0)
+    quat = motion.kinematics(real.time).turning.quat
+    truth, same = ReferenceMotion(real.time, quat).truth(gravity=GRAVITY), Alignment(0.0, 0.0, 0.0)
+    assert misread(real, truth, same, other="reference") is None
+    mat, left = mounting(real, truth, same)
+    assert mat[2, 2] > np.cos(np.radians(2.0))
+    assert left < 0.01
+    effect, values = seen_beside(replace(real, accel=2.0 * real.accel), truth)
+    assert (effect, values["accel"]) == ("unit_error", pytest.approx(1.0, rel=0.05))
+
+
+def seen_beside(real: Recording, truth: RecordingTruth) -> tuple[str, dict[str, float]]:
+    found = misread(real, truth, Alignment(0.0, 0.0, 0.0), other="reference")
+    assert found is not None
+    return found.effect, {name: q.value for name, q in found.parameters.items()}
