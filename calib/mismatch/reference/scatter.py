@@ -107,7 +107,9 @@ def scatter(
         known = seen @ share
         share[1:] /= blur.white[c // 3]
         variance[:, c] = heard @ share
-        shown[:, c] = known / (seen @ share)
+        # A point through which nothing is seen shows no share of anything.
+        whole = seen @ share
+        shown[:, c] = np.divide(known, whole, out=np.ones(len(whole)), where=whole > 0)
     return Scatter(variance, shown)
 
 

@@ -247,3 +247,13 @@ def test_no_sample_is_without_noise():
     share = _of_parts(parts, errs, np.zeros((600, 1)), 1.0)
     assert share[0] > 0
     assert share[1] == pytest.approx(9.0, rel=0.2)
+
+
+def test_points_through_which_nothing_is_seen_show_no_share_of_it(tumbled: State) -> None:
+    """Of an accelerometer that is judged at rest; it was zero divided by zero."""
+    left = noisy(tumbled, np.random.default_rng(2))[0]
+    resting = np.linalg.norm(tumbled.rate, axis=1) < 1e-3
+    blur = blurred(tumbled).judging(resting)
+    found = scatter(tumbled, left, shown(tumbled), blur=blur, resolved=False)
+    assert np.isfinite(found.variance).all()
+    assert np.isfinite(found.seen).all()
