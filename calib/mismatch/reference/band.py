@@ -19,7 +19,14 @@ from scipy.special import binom
 
 from calib.mismatch.noise.hush import least_noise
 from calib.mismatch.reference.alignment import Alignment
-from calib.mismatch.reference.corners import MOVES, ORDER, is_common, shared_jumps, unfollowed
+from calib.mismatch.reference.corners import (
+    MOVES,
+    ORDER,
+    SELDOM,
+    is_common,
+    shared_jumps,
+    unfollowed,
+)
 from calib.mismatch.reference.floor import audible_beside
 from calib.mismatch.reference.scatter import LOUD, QUIETEST
 from calib.mismatch.reference.spectra import spectra_of
@@ -100,7 +107,8 @@ class Matched(NamedTuple):
     the power (n, 2) of the motion beyond the band, of both triads: unlike samples fold unlike parts
     of it into the band. ``unknown`` (n,) are samples about corners that the truth does not follow.
     ``jumps`` of the motion are spoilt too: those of the recording as it was, before it was thinned.
-    A truth that is ``exact`` has no noise, and was limited because its samples are too few.
+    A truth that is ``exact`` has no noise, and was limited because its samples are too few. Where
+    it is ``jerky`` jumps are how the body moves, and none is left out.
     """
 
     real: Recording
@@ -113,6 +121,7 @@ class Matched(NamedTuple):
     unknown: BoolArray | None = None
     jumps: BoolArray | None = None
     exact: bool = False
+    jerky: bool = False
 
     @property
     def limited(self) -> bool:
@@ -163,7 +172,11 @@ def matched(
         np.hstack((state.force @ mat.T, state.rate @ mat.T)),
         round(0.5 / bandwidth / real.interval),
     )
-    return _limited_beside(real, truth, alignment, bandwidth, spoilt | jumps)._replace(jumps=jumps)
+    jerky = jumps.sum() >= SELDOM * len(jumps)
+    if jerky:
+        jumps = np.zeros(len(jumps), bool)
+    common = _limited_beside(real, truth, alignment, bandwidth, spoilt | jumps)
+    return common._replace(jumps=jumps, jerky=jerky)
 
 
 def _limited_beside(
@@ -380,7 +393,8 @@ def common_band(
     """Return the frequency (Hz) up to which recording and truth agree, None if they do throughout.
 
     Derivatives of captured orientations and positions grow with frequency, and so does their
-    noise. The lower of what the rates and what the specific forces allow holds for both.
+    noise. The lower of what the rates and what the specific forces allow holds for both. Of a
+    recording whose samples show nothing above `NARROWEST` it is that.
     """
     if truth.recording.interval < real.interval:
         # Its noise above what the recording resolves must not be folded down.
@@ -396,10 +410,12 @@ def common_band(
         spectra = spectra_of(measured, true @ mat.T, rate, known, "hann")
         if spectra is None:
             continue
-        shared = spectra.coherence().max(axis=1)
-        above = np.flatnonzero((spectra.frequency > NARROWEST) & (shared < COHERENT))
+        fast, shared = spectra.frequency > NARROWEST, spectra.coherence().max(axis=1)
+        above = np.flatnonzero(fast & (shared < COHERENT))
         if len(above):
             found.append(float(spectra.frequency[above[0]]))
+        elif not fast.any():
+            found.append(NARROWEST)
     return max(min(found), NARROWEST) if found else None
 
 

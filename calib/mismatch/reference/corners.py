@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import binom
 
+from calib.mismatch.reference.truths import LONG_STEP
 from calib.recording import Recording
 from calib.stillness import runs
 from calib.types import BoolArray, FloatArray
@@ -80,7 +81,7 @@ def shared_jumps(
 
     A body is let go, or strikes: when between the samples it was neither tells, and at most rates
     a jump in an uncertain moment is a pulse. What a sensor does alone (a step, a spike, lost
-    samples) its reference does not show. Of a hand that jerks all the while there are none.
+    samples) its reference does not show, nor what moves on in a gap of the sensor's own.
 
     Parameters
     ----------
@@ -92,8 +93,10 @@ def shared_jumps(
         Samples over which the low-pass spreads a jump.
     """
     out = np.zeros(len(recording), bool)
+    torn = np.diff(recording.time, prepend=recording.time[0]) > LONG_STEP * recording.interval
+    torn = np.convolve(torn, np.ones(ORDER + 2 * SPREAD), mode="same") > 0
     for k, signals in enumerate((recording.accel, recording.gyro)):
-        jumps = _differences(signals) > JUMP * 3.0 * _ALONE * noise[k] ** 2
+        jumps = (_differences(signals) > JUMP * 3.0 * _ALONE * noise[k] ** 2) & ~torn
         first, last = runs(jumps)
         if (last - first > LONG).any():
             continue
@@ -104,7 +107,7 @@ def shared_jumps(
             left = (own - other)[about]
             left = left - left.mean(axis=0)
             out[about] |= np.square(left).sum() < ALIKE * np.square(shown).sum()
-    return out if out.sum() < SELDOM * len(out) else np.zeros(len(out), bool)
+    return out
 
 
 def is_common(unfollowed: BoolArray, rate: FloatArray) -> bool:

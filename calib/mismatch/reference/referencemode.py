@@ -31,6 +31,7 @@ from calib.mismatch.reference.corners import FEWEST
 from calib.mismatch.reference.misread import MisreadError, misread
 from calib.mismatch.reference.mounted import UNLIKE, mounting
 from calib.mismatch.reference.oriented import oriented_at_rests
+from calib.mismatch.reference.seldom import TooFewError, check_enough
 from calib.mismatch.reference.shaken import noise_beside
 from calib.mismatch.reference.sized import with_scale
 from calib.mismatch.reference.swaps import swapped
@@ -308,6 +309,8 @@ def diagnose_reference(
         problem, skip = compare_reference(real, reference, seen, gravity=gravity, model=model)
     except MisreadError as error:
         return unfit(seen._replace(findings=(error.finding, *seen.findings)), summary)
+    except TooFewError as error:
+        return undetermined(str(error), summary)
     missing: tuple[str, ...] = ()
     if (
         isinstance(reference, ReferenceMotion)
@@ -343,7 +346,7 @@ def compare_reference(
     model: SensorModel | None = None,
 ) -> tuple[ComparisonProblem, tuple[str, ...]]:
     """Align a reference with a recording; return what to compare, and what cannot show."""
-    problem, skip, _ = compared(real, reference, seen, gravity=gravity, model=model)
+    problem, skip, _ = compared(real, reference, seen, gravity=gravity, model=model, judge=True)
     return problem, skip
 
 
@@ -354,8 +357,12 @@ def compared(
     *,
     gravity: float,
     model: SensorModel | None = None,
+    judge: bool = False,
 ) -> tuple[ComparisonProblem, tuple[str, ...], Recording | ReferenceMotion]:
-    """Return what `compare_reference` does, and the reference as it was used."""
+    """Return what `compare_reference` does, and the reference as it was used.
+
+    To ``judge`` the sensor by it, samples must be enough for its motion.
+    """
     notes: dict[str, object] = {}
     other, white = None, None
     if isinstance(reference, Recording):
@@ -385,6 +392,8 @@ def compared(
         common = common._replace(truth=oriented_at_rests(common.truth))
     else:
         common, alignment, mat, notes, reference = _captured(real, reference, gravity, seen.spoilt)
+        if judge:
+            check_enough(real, reference.truth(gravity=gravity), common)
     if common.jumps is not None and common.jumps.any():
         notes[JUMPS] = _left_out(real.time, common.jumps, common.jumps)
     compare = partial(
@@ -449,7 +458,7 @@ def _captured(
         truth = reference.truth(gravity=gravity, bandwidth=BEYOND * common.band)
         spoilt = spoilt if common.jumps is None else spoilt | common.jumps
         kept = limited(real, truth, common.band, spoilt)
-        common = kept._replace(folded=common.folded, jumps=common.jumps)
+        common = kept._replace(folded=common.folded, jumps=common.jumps, jerky=common.jerky)
     return common, alignment, mat, notes, reference
 
 

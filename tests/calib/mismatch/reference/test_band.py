@@ -17,6 +17,7 @@ from calib.mismatch.reference.band import (
     low_passed,
     matched,
     noise_beside_exact,
+    thinned,
 )
 from calib.mismatch.reference.truths import RecordingTruth
 from calib.model import SensorModel
@@ -52,6 +53,13 @@ def test_a_motion_that_never_rests_is_no_noise_though_a_truth_saw_a_third_of_it(
     real, exact = pair("hand-held", noise=NoiseModel())
     part = RecordingTruth(exact.slice(len(exact) // 3, 2 * len(exact) // 3), GRAVITY)
     assert noise_beside_exact(real, part, SAME, np.eye(3)) is not None
+
+
+def test_samples_that_show_nothing_fast_do_not_agree_throughout() -> None:
+    real, noisy = pair("hand-held", noise=CONSUMER)
+    truth = RecordingTruth(noisy, GRAVITY)
+    slow = thinned(real, 10)
+    assert common_band(slow, truth, SAME, np.eye(3), forces=True) == NARROWEST
 
 
 def test_the_band_is_that_of_what_a_truth_saw_of_the_recording() -> None:
