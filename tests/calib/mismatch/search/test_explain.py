@@ -18,6 +18,7 @@ from calib.mismatch.search.estimate import Estimate, Windows
 from calib.mismatch.search.explain import (
     _Case,
     _go_together,
+    _is_nothing,
     _is_taken_over,
     _judge,
     _of_windows,
@@ -88,10 +89,11 @@ def test_of_a_step_that_later_wandering_took_over_nothing_is_said():
         told, left = np.ones(2, bool), np.zeros(0)
         return Estimate(np.array([size, 9.0]), np.eye(2), (0, 1, 2), {}, {}, {}, left, told)
 
-    assert _is_taken_over(fit(0.5), [step, wanders], 0)
-    assert not _is_taken_over(fit(5.0), [step, wanders], 0)
-    assert not _is_taken_over(fit(0.5), [step, elsewhere], 0)
-    assert not _is_taken_over(fit(0.5), [wanders, step], 1)
+    assert _is_nothing(fit(0.5), 0)
+    assert not _is_nothing(fit(5.0), 0)
+    assert _is_taken_over([step, wanders], 0)
+    assert not _is_taken_over([step, elsewhere], 0)
+    assert not _is_taken_over([wanders, step], 1)
 
 
 def test_a_name_that_others_beat_by_ten_is_none_and_nothing_at_all_if_little_is_left(monkeypatch):
