@@ -329,16 +329,17 @@ def claimed(model: SensorModel, given: Sequence[Term], findings: Sequence[Findin
     """Return a fitted model without the terms that were tried and have no name in the end.
 
     Nor with the parameters of a finding that the recording leaves open: it was fitted without them.
+    What is given has all of its own, fitted along with the model.
     """
-    known = {t.effect: set(t.parameters) for t in given}
-    for f in findings:
-        known[f.effect] = known.get(f.effect, set()) | set(f.parameters)
-    kept = (
-        Term(t.effect, {n: v for n, v in t.parameters.items() if n in known[t.effect]})
-        for t in model.terms
-        if t.effect in known
-    )
-    return replace(model, terms=tuple(t for t in kept if t.parameters))
+    found = {f.effect: set(f.parameters) for f in findings}
+    before, kept = {t.effect for t in given}, []
+    for term in model.terms:
+        own = term.parameters
+        if term.effect not in before:
+            own = {n: v for n, v in own.items() if n in found.get(term.effect, ())}
+        if own:
+            kept.append(Term(term.effect, own))
+    return replace(model, terms=tuple(kept))
 
 
 def summarise(recording: Recording) -> dict[str, object]:
