@@ -33,7 +33,7 @@ from _outside import OUTSIDE, detectable
 from scipy.special import logsumexp
 
 from calib.effects import effects, get_effect
-from calib.effects.base import Effect, Term, TransformEffect
+from calib.effects.base import Effect, Term
 from calib.mismatch import diagnose_recording
 from calib.mismatch.findings.heldout import held_out
 from calib.mismatch.hypotheses.factors import LARGE
@@ -208,10 +208,9 @@ def hidden_effects() -> list[str]:
     """Return the effects that a recording shows by itself, in its rests and turns."""
     out = []
     for slug, effect in effects().items():
-        transform = isinstance(effect, TransformEffect)
         if all(p.reference_only for p in effect.parameters):
             continue
-        if transform and effect.stage == "readout" and slug != "dropped_samples":
+        if effect.is_readout and slug != "dropped_samples":
             continue
         if slug == "clock_scale":
             continue

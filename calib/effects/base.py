@@ -463,6 +463,11 @@ class Effect(ABC):
                 f"{self.slug} has no size: give " + " or ".join(f"`{size}`" for size in every)
             )
 
+    @property
+    def is_readout(self) -> bool:
+        """Whether it acts on the readout, and shows in samples: clipping, rounding, a unit."""
+        return False
+
     def check_moments(self, parameters: Mapping[str, float], *, span: tuple[float, float]) -> None:
         """Check that moments are those of a recording that lasts from and to ``span``, s.
 
@@ -498,6 +503,10 @@ class TransformEffect(Effect):
         self, time: FloatArray, signals: Signals, parameters: Mapping[str, float]
     ) -> Signals:
         """Return the signals with the effect taken out, as far as that is possible."""
+
+    @property
+    def is_readout(self) -> bool:
+        return self.stage == "readout"
 
     def ahead(self, parameters: Mapping[str, float], *, time: FloatArray) -> int:
         """Return how many samples at the end of (n,) times have no input: what is after the end."""

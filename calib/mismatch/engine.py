@@ -160,12 +160,12 @@ def _diagnose(thinned: Thinned, *, gravity: float, model: SensorModel | None) ->
         missing += (to_determine(outcome.undetermined),)
     able = len(poses) > 3
     directions = distinct_directions(poses.accel)
+    left_open = open_baseline(problem.twin.names, fit)
     if directions < LEAST_DIRECTIONS:
         # On the faces of a cube the turns between them tell of the accelerometer's axes.
-        left_open = open_baseline(problem.twin.names, fit)
         able = len(poses) >= LEAST_DIRECTIONS and not left_open
         missing = with_turns(missing, directions, rests=len(poses), left_open=left_open)
-    elif left_open := open_baseline(problem.twin.names, fit):
+    elif left_open:
         # Many poses that lie in one plane tell of no more than two axes.
         able &= not any(name.startswith("accel") for name in left_open)
         missing += (to_determine(left_open),)

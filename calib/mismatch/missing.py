@@ -7,7 +7,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from calib.effects import effects
-from calib.effects.base import Effect, TransformEffect
 from calib.mismatch.findings.diagnosis import Finding
 from calib.mismatch.rows.choice import distinct_directions
 from calib.mismatch.search.search import Outcome
@@ -107,9 +106,5 @@ def hidden_effects(outcome: Outcome) -> dict[str, str]:
     return {
         slug: effect.needs
         for slug, effect in effects().items()
-        if slug not in outcome.tried and effect.kind == "sensor" and not _in_samples(effect)
+        if slug not in outcome.tried and effect.kind == "sensor" and not effect.is_readout
     }
-
-
-def _in_samples(effect: Effect) -> bool:
-    return isinstance(effect, TransformEffect) and effect.stage == "readout"

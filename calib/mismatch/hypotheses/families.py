@@ -60,9 +60,8 @@ def tried_effects(*, skip: tuple[str, ...] = (), reference: bool = False) -> lis
     out = []
     for slug, effect in effects().items():
         # What acts on the readout (clipping, rounding, a unit) shows in the samples, not in rows.
-        readout = isinstance(effect, TransformEffect) and effect.stage == "readout"
         unseen = not reference and all(p.reference_only for p in effect.parameters)
-        if slug not in skip and not unseen and (not readout or slug == "dropped_samples"):
+        if slug not in skip and not unseen and (not effect.is_readout or slug == "dropped_samples"):
             out.append(effect)
     return out
 
@@ -262,7 +261,7 @@ def shape_grid(item: ShapeParameter, rows: Rows, count: int) -> FloatArray:
     start, stop = float(time[0]), float(time[-1])
     if item.spacing == "integer":
         return np.array(item.codes, np.float64)
-    if is_moment(item):
+    if item.is_moment:
         return np.asarray(rows.interval.mean(axis=1)[1:])
     low = item.low if item.low is not None else (stop - start) / 100
     high = item.high if item.high is not None else stop - start
@@ -281,11 +280,6 @@ def forms(effect: Effect, shape: Mapping[str, float]) -> list[dict[str, float]]:
             others = [float(v) for v in item.codes if v != shape[item.name]]
             out += [{**known, item.name: v} for known in out for v in others]
     return out
-
-
-def is_moment(item: ShapeParameter) -> bool:
-    """Whether it is a moment within the recording: any, so that it has no lowest."""
-    return item.unit == "s" and item.spacing == "linear" and item.low is None
 
 
 def is_step(candidate: Candidate) -> bool:
@@ -317,7 +311,7 @@ def neighbours(
         here = shape.get(item.name)
         if here is None or len(grid) < 2 or item.spacing == "integer":
             continue
-        if is_moment(item):
+        if item.is_moment:
             k = rows.segment_at(here)
             if isinstance(effect, TransformEffect):
                 # What a delay leaves goes with the rate at its moment: a hand's tremor changes that

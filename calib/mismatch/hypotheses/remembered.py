@@ -49,12 +49,8 @@ def history(rows: Rows) -> Iterator[tuple[str, FloatArray]]:
     rests = np.flatnonzero(rows.is_rest)
     if len(rests) < 2:
         return
-    state, segment, number = rows.state, rows.point_segment, len(rows.interval)
-    count = np.maximum(np.bincount(segment, minlength=number), 1)[:, None]
-    up, rate = (
-        np.stack([np.bincount(segment, v, number) for v in signal.T], axis=1) / count
-        for signal in (state.gravity_direction, state.rate)
-    )
+    state = rows.state
+    up, rate = (_means(rows, signal) for signal in (state.gravity_direction, state.rate))
     turn = rate * np.ptp(rows.interval, axis=1)[:, None]
     turn /= np.maximum(np.linalg.norm(turn, axis=1, keepdims=True), 1.0)
     pose = poses_at(rows)
@@ -68,6 +64,13 @@ def history(rows: Rows) -> Iterator[tuple[str, FloatArray]]:
     for memory in MEMORIES * float(np.median(np.diff(rows.interval[rests].mean(axis=1)))):
         up = state.gravity_direction
         yield "the pose before", up - lately(rows, up, memory)
+
+
+def _means(rows: Rows, signal: FloatArray) -> FloatArray:
+    """Return the mean of a signal (n, k) over each segment, (s, k)."""
+    segment, number = rows.point_segment, len(rows.interval)
+    count = np.maximum(np.bincount(segment, minlength=number), 1)[:, None]
+    return np.stack([np.bincount(segment, v, number) for v in signal.T], axis=1) / count
 
 
 def poses_at(rows: Rows) -> IntArray:
@@ -109,9 +112,7 @@ def remembered(rows: Rows, c: int) -> Iterator[tuple[str, FloatArray]]:
         yield LOADED, side_of(load, least)[:, None]
     for most in LAGS:
         yield LOADED, lag_of(load, most)[:, None] / most
-    total = np.bincount(rows.point_segment, load, len(rows.is_rest))[rows.is_rest]
-    count = np.bincount(rows.point_segment, minlength=len(rows.is_rest))[rows.is_rest]
-    mean = total / np.maximum(count, 1)
+    mean = _means(rows, load[:, None])[rows.is_rest, 0]
     for side in (mean[:-1], np.diff(mean)):
         yield LOADED, np.append(0.0, np.sign(side))[poses_at(rows)][:, None]
 
@@ -171,7 +172,7 @@ def after_turns(rows: Rows, c: int) -> Iterator[tuple[str, FloatArray]]:
     for memory in FORGETS.tolist():
         yield "time since the last turn", np.exp(-state.since_turn / memory)[:, None] * own
     for memory in PASSES.tolist():
-        yield "time since the last turn", lately(rows, scaled_rates(state)[:, [c % 3]], memory)
+        yield "time since the last turn", lately(rows, rate[:, None], memory)
 
 
 def lagging(rows: Rows) -> Iterator[tuple[str, FloatArray]]:

@@ -8,15 +8,14 @@ from itertools import product
 import numpy as np
 
 from calib.effects import effects, get_effect
-from calib.effects.base import State, TransformEffect
+from calib.effects.base import State
 from calib.types import FloatArray
 
 
 def catalogue_shapes(state: State) -> Iterator[tuple[str, FloatArray]]:
     """Yield what effects of typical size make of a state: channel and values."""
     for slug, effect in effects().items():
-        readout = isinstance(effect, TransformEffect) and effect.stage == "readout"
-        if readout or any(s.low is None or s.high is None for s in effect.shape):
+        if effect.is_readout or any(s.low is None or s.high is None for s in effect.shape):
             continue
         sizes = {p.name: p.typical for p in effect.parameters}
         for shape in _few_shapes(slug):

@@ -49,7 +49,8 @@ def uncarried(recording: Recording, poses: Poses) -> Poses:
     """
     if recording.interval <= 0 or recording.clock == "invalid":
         return poses
-    size, torn = block_size(recording.interval), _holes(recording)
+    assert recording.lost is not None
+    size, torn = block_size(recording.interval), np.flatnonzero(recording.lost)
     start, stop = poses.start.copy(), poses.stop.copy()
     edges = np.concatenate(([0], np.stack((start, stop), axis=1).ravel(), [len(recording)]))
     inwards, slow = np.zeros((2, len(poses), 2), np.int64)
@@ -93,14 +94,11 @@ def _slowly(accel: FloatArray, size: int) -> int:
     return (seen + min(int(np.ceil(seen * level / (most - level))), seen) + 1) * size
 
 
-def _holes(recording: Recording) -> IntArray:
-    """Return the samples before which others are missing."""
-    none = np.zeros(0, np.int64)
-    return none if recording.lost is None else np.flatnonzero(recording.lost > 0)
-
-
 def _next_to_ends(torn: IntArray, a: int, b: int) -> tuple[int, int]:
-    """Return where the first whole part of a rest ``[a, b)`` ends, and where its last begins."""
+    """Return where the first whole part of a rest ``[a, b)`` ends, and where its last begins.
+
+    Before the samples ``torn`` others are missing.
+    """
     own = torn[np.searchsorted(torn, a, side="right") : np.searchsorted(torn, b)]
     return (int(own[0]), int(own[-1])) if len(own) else (b, a)
 

@@ -269,14 +269,13 @@ def _pulses(looks: list[_Look], time: FloatArray, tail: FloatArray) -> list[Unex
     start, stop = float(time[0]), float(time[-1])
     number = sum(look.size.size for look in looks)
     chance = CHANCE / (number / len(CHANNELS)) / 2
-    moments = _moments(looks, start)
+    moments, places = _moments(looks, start)
     # The largest of each moment, at all widths: in the usual noise, and, as a share of what noise
     # hardly reaches, in that of its own rest.
     seen, hit = np.zeros((2, len(moments), 6))
-    for look in looks:
+    for look, place in zip(looks, places, strict=True):
         # One after another in time: each moment's are side by side.
-        own, first = np.unique(_moment(look, start), return_index=True)
-        at = np.searchsorted(moments, own)
+        at, first = np.unique(place, return_index=True)
         size = np.abs(look.size)
         seen[at] = np.maximum(seen[at], np.maximum.reduceat(size, first))
         limit = beyond(tail, look.width, chance)
@@ -302,14 +301,14 @@ def _pulses(looks: list[_Look], time: FloatArray, tail: FloatArray) -> list[Unex
     return out
 
 
-def _moment(look: _Look, start: float) -> IntArray:
-    """Return in which moment, from the start on, each value of a look is."""
-    return np.asarray(((look.time - start) / APART).astype(np.int64))
+def _moments(looks: list[_Look], start: float) -> tuple[IntArray, list[IntArray]]:
+    """Return the moments, from the start on, that are looked at, and which is that of each value.
 
-
-def _moments(looks: list[_Look], start: float) -> IntArray:
-    """Return the moments that are looked at: those of a clock that jumps by years are few."""
-    return np.unique(np.concatenate([_moment(look, start) for look in looks]))
+    Those of a clock that jumps by years are few.
+    """
+    every = [((look.time - start) / APART).astype(np.int64) for look in looks]
+    moments = np.unique(np.concatenate(every))
+    return moments, [np.searchsorted(moments, own) for own in every]
 
 
 def is_told(item: Unexplained, others: Sequence[Unexplained]) -> bool:
@@ -328,10 +327,10 @@ def is_told(item: Unexplained, others: Sequence[Unexplained]) -> bool:
 def _jolts(looks: list[_Look], time: FloatArray) -> list[Unexplained]:
     """Return the few moments at which channels are off by many noises: one item of all of them."""
     start, stop = float(time[0]), float(time[-1])
-    moments = _moments(looks, start)
+    moments, places = _moments(looks, start)
     seen = np.zeros((len(moments), 6))
-    for look in looks:
-        np.maximum.at(seen, np.searchsorted(moments, _moment(look, start)), np.abs(look.size))
+    for look, place in zip(looks, places, strict=True):
+        np.maximum.at(seen, place, np.abs(look.size))
     large = (seen > JOLT).any(axis=1)
     apart = np.diff(moments[large]) > 1
     first = moments[large][np.append(True, apart)[: large.sum()]]

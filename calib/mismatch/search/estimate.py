@@ -33,7 +33,6 @@ from calib.mismatch.hypotheses.families import (
     around,
     candidate_columns,
     forms,
-    is_moment,
     shape_grid,
 )
 from calib.mismatch.noise.noise import make_whitener, spread_of_variance
@@ -373,7 +372,7 @@ def _moments(a: Accepted) -> list[ShapeParameter]:
     if not a.candidate.physical:
         return []
     shape = get_effect(a.candidate.name).shape
-    return [item for item in shape if is_moment(item) and item.name in a.candidate.shape]
+    return [item for item in shape if item.is_moment and item.name in a.candidate.shape]
 
 
 def _forms(a: Accepted) -> list[dict[str, float]]:

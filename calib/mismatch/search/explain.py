@@ -16,7 +16,6 @@ from calib.effects.base import Effect
 from calib.mismatch.findings.diagnosis import Finding, Interval, Rival, Unexplained, Verdict
 from calib.mismatch.findings.evidence import TIME, gather
 from calib.mismatch.findings.heldout import LeftOut, leave_out
-from calib.mismatch.hypotheses.families import is_moment
 from calib.mismatch.hypotheses.places import joined
 from calib.mismatch.hypotheses.rivals import FROM_START
 from calib.mismatch.hypotheses.slipped import angle_of
@@ -241,7 +240,7 @@ def _parameters(a: Accepted, effect: Effect, fit: Estimate, which: int) -> dict[
     for item in effect.shape:
         if item.name in a.candidate.shape:
             here, spread = a.candidate.shape[item.name], None
-            if item.spacing == "log" or is_moment(item):
+            if item.spacing == "log" or item.is_moment:
                 spread = fit.shapes[which, item.name]
             out[item.name] = Quantity(float(here), spread, item.unit)
     return out
@@ -411,7 +410,7 @@ def _intervals(rows: Rows, a: Accepted) -> tuple[Interval, ...]:
     effect = get_effect(a.candidate.name)
     if effect.kind == "event":
         for item in effect.shape:
-            if item.unit == "s" and item.low is None:
+            if item.is_moment:
                 start = a.candidate.shape[item.name]
     lost = any(p.unit == "samples" for p in effect.parameters)
     if lost and not rows.aligned:
