@@ -61,6 +61,8 @@ REVERSAL = TREMOR_RATE / 4
 rad/s."""
 LONG_REST = 30
 """Blocks from which on a rest cannot be the end of a swing."""
+BRIEF = 1 / 3
+"""Share of the median length of rests below which what turns slowly is a part of a turn."""
 LONGEST_RISE = 40
 """Blocks by which an end may move inwards."""
 NEAR = 20, 600
@@ -123,7 +125,32 @@ def refine(
             segments = _split(segments, partial(_rate_moved, off, scale=scale, level=level))
         segments = _join(blocks, off, segments, (n_force, n_rate), units)
         found += [(*segment, ONSET * n_rate) for segment in segments]
-    return _trim(blocks.gyro, off, found, least, units)
+    return _still(off, _trim(blocks.gyro, off, found, least, units), steps[1])
+
+
+def _still(off: FloatArray, segments: list[tuple[int, int]], step: float) -> list[tuple[int, int]]:
+    """Return the segments without brief ones that turn slowly, as a part of a turn may.
+
+    They are brief beside what a rest of this recording lasts, and `off`, or off by more in one half
+    than in the other, than noise and what the rates of rests differ by make them.
+    """
+    if len(segments) < POSES:
+        return segments
+    length = np.array([b - a for a, b in segments])
+    halves = np.array(
+        [
+            [off[a : (a + b) // 2].mean(axis=0), off[(a + b) // 2 : b].mean(axis=0)]
+            for a, b in segments
+        ]
+    )
+    rate = np.linalg.norm(halves.mean(axis=1), axis=1)
+    brief = length < min(BRIEF * float(np.median(length)), LONG_REST)
+    noise = np.median([scatter(off[a:b], step) for a, b in np.array(segments)[~brief]])
+    usual = NORM * noise / np.sqrt(length)
+    turns = rate > usual + 3.0 * np.median(rate[~brief])
+    turns |= np.linalg.norm(np.ptp(halves, axis=1), axis=1) > 2.0 * usual
+    turns &= brief
+    return [segment for segment, out in zip(segments, turns.tolist(), strict=True) if not out]
 
 
 def _rate_at_rest(

@@ -46,7 +46,7 @@ def observed(state: State, reads: Collection[str]) -> State:
     turns = bool({"since_turn", "turning"} & set(reads)) and state.since_turn is None
     if not (shakes or turns):
         return state
-    starts, ends = observed_turns(state.time, state.rate)
+    starts, ends = observed_turns(state.time, state.rate, state.force)
     since, turning = since_and_during(state.time, starts, ends)
     if shakes:
         state = replace(state, vibration=vibration_variance(state.time, state.force, turning))
@@ -71,8 +71,9 @@ def observed_turns(
     at = time[fast]
     first = fast[np.diff(at, prepend=-np.inf) > PAUSE]
     last = fast[np.diff(at, append=np.inf) > PAUSE]
+    backwards = -time[::-1]
     starts = [
-        _edge(-time[::-1], both[::-1], len(time) - 1 - b, -after)
+        _edge(backwards, both[::-1], len(time) - 1 - b, -after)
         for b, after in zip(first, np.append(-np.inf, time[last[:-1]]), strict=True)
     ]
     ends = [

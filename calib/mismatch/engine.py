@@ -47,6 +47,7 @@ from calib.mismatch.rows.grid import (
     steady,
     untouched,
 )
+from calib.mismatch.rows.nudged import still_parts
 from calib.mismatch.rows.uncarried import uncarried
 from calib.mismatch.rows.underway import under_way
 from calib.mismatch.samples.coarse import SHOWS, coarse_channels, unhidden_triads
@@ -128,6 +129,7 @@ def _diagnose(thinned: Thinned, *, gravity: float, model: SensorModel | None) ->
     if seen.fatal:
         return _unfit(thinned, missing, seen.need, "explained")
     poses, bumps = parted(recording, uncarried(recording, thinned.poses))
+    poses = still_parts(recording, poses)
     left_alone = untouched(recording, poses)
     said, noisy = told_once(seen.unexplained, look_at_rests(recording, left_alone))
     if disturbed:
@@ -358,8 +360,8 @@ def _unfit(thinned: Thinned, missing: tuple[str, ...], need: str, otherwise: Ver
 
 
 def _summary(thinned: Thinned, poses: Poses, bumps: Sequence[Interval]) -> dict[str, object]:
-    # What a bump parts is one pose, and no turn.
-    used = max(len(poses) - len(bumps), 0)
+    # What a bump parts, or a slow turn, is one pose, and no turn.
+    used = max(min(len(poses) - len(bumps), thinned.found), 0)
     return {
         **summarise(thinned.recording),
         "duration": thinned.duration,

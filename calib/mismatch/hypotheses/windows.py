@@ -171,6 +171,9 @@ def in_windows(
         if b - a >= FLUCTUATION:
             ramp = function_of_time(RAMP, interval[a:b].mean(axis=1), start, stop)
             yield Local(GAIN, (a, b), (start, stop), dict(RAMP), ramp)
+            if waves:
+                grows = function_of_time(RAMP, time, start, stop)
+                yield Local("bias in a window", (a, b), (start, stop), dict(RAMP), grows)
         if FLUCTUATION <= b - a <= MOST_APART:
             own = np.repeat(np.eye(b - a), np.diff(first[a : b + 1]), axis=0)
             yield Local(FLUCTUATING, (a, b), (start, stop), dict(APART), own)

@@ -13,6 +13,7 @@ import numpy as np
 
 from calib.bumps import tilted
 from calib.faults import ROBUST
+from calib.mismatch.rows.underway import GAP
 from calib.poses import Poses, average_poses
 from calib.recording import Recording
 from calib.types import FloatArray
@@ -71,8 +72,7 @@ def _bump(recording: Recording, start: int, stop: int) -> tuple[int, int] | None
     width = max(3, round(QUICK / step))
     least = max(FEWEST, round(SHORTEST / step))
     number = stop - start
-    lasted = float(recording.time[stop - 1] - recording.time[start])
-    if number < 2 * least + 2 * width or abs(lasted - (number - 1) * step) > step:
+    if number < 2 * least + 2 * width or np.diff(recording.time[start:stop]).max() > GAP * step:
         return None
     gyro = recording.gyro[start:stop]
     off = gyro - np.median(gyro, axis=0)

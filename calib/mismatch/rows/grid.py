@@ -33,8 +33,9 @@ LONGEST_TURN = 30.0
 """Motion that lasts longer than this between two rests is not closed, s: the errors of a hand
 shaking a sensor for minutes say nothing of its calibration."""
 
-SHORTEST_CELL = 2.0
-"""Of a rest that is cut, s."""
+SHORTEST_CELL, LONGEST_CELL = 2.0, 120.0
+"""Of a rest that is cut, s: over minutes a bias walks, and where all rests last half an hour no two
+of their means would tell how far."""
 
 LOUD = 9.0
 """Noise power, relative to the median, above which a pose is louder than others."""
@@ -337,7 +338,8 @@ def _cell_counts(poses: Poses, shortest: float) -> IntArray:
     """
     length = poses.interval[:, 1] - poses.interval[:, 0]
     few = max(1.0, 30.0 / len(poses))
-    typical = max(shortest, float(np.median(length)) * 1.5 / few, float(length.sum()) / CELLS)
+    usual = min(float(np.median(length)) * 1.5 / few, LONGEST_CELL)
+    typical = max(shortest, usual, float(length.sum()) / CELLS)
     samples = (poses.stop - poses.start) // 30
     most = max(min(CELLS, (ROWS - 5 * (len(poses) - 1)) // 6), len(poses))
     while True:

@@ -16,7 +16,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import chdtri, fdtrc, logsumexp, softmax
+from scipy.special import chdtri, fdtrc, logsumexp, softmax, spherical_jn
 
 from calib.mismatch.findings.diagnosis import Interval, Unexplained
 from calib.mismatch.hypotheses.ends import expected_overlap
@@ -61,9 +61,9 @@ over these a line spreads."""
 QUANTILES = 16
 """Lengths of pieces that stand for all of them."""
 
-LOST, LOWEST = 0.3, 0.6
-"""Cycles in a piece below which its mean takes nearly all of a line away, and from which on one is
-looked for: of slower ones the means themselves tell."""
+LOST, LOWEST = 0.5, 0.8
+"""Cycles in a piece below which its straight line takes nearly all of a line away, and from which
+on one is looked for: of slower ones the means themselves tell."""
 
 EFFICIENCY = 2.0 / np.pi
 """Of a median of many, relative to their mean."""
@@ -76,7 +76,7 @@ ALSO = 0.01
 
 
 class _Signal(NamedTuple):
-    """Means over blocks of samples at rest, without that of their piece of it.
+    """Means over blocks of samples at rest, without the straight line of their piece of it.
 
     Parameters
     ----------
@@ -190,7 +190,7 @@ def _at_rest(recording: Recording, poses: Poses) -> _Signal | None:
     values = np.add.reduceat(every, first) / count[:, None]
     piece = piece[first]
     begin = ((recording.time[began] - recording.time[0]) / step).astype(np.int64)
-    values = values - _means(values, piece)
+    values = values - _lines(values, piece, at)
     values = values - _means(values, at - begin[piece], least=FEWEST)
     length = step * np.bincount(piece, minlength=len(pieces)).astype(np.float64)
     ends = np.array([recording.time[part[[0, -1]]] for part in pieces])
@@ -202,6 +202,17 @@ def _means(values: FloatArray, which: IntArray, *, least: int = 1) -> FloatArray
     number = np.bincount(which)
     mean = np.stack([np.bincount(which, column) for column in values.T], axis=1)
     return np.asarray((mean * (number >= least)[:, None] / np.maximum(number, 1)[:, None])[which])
+
+
+def _lines(values: FloatArray, piece: IntArray, at: IntArray) -> FloatArray:
+    """Return the straight line through the (n, 6) values of its piece at each place.
+
+    A bias that drifts through a rest that is cut would be a sawtooth, of the period of its pieces.
+    """
+    since = (at - _means(at[:, None].astype(np.float64), piece)[:, 0])[:, None]
+    spread = _means(np.square(since), piece)
+    slope = _means(since * values, piece) / np.maximum(spread, np.finfo(float).tiny)
+    return np.asarray(_means(values, piece) + slope * since)
 
 
 class _Spectrum:
@@ -232,7 +243,7 @@ class _Spectrum:
         self.resolution = 1.0 / (size * signal.step)
         frequency = self.resolution * np.arange(len(power))
         typical = np.quantile(signal.length, (np.arange(QUANTILES) + 0.5) / QUANTILES)
-        lost = np.mean([np.square(np.sinc(frequency * length)) for length in typical], axis=0)
+        lost = np.mean([_taken(frequency * length) for length in typical], axis=0)
         usual = float(np.median(signal.length))
         self._first = int(np.searchsorted(frequency, LOST / usual))
         power /= len(signal.at) * (1.0 - lost[:, None]).clip(1e-9)
@@ -288,6 +299,16 @@ class _Spectrum:
             return None  # what is left of one that is faster
         power = 2.0 * np.maximum(over, 0.0) / self._number
         return _Line(frequency, power, scale.floor[k], scale.chance[k])
+
+
+def _taken(cycles: FloatArray) -> FloatArray:
+    """Return the share of a line's power that a straight line takes, by its cycles in the piece.
+
+    That is ``j0(x)² + 3 j1(x)²`` with ``x = pi cycles``, of spherical Bessel functions: what a wave
+    of any phase has of the first two Legendre polynomials.
+    """
+    x = np.pi * cycles
+    return np.asarray(np.square(spherical_jn(0, x)) + 3.0 * np.square(spherical_jn(1, x)))
 
 
 def _floors(parts: FloatArray) -> tuple[FloatArray, IntArray]:

@@ -30,11 +30,9 @@ claim, and 7 of 710 reached 2.5, of one part and of many (``concealed.py --parts
 noise had to be learnt from them. Of noise that is known it is less than half of that
 (``evidence.py``). Markov's inequality has 1."""
 
-SHORT = 5.0
-"""Log evidence below that of a claim from which levels of its own do not raise a group to it."""
-
 ASIDE = 7.0
-"""The same for a step, by a moment between those that were tried."""
+"""Log evidence below that of a claim from which a moment between those that were tried does not
+raise a step to the running."""
 
 PAIRS = 3
 """How many effects of one channel are tried as the first of a pair."""
@@ -130,8 +128,6 @@ def rank(
         best, groups = grouped(stack, evidence)
     beside = {}
     for name in leading(best, {g: groups[g] for g in running}):
-        if groups[name] <= np.log(CLAIM) - SHORT:
-            continue
         leaders = with_fullest(stack, evidence, best[name])
         if not leaders[-1].shape and again(leaders[-1], accepted):
             continue  # all of it is fitted: no drift makes it show

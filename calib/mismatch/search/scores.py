@@ -27,15 +27,22 @@ from calib.mismatch.noise.noise import (
     Levels,
     Whitener,
     estimate_levels,
+    expected_levels,
     find_levels,
     level_basis,
     level_likelihood,
     make_whitener,
+    prior_precision,
 )
+from calib.mismatch.noise.sensornoise import DRIFT
 from calib.mismatch.rows.rows import Rows
 from calib.mismatch.search.accepted import Accepted, contrast_noise, fitted
 from calib.recording import CHANNELS
 from calib.types import BoolArray, FloatArray
+
+RAISED = 1.5
+"""How much higher the drift of a channel is than that of the others lets one expect, from which on
+a disturbance may be what raises it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,6 +176,10 @@ class Scores:
                 outside, cost = self._suited(levels, strong, stack.of(strong))
                 scored = self.at(levels, outside, self._null(levels) + cost, which)
                 evidence = np.maximum(evidence, scored)
+                lower = foretold_levels(rows, base.values, channels)
+                if (base.values > RAISED * lower).any():
+                    scored = self.at(lower, self.contrast, self._null(lower), which)
+                    evidence = np.maximum(evidence, scored)
         return evidence, every, hidden
 
     def with_own_drift(self, leader: Candidate, every: Levels) -> tuple[FloatArray, FloatArray]:
@@ -180,7 +191,10 @@ class Scores:
         here, moved = leader, nearby(rows, leader)
         own, between = stack.of(leader), []
         if len(moved):
-            whitener = self.whitener(base.values, self.contrast)
+            levels = base.values
+            if not leader.physical:
+                levels = foretold_levels(rows, levels, leader.channels)
+            whitener = self.whitener(levels, self.contrast)
             y = whitener.project(rows.residual)
             factors = moved.log_bayes_factors(whitener, y)
             order = np.argsort(-factors)
@@ -226,6 +240,24 @@ class Scores:
             whitener = self.whitener(levels, variance)
             value.append(log_bayes_factor(whitener.project(own), whitener.project(rows.residual)))
         return (outside, cost) if value[1] + cost > value[0] else (self.contrast, 0.0)
+
+
+def foretold_levels(rows: Rows, levels: FloatArray, channels: tuple[str, ...]) -> FloatArray:
+    """Return levels with the drift of some channels no higher than the others' lets one expect.
+
+    That is the mean of what the prior leaves of their logarithms beside the others' [1]_.
+
+    References
+    ----------
+    .. [1] Rasmussen, Williams, "Gaussian Processes for Machine Learning", 2006, eq. (A.6).
+    """
+    own = np.array([c.group in DRIFT and c.name.split(" ")[0] in channels for c in rows.components])
+    precision, expected = prior_precision(rows), expected_levels(rows)
+    logs = np.log(levels / expected)
+    told = -np.linalg.solve(precision[np.ix_(own, own)], precision[np.ix_(own, ~own)] @ logs[~own])
+    out = levels.copy()
+    out[own] = np.minimum(levels[own], expected[own] * np.exp(told))
+    return out
 
 
 def _swap(rows: Rows, base: FloatArray, every: FloatArray, channels: tuple[str, ...]) -> FloatArray:
