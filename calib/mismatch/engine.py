@@ -274,7 +274,8 @@ def _searched(
         problem.leave_out([turn.segment for turn in odd])
         outcome, fit = _found(problem, skip=skip)
         odd += odd_turns(outcome)
-    return outcome, fit, sorted((turn.said for turn in odd), key=lambda u: u.intervals)
+    said = dict.fromkeys(turn.said for turn in odd)
+    return outcome, fit, sorted(said, key=lambda u: u.intervals)
 
 
 def _found(problem: SelfProblem, *, skip: tuple[str, ...]) -> tuple[Outcome, Estimate]:

@@ -51,9 +51,8 @@ CORNERS = "corners"
 """How many samples are about corners that those of a simulation are too few to follow: they are
 left out."""
 
-_SELDOM_ALONE = ("earth_rate", "gravity_magnitude", "reference_tilt", "reference_smoothing")
-"""What is in a simulation's own signals already, or is a scale that the baseline has; and what is
-wrong with a room, or with markers."""
+_SELDOM_ALONE = ("earth_rate", "reference_tilt", "reference_smoothing")
+"""What is in a simulation's own signals already; and what is wrong with a room, or with markers."""
 
 BY_ITSELF = (
     "motion to compare: neither it nor the simulation turns, so it was judged by itself; rests "

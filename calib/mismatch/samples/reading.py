@@ -10,14 +10,12 @@ from calib import faults
 from calib.measured import Measured
 from calib.mismatch.findings.diagnosis import Finding, Unexplained
 from calib.mismatch.findings.heldout import HeldOut
+from calib.mismatch.rows.underway import GAP
 from calib.mismatch.samples.found import SPIKES, Samples, fault_finding, intervals_of
 from calib.mismatch.samples.losses import Loss
 from calib.mismatch.samples.within import SEVERAL, densest
 from calib.recording import CHANNELS, Recording
 from calib.types import BoolArray, FloatArray, IntArray
-
-GAP = 2.5
-"""Sample intervals without a sample, from which on a turn is not integrated across them."""
 
 CERTAIN = 0.1
 """Standard error of a number of samples below which it is no other: one in a hundred is off."""

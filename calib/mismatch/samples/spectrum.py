@@ -12,6 +12,7 @@ from scipy.special import chdtrc, chdtri, fdtrc, stdtr
 from calib.faults import noise_in_counts, resolution, values_of
 from calib.mismatch.findings.diagnosis import Unexplained
 from calib.mismatch.hypotheses.places import SEEN, joined
+from calib.mismatch.rows.underway import GAP
 from calib.mismatch.samples.knocks import knocked
 from calib.poses import Poses
 from calib.read_once import HELD
@@ -83,6 +84,9 @@ def look_at_spectrum(recording: Recording, poses: Poses) -> tuple[Unexplained, .
     start = np.concatenate(starts)
     count = np.append(0, np.cumsum(knocked(recording, poses)))
     still = count[start + LENGTH] == count[start]
+    if recording.interval > 0 and recording.clock != "invalid":
+        torn = np.append(0, np.cumsum(np.diff(recording.time) > GAP * recording.interval))
+        still &= torn[start + LENGTH - 1] == torn[start]
     start, pose = start[still], pose[still]
     if len(pose) < 8:
         return ()

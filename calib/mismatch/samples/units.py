@@ -10,7 +10,7 @@ import numpy as np
 from calib import faults
 from calib.effects import get_effect
 from calib.effects.axis_error import ORDERS, signed_permutation
-from calib.mismatch.findings.diagnosis import Finding, Unexplained
+from calib.mismatch.findings.diagnosis import Finding, Rival, Unexplained
 from calib.mismatch.samples.found import (
     BEYOND,
     COPIED,
@@ -26,6 +26,7 @@ from calib.recording import CHANNELS, Recording
 from calib.synchrony import STEP, gyro_delay
 from calib.tilts import FEWEST, GYRO_FACTORS, Closure
 from calib.turns import find_turns
+from calib.types import FloatArray
 from calib.units import ACCEL_FACTORS, name_of, unit_faults
 
 GYRO = CHANNELS[3:]
@@ -94,14 +95,45 @@ def _units(recording: Recording, poses: Poses, closure: Closure | None) -> list[
 
 
 def _axes(recording: Recording, closure: Closure | None) -> list[Finding]:
+    """Return that turns and gravity do not have the same axes: those of one triad are wrong.
+
+    What the gyroscope has by P, a rotation, the accelerometer may have by ``inv(P)``, or by the
+    mirror image ``-inv(P)``: rates are a pseudovector, and do not tell. The fewest wrong axes are
+    the likelier mistake.
+    """
     if closure is None or np.array_equal(closure.axes, np.eye(3)):
         return []
     # The closure knows what undoes the mistake; the effect states the mistake.
     made = closure.axes.T
-    number = next((k for k in range(len(ORDERS)) if np.array_equal(signed_permutation(k), made)), 0)
-    names = tuple(f"gyro.{a}" for a, row in zip("xyz", made - np.eye(3), strict=True) if row.any())
-    found = {"gyro": 1.0, "gyro_axes": float(number)}
-    return [fault_finding("axis_error", recording, names, found)]
+    mistakes = [("gyro", made)]
+    if np.linalg.det(made) > 0:
+        mistakes.append(("accel", min((made.T, -made.T), key=_wrong)))
+    (triad, mat), *others = sorted(mistakes, key=lambda mistake: _wrong(mistake[1]))
+    names = tuple(
+        f"{triad}.{a}" for a, row in zip("xyz", mat - np.eye(3), strict=True) if row.any()
+    )
+    found = fault_finding("axis_error", recording, names, _laid(triad, mat))
+    for other, mat in others:
+        words = get_effect("axis_error").in_words(_laid(other, mat))
+        found = replace(
+            found,
+            sentence=f"{found.sentence} Or, and nothing here tells which: {words}",
+            rivals=(Rival(f"axis_error of the {other}", 1.0),),
+            to_separate="Lay the sensor down with each of its marked axes upwards: the "
+            "accelerometer reads +1 g along it if its axes are right.",
+        )
+    return [found]
+
+
+def _wrong(mat: FloatArray) -> int:
+    """Return how many axes a signed permutation (3, 3) changes."""
+    return int((mat - np.eye(3)).any(axis=1).sum())
+
+
+def _laid(triad: str, mat: FloatArray) -> dict[str, float]:
+    """Return the parameters of an axis error of one triad."""
+    number = next((k for k in range(len(ORDERS)) if np.array_equal(signed_permutation(k), mat)), 0)
+    return {triad: 1.0, f"{triad}_axes": float(number)}
 
 
 def axes_beside(

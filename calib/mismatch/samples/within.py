@@ -25,14 +25,11 @@ from calib.mismatch.findings.diagnosis import Interval, Unexplained
 from calib.mismatch.hypotheses.ends import expected_overlap
 from calib.mismatch.hypotheses.windows import windows
 from calib.mismatch.samples.found import RESTLESS
-from calib.mismatch.samples.spectrum import SHARE
+from calib.mismatch.samples.spectrum import CLAIM, SHARE
 from calib.mismatch.samples.tails import beyond, tails, usual_of
 from calib.poses import Poses
 from calib.recording import CHANNELS, Recording
 from calib.types import BoolArray, FloatArray, IntArray
-
-CLAIM = 1e-4
-"""Family-wise p-value below which something is reported."""
 
 WIDEST = 0.5
 """Longest window, s: of what is slower the rows know."""

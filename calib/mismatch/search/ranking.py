@@ -116,6 +116,7 @@ def rank(
     running += _at_moments(scores, best, groups, running)
     wide: Levels | None = None
     hidden: list[Hidden] = []
+    plain = max(groups.values()) > PLAIN
     if len(running) > 1:
         names, code = stack.groups()
         which = np.array([g in running for g in names])[code]
@@ -123,7 +124,6 @@ def rank(
             # The strongest rivals are taken of every channel.
             rest = scores.at(base.values, scores.contrast, base.log_likelihood, ~counted)
             evidence = np.maximum(evidence, rest)
-        plain = max(groups.values()) > PLAIN
         evidence, wide, hidden = scores.with_drift_of_all(evidence, which, every, plain=plain)
         best, groups = grouped(stack, evidence)
     beside = {}
@@ -133,7 +133,7 @@ def rank(
             continue  # all of it is fitted: no drift makes it show
         most = -np.inf
         for leader in leaders:
-            scored, levels = scores.with_own_drift(leader, wide or base)
+            scored, levels = scores.with_own_drift(leader, wide or base, plain=plain)
             evidence = np.maximum(evidence, scored)
             if scored.max() > most:
                 most, beside[name] = float(scored.max()), levels

@@ -135,7 +135,9 @@ class Scores:
         """Return the evidence where physics, or rivals, take up the drift of their channels.
 
         Of those candidates that are marked as running. What is ``plain`` is judged with the drift
-        that either leaves: there levels change it by more than one answer is ahead of another.
+        that either leaves: there levels change it by more than one answer is ahead of another. What
+        is not may be what raises the drift of its channels: it is judged with what the others' lets
+        one expect as well.
 
         Beside it the levels with all physics in the mean, and the evidence for physics there. Their
         search starts from those of an earlier ranking, if they are `known`: physics that was
@@ -176,23 +178,31 @@ class Scores:
                 outside, cost = self._suited(levels, strong, stack.of(strong))
                 scored = self.at(levels, outside, self._null(levels) + cost, which)
                 evidence = np.maximum(evidence, scored)
-                lower = foretold_levels(rows, base.values, channels)
-                if (base.values > RAISED * lower).any():
-                    scored = self.at(lower, self.contrast, self._null(lower), which)
-                    evidence = np.maximum(evidence, scored)
+        for channels in () if plain else TOGETHER:
+            lower = foretold_levels(rows, base.values, channels)
+            which = running & (
+                stack.of_channels(channels, physical=True)
+                | stack.of_channels(channels, physical=False)
+            )
+            if which.any() and (base.values > RAISED * lower).any():
+                scored = self.at(lower, self.contrast, self._null(lower), which)
+                evidence = np.maximum(evidence, scored)
         return evidence, every, hidden
 
-    def with_own_drift(self, leader: Candidate, every: Levels) -> tuple[FloatArray, FloatArray]:
+    def with_own_drift(
+        self, leader: Candidate, every: Levels, *, plain: bool
+    ) -> tuple[FloatArray, FloatArray]:
         """Return the evidence for a candidate's group with levels of its own, and these levels.
 
-        Near its place, too.
+        Near its place, too, and nearest where it shows best: what is not ``plain`` under drift that
+        it does not raise.
         """
         rows, stack, base = self.rows, self.stack, self.base
         here, moved = leader, nearby(rows, leader)
         own, between = stack.of(leader), []
         if len(moved):
             levels = base.values
-            if not leader.physical:
+            if not plain:
                 levels = foretold_levels(rows, levels, leader.channels)
             whitener = self.whitener(levels, self.contrast)
             y = whitener.project(rows.residual)

@@ -1,4 +1,4 @@
-"""Single turns that do not close as all the others do: something happened in them.
+"""Turns that do not close as all the others do: something happened in them.
 
 A sample that was misread, a channel that stood still for a moment, a touch that a gyroscope felt:
 one turn ends where it did not lead. As noise of all turns it would hide what else there is, and no
@@ -27,7 +27,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import chdtri, fdtrc
+from scipy.special import chdtri, comb, fdtrc
 
 from calib.mismatch.findings.diagnosis import Interval, Unexplained
 from calib.mismatch.noise.noise import estimate_levels, expected_levels, make_whitener
@@ -50,8 +50,12 @@ UNTOLD = 5.0
 FEWEST = 6
 """Turns that one is compared with, at least."""
 
-FEW = 0.25
-"""Share of the turns that may be odd: of more, they are alike."""
+FEW, MOST = 0.25, 0.5
+"""Share of the turns that may be odd, wherever they are, and where they follow each other: of more,
+they are alike."""
+
+TOGETHER = 3
+"""Odd turns that are said as one, at least, where they follow each other."""
 
 LEFT, NEAR = float(chdtri(3.0, 1e-3)), float(chdtri(2.0, 0.01))
 """What may be left of a turn's closures, squared, beside one reading at one moment, if that is what
@@ -60,6 +64,9 @@ happened; and by how much more other moments and channels leave that may be it a
 CURVED = 0.01
 """A share that may be left, or be more, in any case: what is off by degrees is no longer linear in
 a reading."""
+
+
+ONE = "this one turn: it does"
 
 
 class OddTurn(NamedTuple):
@@ -97,11 +104,38 @@ def odd_turns(outcome: Outcome) -> list[OddTurn]:
         own = _Foretold.of(rows, levels, outcome.contrast, mean, columns[:, [k]], others.scale)
         p_value = number * float(fdtrc(5.0, ALIKE, own.statistic[0]))
         if p_value >= CLAIM:
-            return out
+            return _gathered(rows, out)
         out.append(_odd(rows, ends[k], own.off[0], own.sigma[0], p_value))
-        if len(out) > FEW * number:
+        if len(out) > MOST * number:
             return []
         mean = beside
+
+
+def _gathered(rows: Rows, odd: list[OddTurn]) -> list[OddTurn]:
+    """Return odd turns, those that follow each other as one; none of many that are anywhere.
+
+    Of n turns k lie within w that follow each other, at any place, with the probability
+    ``(n - w + 1) C(w, k) / C(n, k)`` if nothing brings them together.
+    """
+    turns = rows.segment[rows.ends[:, 0]]
+    number, k = len(turns), len(odd)
+    order = sorted(odd, key=lambda turn: turn.segment)
+    at = np.searchsorted(turns, [turn.segment for turn in order])
+    width = int(np.ptp(at)) + 1 if k else 0
+    chance = (number - width + 1) * comb(width, k) / comb(number, k)
+    if k < TOGETHER or chance >= CLAIM:
+        return odd if k <= FEW * number else []
+    start, stop = (
+        float(rows.interval[turn.segment, i])
+        for turn, i in zip(order[:: k - 1], (0, 1), strict=True)
+    )
+    worst = min(order, key=lambda turn: turn.said.p_value)
+    channels = tuple(c for c in CHANNELS if any(c in turn.said.channels for turn in order))
+    follows = worst.said.follows.replace(ONE, f"these {k} turns: they do", 1).replace(
+        " by ", " by up to ", 1
+    )
+    said = Unexplained(channels, ((start, stop),), follows, worst.said.p_value * chance)
+    return [OddTurn(turn.segment, said) for turn in order]
 
 
 class _Foretold(NamedTuple):
@@ -193,7 +227,7 @@ def _odd(
     turned = angle > 3.0 * float(np.linalg.norm(sigma[:2]))
     size = f"{np.degrees(angle):.2g}°" if turned else f"{speed:.2g} m/s"
     channels, interval = _at(rows, segment, index, off / sigma, sigma, turned=turned)
-    follows = f"this one turn: it does not close, by {size}, and the others do"
+    follows = f"{ONE} not close, by {size}, and the others do"
     return OddTurn(segment, Unexplained(channels, (interval,), follows, p_value))
 
 

@@ -5,7 +5,7 @@ import pytest
 from scipy.signal import butter, sosfiltfilt
 
 from calib.effects.base import State, Term
-from calib.effects.observed import observed_turns, since_and_during
+from calib.effects.observed import observed, observed_turns, since_and_during
 from calib.effects.vibration import BESIDE, vibration_variance
 from calib.model import SensorModel
 from calib.simulate import simulate
@@ -171,3 +171,15 @@ def test_settling_is_gone_when_it_is_corrected(tau: float, rate: float) -> None:
     there = seen.accel[rest, 0] - without.accel[rest, 0]
     # All ends are found alike but for a hundredth of a second.
     assert np.sqrt(np.mean(left**2)) < 0.012 / tau * np.sqrt(np.mean(there**2))
+
+
+def test_a_correction_counts_from_when_a_hand_lets_go_as_the_diagnosis_does() -> None:
+    """It carries the sensor for a while after it has stopped to turn it."""
+    time = np.arange(0.0, 12.0, 0.01)
+    inside, carried = (time > 4.0) & (time < 5.0), (time > 5.0) & (time < 5.4)
+    rate = np.outer(inside * 2.0 * np.sin(np.pi * (time - 4.0)), [0.0, 0.0, 1.0])
+    force = np.outer(np.ones(len(time)), [0.0, 0.0, 9.8])
+    force[:, 0] += carried * 2.0 * np.sin(2 * np.pi * (time - 5.0) / 0.4)
+    seen = observed(State(time, force, rate), ("since_turn",))
+    assert seen.since_turn is not None
+    assert seen.since_turn[time > 6.0][0] == pytest.approx(6.01 - 5.4, abs=0.03)

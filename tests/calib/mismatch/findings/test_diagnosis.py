@@ -168,6 +168,29 @@ def test_wrong_units_and_axes_are_named_alone(accel, gyro, name):
         assert [q.unit for q in found.findings[0].parameters.values()] == [PRESENCE, FORM]
 
 
+@pytest.mark.parametrize(
+    ("accel", "gyro", "channels", "said"),
+    [
+        ([1, 1, -1], [1, 1, 1], ["accel.z"], "The accel's axes show x: x, y: y, z: -z."),
+        ([1, 1, 1], [1, -1, 1], ["gyro.y"], "The gyro's axes show x: x, y: -y, z: z."),
+        ([1, 1, 1], [-1, -1, 1], ["accel.z"], "The gyro's axes show x: -x, y: -y, z: z."),
+    ],
+)
+def test_one_wrong_sign_is_likelier_than_two_and_what_else_it_may_be_is_said(
+    accel, gyro, channels, said
+):
+    real = recording()
+    wrong = Recording(real.time, real.accel * accel, real.gyro * gyro, "device")
+    (found,) = diagnose_recording(wrong, gravity=GRAVITY).findings
+    assert found.effect == "axis_error"
+    assert list(found.channels) == channels
+    assert said in found.sentence
+    # A gyroscope's one wrong sign is no rotation, and no accelerometer makes up for it.
+    assert [r.effect for r in found.rivals] == ["axis_error of the gyro"] * (
+        channels[0] == "accel.z"
+    )
+
+
 def test_a_model_has_no_parameter_that_the_recording_leaves_open():
     found = diagnose_recording(
         recording(Term("gyro_g_sensitivity", {"gxx": 1e-3})), gravity=GRAVITY

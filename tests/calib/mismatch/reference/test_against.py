@@ -136,6 +136,20 @@ def test_one_effect_is_found_and_nothing_else(slug, values):
         assert q.value == pytest.approx(value, abs=5 * q.sigma + 0.02 * abs(value))
 
 
+def test_gravity_of_another_place_is_no_scale_factor_where_a_hand_moves_the_sensor():
+    rng = np.random.default_rng(2)
+    there = bench_protocol(
+        np.random.default_rng(1), poses=8, first_pose=1.0, pose_duration=(2.0, 3.0), gravity=9.7803
+    )
+    quiet = NoiseModel(accel_noise_density=4e-4, gyro_noise_density=1e-5)
+    real = simulate(there, sensor(rng), quiet, rng=rng, rate=50.0)
+    found = diagnose_against(real, simulation(), gravity=GRAVITY)
+    assert [item.effect for item in found.findings] == ["gravity_magnitude"]
+    assert not found.unexplained
+    error = found.findings[0].parameters["error"]
+    assert error.value == pytest.approx(9.7803 - GRAVITY, abs=3 * error.sigma)
+
+
 @pytest.mark.long
 def test_steps_go_on_until_nothing_is_left_that_noise_was_taken_for():
     """What another finding had bent raised the noise: a fit beside it ended before its end."""

@@ -189,3 +189,17 @@ def test_the_one_pose_that_a_machine_shakes_is_kept_and_one_that_is_knocked_is_n
     assert np.abs(poses.start - start).min() < 50
     kept = steady(recording, poses).start
     assert (np.abs(kept - start).min() < 50) == throughout
+
+
+def test_rests_of_half_an_hour_are_cut_so_that_drift_shows_in_them():
+    rng = np.random.default_rng(1)
+    motion = bench_protocol(rng, poses=8, pose_duration=(1700.0, 1800.0))
+    real = simulate(motion, SensorModel(), CONSUMER, rng=rng, rate=2.0)
+    start, stop = (
+        np.searchsorted(real.time, [getattr(s, at) for s in motion.segments if s.kind == "static"])
+        for at in ("start", "stop")
+    )
+    poses = average_poses(real, start + 1, stop - 1)
+    grid = make_grid(real, poses)
+    assert np.ptp(grid.interval[grid.is_rest], axis=1).max() < 150.0
+    assert grid.is_rest.sum() > 10 * len(poses)

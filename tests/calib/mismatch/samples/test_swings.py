@@ -189,3 +189,13 @@ def test_it_is_said_once() -> None:
     recording = Recording(time, values[:, :3], values[:, 3:], "device")
     own = average_poses(recording, poses.start, poses.stop)
     assert len(look_at_rests(recording, own)) == 1
+
+
+def test_a_bias_that_drifts_through_long_rests_is_no_line() -> None:
+    """Cut into equal pieces it was a sawtooth, at one over their length."""
+    time, values, poses = rests(3, number=12, length=(66.0, 75.0))
+    values[:, 4] += 3.0 * NOISE[4] * np.sin(2 * np.pi * time / 1400.0)
+    assert look(time, values, poses) == []
+    values[:, 4] += 0.6 * NOISE[4] * np.sin(2 * np.pi * 0.2 * time)
+    ((channel, frequency, _),) = look(time, values, poses)
+    assert (channel, frequency) == ("gyro.y", pytest.approx(0.2, abs=0.005))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -73,6 +74,21 @@ def test_nothing_is_said_of_turns_that_are_alike() -> None:
         u.follows.startswith(ODD)
         for u in diagnosed(with_added(plain(), {"gyro.y": np.asarray(pulses)})).unexplained
     )
+
+
+@pytest.mark.parametrize("number", [3, 5])
+def test_turns_that_follow_each_other_are_said_as_one(number: int) -> None:
+    """A gyroscope is late for a while: many turns do not close, and they are no noise of all."""
+    real = recording(seed=3, poses=20)
+    poses = find_poses(real)
+    start, stop = poses.interval[5, 1], poses.interval[5 + number, 0]
+    inside = (real.time > start - 0.5) & (real.time < stop + 0.5)
+    late = np.roll(real.gyro, 1, axis=0)
+    found = diagnosed(replace(real, gyro=np.where(inside[:, None], late, real.gyro)))
+    assert found.findings == ()
+    (left,) = found.unexplained
+    assert left.follows.startswith(f"these {number} turns: they do not close, by up to ")
+    assert left.intervals[0] == pytest.approx((start, stop), abs=1.0)
 
 
 @pytest.mark.long
