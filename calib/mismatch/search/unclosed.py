@@ -54,8 +54,8 @@ FEW, MOST = 0.25, 0.5
 """Share of the turns that may be odd, wherever they are, and where they follow each other: of more,
 they are alike."""
 
-TOGETHER = 3
-"""Odd turns that are said as one, at least, where they follow each other."""
+TOGETHER, SELDOM = 3, 0.05
+"""Odd turns that are said as one, at least, where so few would be as near each other by chance."""
 
 LEFT, NEAR = float(chdtri(3.0, 1e-3)), float(chdtri(2.0, 0.01))
 """What may be left of a turn's closures, squared, beside one reading at one moment, if that is what
@@ -123,8 +123,9 @@ def _gathered(rows: Rows, odd: list[OddTurn]) -> list[OddTurn]:
     at = np.searchsorted(turns, [turn.segment for turn in order])
     width = int(np.ptp(at)) + 1 if k else 0
     chance = (number - width + 1) * comb(width, k) / comb(number, k)
-    if k < TOGETHER or chance >= CLAIM:
-        return odd if k <= FEW * number else []
+    many = k > FEW * number
+    if k < TOGETHER or chance >= (CLAIM if many else SELDOM):
+        return [] if many else odd
     start, stop = (
         float(rows.interval[turn.segment, i])
         for turn, i in zip(order[:: k - 1], (0, 1), strict=True)

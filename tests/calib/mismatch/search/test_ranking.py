@@ -15,7 +15,6 @@ from calib.mismatch.noise.noise import (
     level_likelihood,
 )
 from calib.mismatch.rows.grid import make_grid
-from calib.mismatch.search import ranking as ranking_module
 from calib.mismatch.search.accepted import accept, fitted
 from calib.mismatch.search.ranking import (
     CLAIM,
@@ -89,9 +88,8 @@ def test_a_fit_starts_from_levels_that_were_found_beside_what_is_fitted():
         assert ranking.levels_with(other) is ranking.levels
 
 
-def test_what_is_fitted_in_full_is_worth_what_it_is_beforehand(stacked, monkeypatch):
+def test_what_is_fitted_in_full_is_worth_what_it_is_beforehand(stacked):
     """No drift makes it show, so that none is found for it; beside a part of it one is."""
-    monkeypatch.setattr(ranking_module, "SHORT", 20.0)
     rows, stack = stacked
     axes = ("kx", "ky", "kz")
     whole, part = (candidate(stack, "accel_cubic", names) for names in (axes, axes[:1]))
