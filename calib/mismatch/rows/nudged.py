@@ -76,8 +76,10 @@ def still_parts(recording: Recording, poses: Poses) -> Poses:
         for span, own in zip(whole, windows, strict=True)
     ]
     unseen = [k for k, parts in enumerate(each) if parts.spans != [whole[k]] and not parts.tells]
-    if any(parts.denies for parts in each) or len(unseen) > SELDOM * len(poses):
-        for k in unseen:
+    too_many = any(parts.denies for parts in each) or len(unseen) > SELDOM * len(poses)
+    for k in unseen:
+        # What fades as a recording begins is no end of a turn.
+        if too_many or each[k].spans[0][0] != whole[k][0] == whole[0][0]:
             each[k] = _Parts([whole[k]])
     spans = [span for parts in each for span in parts.spans]
     return poses if spans == whole else average_poses(recording, *np.array(spans, np.int64).T)
