@@ -101,9 +101,10 @@ def rank(
 
     What was left out raises the drift of its channels. So each candidate is also scored with the
     drift of its own channels as it is with all physics in the mean (a rival: with the strongest
-    rivals), and the leaders with drift estimated anew for each of them. Lower drift costs the
-    likelihood of the null, and that cost is in the evidence: drift and effect compete on equal
-    terms. So does what the null needs to take an effect for noise: levels that are just so.
+    rivals); with as much as that of the others lets one expect, where nothing is plain; and the
+    leaders with drift estimated anew for each of them. Lower drift costs the likelihood of the
+    null, and that cost is in the evidence: drift and effect compete on equal terms. So does what
+    the null needs to take an effect for noise: levels that are just so.
 
     ``base`` are the levels with what was accepted in the mean, from `start`, if they are known, and
     ``every`` those with all physics in it, of an earlier ranking.
@@ -126,14 +127,22 @@ def rank(
             evidence = np.maximum(evidence, rest)
         evidence, wide, hidden = scores.with_drift_of_all(evidence, which, every, plain=plain)
         best, groups = grouped(stack, evidence)
+    known = evidence, best
+    if len(running) > 1 and not plain:
+        evidence = scores.with_usual_drift(evidence, which)
+        best, groups = grouped(stack, evidence)
     beside = {}
     for name in leading(best, {g: groups[g] for g in running}):
-        leaders = with_fullest(stack, evidence, best[name])
-        if not leaders[-1].shape and again(leaders[-1], accepted):
+        tried: list[tuple[Candidate, FloatArray | None]]
+        tried = [(c, None) for c in with_fullest(stack, known[0], known[1][name])]
+        usual = None if plain or len(running) < 2 else scores.usual(best[name].channels)
+        if usual is not None:
+            tried += [(c, usual) for c in with_fullest(stack, evidence, best[name])]
+        if not tried[-1][0].shape and again(tried[-1][0], accepted):
             continue  # all of it is fitted: no drift makes it show
         most = -np.inf
-        for leader in leaders:
-            scored, levels = scores.with_own_drift(leader, wide or base, plain=plain)
+        for leader, near in tried:
+            scored, levels = scores.with_own_drift(leader, wide or base, near)
             evidence = np.maximum(evidence, scored)
             if scored.max() > most:
                 most, beside[name] = float(scored.max()), levels

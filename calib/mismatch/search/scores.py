@@ -135,9 +135,7 @@ class Scores:
         """Return the evidence where physics, or rivals, take up the drift of their channels.
 
         Of those candidates that are marked as running. What is ``plain`` is judged with the drift
-        that either leaves: there levels change it by more than one answer is ahead of another. What
-        is not may be what raises the drift of its channels: it is judged with what the others' lets
-        one expect as well.
+        that either leaves: there levels change it by more than one answer is ahead of another.
 
         Beside it the levels with all physics in the mean, and the evidence for physics there. Their
         search starts from those of an earlier ranking, if they are `known`: physics that was
@@ -178,33 +176,45 @@ class Scores:
                 outside, cost = self._suited(levels, strong, stack.of(strong))
                 scored = self.at(levels, outside, self._null(levels) + cost, which)
                 evidence = np.maximum(evidence, scored)
-        for channels in () if plain else TOGETHER:
-            lower = foretold_levels(rows, base.values, channels)
-            which = running & (
-                stack.of_channels(channels, physical=True)
-                | stack.of_channels(channels, physical=False)
-            )
-            if which.any() and (base.values > RAISED * lower).any():
-                scored = self.at(lower, self.contrast, self._null(lower), which)
-                evidence = np.maximum(evidence, scored)
         return evidence, every, hidden
 
+    def usual(self, channels: tuple[str, ...]) -> FloatArray | None:
+        """Return levels with the drift that others let one expect of some channels.
+
+        None if they drift no more than that.
+        """
+        levels = foretold_levels(self.rows, self.base.values, channels)
+        return levels if (self.base.values > RAISED * levels).any() else None
+
+    def with_usual_drift(self, evidence: FloatArray, running: BoolArray) -> FloatArray:
+        """Return the evidence of those that are running with the `usual` drift, where it is more.
+
+        A disturbance may be what raises that of its channels.
+        """
+        for channels in TOGETHER:
+            which = running & (
+                self.stack.of_channels(channels, physical=True)
+                | self.stack.of_channels(channels, physical=False)
+            )
+            levels = self.usual(channels) if which.any() else None
+            if levels is not None:
+                scored = self.at(levels, self.contrast, self._null(levels), which)
+                evidence = np.maximum(evidence, scored)
+        return evidence
+
     def with_own_drift(
-        self, leader: Candidate, every: Levels, *, plain: bool
+        self, leader: Candidate, every: Levels, usual: FloatArray | None = None
     ) -> tuple[FloatArray, FloatArray]:
         """Return the evidence for a candidate's group with levels of its own, and these levels.
 
-        Near its place, too, and nearest where it shows best: what is not ``plain`` under drift that
-        it does not raise.
+        Near its place, too: they are those of where it shows best, with what is known or with the
+        ``usual`` drift.
         """
         rows, stack, base = self.rows, self.stack, self.base
         here, moved = leader, nearby(rows, leader)
         own, between = stack.of(leader), []
         if len(moved):
-            levels = base.values
-            if not plain:
-                levels = foretold_levels(rows, levels, leader.channels)
-            whitener = self.whitener(levels, self.contrast)
+            whitener = self.whitener(base.values if usual is None else usual, self.contrast)
             y = whitener.project(rows.residual)
             factors = moved.log_bayes_factors(whitener, y)
             order = np.argsort(-factors)
