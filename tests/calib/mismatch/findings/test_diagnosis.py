@@ -306,3 +306,16 @@ def test_what_settles_after_turns_is_known_whatever_it_does_in_them(form: int) -
     clean = SensorModel(terms=(term,)).correct(State(real.time, real.accel, real.gyro)).accel
     left, size = (np.sqrt(np.mean(np.square(a - without.accel))) for a in (clean, real.accel))
     assert left < 0.6 * size
+
+
+def test_what_differs_from_pose_to_pose_shows_in_what_is_left_at_rest():
+    """Changes within rests are many, and have nothing of it."""
+    found = diagnose_recording(
+        recording(Term("gyro_g_sensitivity", {"gxz": 3e-5})), gravity=GRAVITY
+    )
+    assert [f.effect for f in found.findings] == ["gyro_g_sensitivity"]
+    gyro = next(c for c in found.changes if c.rows == "gyro at rest")
+    assert gyro.before > 2.5 * gyro.after
+    # What was fitted takes its part of the noise, and most of it from the closures of turns.
+    for change in found.changes:
+        assert change.after == pytest.approx(change.noise_floor, rel=0.25)
