@@ -8,7 +8,13 @@ import numpy as np
 
 from calib.calibration import parameter_unit
 from calib.mismatch.findings.diagnosis import Absorbed, Change
-from calib.mismatch.findings.heldout import HeldOut, LeftOut, held_out, pose_levels
+from calib.mismatch.findings.heldout import (
+    HeldOut,
+    LeftOut,
+    at_most_left,
+    held_out,
+    pose_levels,
+)
 from calib.mismatch.noise.noise import make_whitener
 from calib.mismatch.rows.rows import Kind, Rows
 from calib.mismatch.search.accepted import Accepted, fitted
@@ -112,6 +118,7 @@ def changes(outcome: Outcome) -> tuple[tuple[Change, ...], tuple[float, float]]:
     # What was fitted takes its part of the noise.
     taken = np.einsum("mp,mp->m", mean @ covariance, mean)
     floor = np.maximum(np.append(rows.variance(levels), contrast) - taken, 0.0)
+    floor = at_most_left(rows, np.square(left[1]), floor)
     found = []
     for label, unit, own in _row_kinds(rows):
         squares = (np.square(left[0]), np.square(left[1]), floor)
