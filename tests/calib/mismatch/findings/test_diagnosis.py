@@ -319,3 +319,31 @@ def test_what_differs_from_pose_to_pose_shows_in_what_is_left_at_rest():
     # What was fitted takes its part of the noise, and most of it from the closures of turns.
     for change in found.changes:
         assert change.after == pytest.approx(change.noise_floor, rel=0.25)
+
+
+@pytest.mark.parametrize(
+    ("term", "follows", "x_unit", "channel"),
+    [
+        (Term("gyro_g_sensitivity", {"gxz": 3e-4}), "specific force along z", "m/s²", "gyro.x"),
+        (
+            Term("gyro_misalignment", {"mxy": 0.02}),
+            "rate about y, added up over a turn",
+            "rad",
+            "attitude after turns",
+        ),
+    ],
+)
+def test_residuals_are_plotted_against_what_the_largest_entry_goes_with(
+    term, follows, x_unit, channel
+):
+    """Against what the effect itself predicts, anything is a straight line."""
+    found = diagnose_recording(recording(term), gravity=GRAVITY)
+    (item,) = found.findings
+    assert item.evidence is not None
+    assert (item.evidence.follows, item.evidence.x_unit) == (follows, x_unit)
+    (series,) = item.evidence.series
+    assert series.channel == channel
+    assert np.ptp(series.x) > 1.0
+    (slope,) = term.parameters.values()
+    # What the baseline had absorbed of it is not in what was left.
+    assert 0.2 < np.polyfit(series.x, series.before - series.after, 1)[0] / slope < 1.1
