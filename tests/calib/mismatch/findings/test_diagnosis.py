@@ -181,6 +181,9 @@ def test_a_model_has_no_parameter_that_the_recording_leaves_open():
     # What was given stays.
     given = claimed(replace(found.model, terms=(more,)), (more,), ())
     assert given.terms == (more,)
+    # But not what was tried beside it and has no name.
+    beside = claimed(replace(found.model, terms=(more, term)), (more,), ())
+    assert beside.terms == (more,)
 
 
 def test_what_shows_in_samples_is_none_of_what_a_recording_cannot_show():
