@@ -63,17 +63,22 @@ def leave_out(
     rows: Rows, mean: FloatArray, residual: FloatArray, *, levels: FloatArray, contrast: FloatArray
 ) -> LeftOut:
     """Return what the fit of (m, p) columns to the residual says of each block from all others."""
-    # Parameters alone predict what is held out: drift is not interpolated, but weighs as jitter.
+    still = with_drift_as_jitter(rows, levels)
+    whitener = make_whitener(rows, still, contrast, mean, coupled=False)
+    square, floor = _squares(rows, whitener, residual)
+    floor = at_most_left(rows, square, floor)
+    return LeftOut(whitener, square, floor, _blocks(rows, mean, residual, levels, contrast))
+
+
+def with_drift_as_jitter(rows: Rows, levels: FloatArray) -> FloatArray:
+    """Return the levels of noise by which parameters alone predict, as no drift is interpolated."""
     still = np.array(levels)
     names = [c.name for c in rows.components]
     for i, name in enumerate(names):
         if name.endswith((" walk", " flicker")):
             still[names.index(f"{name.split(' ')[0]} jitter")] += 0.5 * still[i]
             still[i] = 0.0
-    whitener = make_whitener(rows, still, contrast, mean, coupled=False)
-    square, floor = _squares(rows, whitener, residual)
-    floor = at_most_left(rows, square, floor)
-    return LeftOut(whitener, square, floor, _blocks(rows, mean, residual, levels, contrast))
+    return still
 
 
 def at_most_left(rows: Rows, square: FloatArray, floor: FloatArray) -> FloatArray:

@@ -14,6 +14,7 @@ from calib.mismatch.findings.heldout import (
     at_most_left,
     held_out,
     pose_levels,
+    with_drift_as_jitter,
 )
 from calib.mismatch.noise.noise import make_whitener
 from calib.mismatch.rows.rows import Kind, Rows
@@ -101,6 +102,9 @@ def fit_without(outcome: Outcome, which: int) -> tuple[FloatArray, FloatArray, B
 def changes(outcome: Outcome) -> tuple[tuple[Change, ...], tuple[float, float]]:
     """Return residual RMS and log-likelihood before and after, on the rows that were fitted.
 
+    Residuals are those that parameters alone leave, as held-out blocks have it: where drift is part
+    of the noise a fit leaves it to that, and what is left of rows is mostly drift.
+
     Baseline and nuisances are held by what is known of them: beside an arm the errors of another
     IMU are among these, and would take it up if they could be of any size. So would a scale factor
     of what the arm makes the sensor feel: before it is found nothing of that is felt.
@@ -110,14 +114,17 @@ def changes(outcome: Outcome) -> tuple[tuple[Change, ...], tuple[float, float]]:
     before = (judging(outcome, i) for i in range(len(outcome.accepted)))
     plain = next((judged for judged in before if judged is not rows), rows)
     left, likelihood = list[FloatArray](), list[float]()
+    still = with_drift_as_jitter(rows, levels)
     for fit, accepted in ((plain, ()), (rows, outcome.accepted)):
         mean = fitted(fit, accepted)
-        step, covariance = solved(fit, accepted, levels, contrast)
+        step, _ = solved(fit, accepted, levels, contrast)
+        white = whitener.whiten(rows.residual - mean @ step)
+        likelihood.append(-0.5 * float(np.square(white).sum()))
+        step, covariance = solved(fit, accepted, still, contrast)
         left.append(rows.residual - mean @ step)
-        likelihood.append(-0.5 * float(np.square(whitener.whiten(left[-1])).sum()))
     # What was fitted takes its part of the noise.
     taken = np.einsum("mp,mp->m", mean @ covariance, mean)
-    floor = np.maximum(np.append(rows.variance(levels), contrast) - taken, 0.0)
+    floor = np.maximum(np.append(rows.variance(still), contrast) - taken, 0.0)
     floor = at_most_left(rows, np.square(left[1]), floor)
     found = []
     for label, unit, own in _row_kinds(rows):
