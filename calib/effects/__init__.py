@@ -9,7 +9,7 @@ from __future__ import annotations
 from functools import cache
 from typing import Any
 
-from calib.effects.base import Effect
+from calib.effects.base import Effect, Term
 from calib.registry import discover
 
 
@@ -27,3 +27,9 @@ def get_effect(slug: str) -> Effect:
     except KeyError:
         known = ", ".join(effects())
         raise ValueError(f"`slug` {slug!r} is no effect of the catalogue: {known}") from None
+
+
+def shape_of(term: Term) -> dict[str, float]:
+    """Return the shape parameters that a term states."""
+    names = [item.name for item in get_effect(term.effect).shape]
+    return {n: term.parameters[n] for n in names if n in term.parameters}

@@ -26,6 +26,7 @@ class AccelCrossProduct(Effect):
         for p in pair
     )
     follows = "product of specific force along two axes"
+    regressor = ("product of specific force along two axes", "(m/s²)²")
     needs = "well spread poses, not only faces; turns between them"
     sentence = (
         "An axis reads off when gravity lies between it and another axis, beyond what "

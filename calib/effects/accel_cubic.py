@@ -16,6 +16,7 @@ class AccelCubic(Effect):
     source = "IEEE Std 1293-2018, model equation (K3); 2 mg/g³ is an estimate for consumer parts"
     parameters = per_axis("accel", "k", "(m/s²)/(m/s²)³", 2e-3 / G**2)
     follows = "cube of specific force"
+    regressor = ("cube of specific force along {axis}", "(m/s²)³")
     needs = "well spread poses between the faces, not only on them"
     sentence = "The scale of the accelerometer differs between small and large specific force."
     absorbed_by = ("accel.scale_factor_error",)

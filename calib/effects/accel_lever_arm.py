@@ -21,6 +21,7 @@ class AccelLeverArm(Effect):
         for a in AXES
     )
     follows = "rate squared and angular acceleration"
+    regressor = ("rate squared and angular acceleration that an arm along {axis} feels", "1/s²")
     needs = "a known motion, a second accelerometer on the same body, or a turntable"
     sentence = (
         "The accelerometer is not at the point that the reference describes: turning alone "

@@ -20,6 +20,7 @@ class AccelQuadratic(Effect):
     )
     parameters = per_axis("accel", "k", "(m/s²)/(m/s²)²", 3e-3 / G)
     follows = "square of specific force"
+    regressor = ("square of specific force along {axis}", "(m/s²)²")
     needs = (
         "well spread poses, not only faces; the turns between them separate it from "
         "accel_cross_product"

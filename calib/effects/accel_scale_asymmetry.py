@@ -21,6 +21,7 @@ class AccelScaleAsymmetry(Effect):
     )
     parameters = per_axis("accel", "k", "1", 1e-3)
     follows = "sign of specific force"
+    regressor = ("size of specific force along {axis}", "m/s²")
     needs = "poses with each axis at both ends and between"
     sentence = (
         "An axis reads gravity larger up than down, with a kink at level, beyond what bias "

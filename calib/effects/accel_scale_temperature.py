@@ -16,6 +16,7 @@ class AccelScaleTemperature(Effect):
     source = "MPU-6050 product specification rev. 3.4: sensitivity change 0.02 %/K; 0.02 %/K taken"
     parameters = per_axis("accel", "k", "1/K", 2e-4)
     follows = "temperature times specific force"
+    regressor = ("temperature times specific force along {axis}", "K m/s²")
     needs = "each axis up and down at several temperatures"
     sentence = "Gravity reads too large or too small by a share that follows temperature."
     absorbed_by = ("accel.scale_factor_error", "accel.bias")

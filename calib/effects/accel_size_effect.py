@@ -27,6 +27,7 @@ class AccelSizeEffect(Effect):
         for b in AXES
     )
     follows = "rate squared and angular acceleration"
+    regressor = ("rate squared and angular acceleration that an arm along {axis} feels", "1/s²")
     needs = "fast turns about several axes, from rest to rest"
     sentence = "While it turns fast, the three axes of the accelerometer disagree: they sit apart."
     rivals = ("accel_lever_arm", "time_offset", "inter_axis_skew")

@@ -21,6 +21,7 @@ class AccelVibrationRectification(Effect):
     )
     parameters = per_axis("accel", "k", "(m/s²)/(m/s²)²", 1e-2 / G, most=UNLIMITED)
     follows = "variance of specific force within a second"
+    regressor = ("variance of specific force within a second", "(m/s²)²")
     needs = "the same pose with and without vibration"
     sentence = "The mean of the accelerometer shifts while the sensor is shaken."
     absorbed_by = ("accel.bias",)

@@ -293,6 +293,10 @@ class Effect(ABC):
     shape: tuple[ShapeParameter, ...] = ()
     follows: str
     """The variable that the residual follows: the abscissa of its plot."""
+    regressor: tuple[str, str] | None = None
+    """What one unit of a parameter adds to a channel, where that is a variable to plot against:
+    label and unit, ``{axis}`` being the last letter of the parameter's name and ``{unit}`` that of
+    the channel."""
     needs: str
     """What a recording must contain for the effect to be identified."""
     sentence: str

@@ -21,6 +21,7 @@ class GyroAnisoinertia(Effect):
     )
     parameters = per_axis("gyro", "k", "1/(rad/s)", np.radians(0.1) / np.radians(200.0) ** 2)
     follows = "product of the rates about the two other axes"
+    regressor = ("product of the rates about the axes other than {axis}", "(rad/s)²")
     needs = "turns about two axes at once, in several senses"
     sentence = "An axis reads off only while the sensor turns about both of the other axes at once."
     absorbed_by = ("gyro.bias",)

@@ -26,6 +26,7 @@ class GyroGSensitivity(Effect):
         for b in AXES
     )
     follows = "specific force at rest"
+    regressor = ("specific force along {axis}", "m/s²")
     needs = "many static poses: each axis up and down"
     sentence = "The gyro's output at rest changes with the pose: it senses specific force."
     absorbed_by = ("gyro.bias",)

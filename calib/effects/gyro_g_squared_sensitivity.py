@@ -21,6 +21,7 @@ class GyroGSquaredSensitivity(Effect):
     )
     parameters = per_axis("gyro", "g", "(rad/s)/(m/s²)²", np.radians(0.02) / G**2)
     follows = "square of specific force at rest"
+    regressor = ("square of specific force along {axis}", "(m/s²)²")
     needs = "poses with each axis up, level and down"
     sentence = (
         "The gyro reads off at rest when an axis is vertical, up or down alike: it senses "

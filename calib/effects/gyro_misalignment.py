@@ -22,6 +22,7 @@ class GyroMisalignment(Effect):
         Parameter(f"m{a}{b}", "rad", 0.01, (f"gyro.{a}",)) for a in AXES for b in AXES if a != b
     )
     follows = "rate about the other axes"
+    regressor = ("rate about {axis}", "rad/s")
     needs = "turns about several axes, each reached from several poses"
     sentence = (
         "Turning about one axis shows on another: the gyro axes are not square to the "

@@ -18,6 +18,7 @@ class GyroScaleAsymmetry(Effect):
     source = "IEEE Std 528-2019 (asymmetry); 0.1 % is an estimate for consumer parts"
     parameters = per_axis("gyro", "k", "1", 1e-3)
     follows = "sign of the rate"
+    regressor = ("size of the rate about {axis}", "rad/s")
     needs = "turns both ways about each axis, by like angles"
     sentence = "Turning one way reads larger than turning the other way."
     absorbed_by = ("gyro.bias", "gyro.scale_factor_error")

@@ -21,6 +21,7 @@ class GyroScaleNonlinearity(Effect):
     )
     parameters = per_axis("gyro", "k", "1/(rad/s)²", 2e-3 / np.radians(360.0) ** 2)
     follows = "cube of the rate"
+    regressor = ("cube of the rate about {axis}", "(rad/s)³")
     needs = "slow and fast turns about each axis"
     sentence = (
         "Fast turns read wrong by more than slow ones, both ways alike: the scale is not linear."

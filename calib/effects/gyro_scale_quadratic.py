@@ -20,6 +20,7 @@ class GyroScaleQuadratic(Effect):
     )
     parameters = per_axis("gyro", "k", "1/(rad/s)", 1e-3 / np.radians(360.0))
     follows = "square of the rate"
+    regressor = ("square of the rate about {axis}", "(rad/s)²")
     needs = "turns both ways, slow and fast"
     sentence = (
         "Fast turns one way read too large, the other way too small: the scale changes with "

@@ -19,6 +19,7 @@ class GyroScaleTemperature(Effect):
     )
     parameters = per_axis("gyro", "k", "1/K", 2e-4)
     follows = "temperature times rate"
+    regressor = ("temperature times the rate about {axis}", "K rad/s")
     needs = "like turns about each axis at several temperatures"
     sentence = "Turns read too large or too small by a share that follows temperature."
     absorbed_by = ("gyro.scale_factor_error", "gyro.bias")

@@ -23,6 +23,7 @@ class GyroVibrationRectification(Effect):
     )
     parameters = per_axis("gyro", "k", "(rad/s)/(m/s²)²", np.radians(0.02) / G**2, most=UNLIMITED)
     follows = "variance of specific force within a second, all axes together"
+    regressor = ("variance of specific force within a second, all axes", "(m/s²)²")
     needs = "the same pose with and without vibration"
     sentence = "The mean of the gyro shifts while the sensor is shaken."
     absorbed_by = ("gyro.bias",)

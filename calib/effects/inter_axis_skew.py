@@ -34,6 +34,7 @@ class InterAxisSkew(TransformEffect):
     )
     parameters = tuple(Parameter(f"{t}_{a}", "s", 5e-4, (f"{t}.{a}",)) for t, a in NAMES)
     follows = "derivative of the signal on one axis"
+    regressor = ("derivative of the signal, its sign changed", "{unit}/s")
     needs = "fast turns about several axes"
     sentence = "The axes are not sampled at the same moment."
     rivals = ("time_offset", "accel_size_effect")

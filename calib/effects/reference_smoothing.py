@@ -48,6 +48,7 @@ class ReferenceSmoothing(Effect):
         ),
     )
     follows = "how fast rate and acceleration change in the room"
+    regressor = ("second derivative in the room, its sign changed", "{unit}/s²")
     needs = "fast motion beside a captured one"
     sentence = (
         "Fast motion is smaller in the reference than it was: the reference has been smoothed. "

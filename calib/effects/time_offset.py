@@ -37,6 +37,7 @@ class TimeOffset(TransformEffect):
         Parameter("delay", "s", 1e-2, CHANNELS, reference_only=True),
     )
     follows = "derivative of the signal"
+    regressor = ("derivative of the signal, its sign changed", "{unit}/s")
     needs = "fast changes of rate and of specific force at once"
     sentence = (
         "The gyro runs late (or early) against the accelerometer, or both against the reference."

@@ -242,7 +242,9 @@ class Diagnosis:
         if recording.temperature is not None:
             low, high = float(recording.temperature.min()), float(recording.temperature.max())
             temperature = TemperatureRange(low, high)
-        terms = {t.effect: dict(t.parameters) for t in self.model.terms}
+        terms: dict[str, dict[str, float]] = {}
+        for term in self.model.terms:
+            terms[term.effect] = {**terms.get(term.effect, {}), **term.parameters}
         for item in self.findings:
             if item.kind == "sensor":
                 terms[item.effect] = {
@@ -329,13 +331,16 @@ def claimed(model: SensorModel, given: Sequence[Term], findings: Sequence[Findin
     """Return a fitted model without the terms that were tried and have no name in the end.
 
     Nor with the parameters of a finding that the recording leaves open: it was fitted without them.
-    What is given has all of its own, fitted along with the model.
+    What is given has all of its own, fitted along with the model. It stands first: more of the same
+    effect was found beside it.
     """
     found = {f.effect: set(f.parameters) for f in findings}
-    before, kept = {t.effect for t in given}, []
+    before, kept = [t.effect for t in given], []
     for term in model.terms:
         own = term.parameters
-        if term.effect not in before:
+        if term.effect in before:
+            before.remove(term.effect)
+        else:
             own = {n: v for n, v in own.items() if n in found.get(term.effect, ())}
         if own:
             kept.append(Term(term.effect, own))

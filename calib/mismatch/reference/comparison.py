@@ -44,6 +44,7 @@ from calib.mismatch.reference.colour import (
     whitening,
 )
 from calib.mismatch.reference.floor import with_rounding
+from calib.mismatch.reference.given import Further, further_columns, further_of, moved_terms
 from calib.mismatch.reference.lateness import LATE, delaying, liveliest, rough_delay
 from calib.mismatch.reference.scatter import scatter, silenced
 from calib.mismatch.reference.sensed import (
@@ -52,7 +53,14 @@ from calib.mismatch.reference.sensed import (
     find_warmth,
     vibration,
 )
-from calib.mismatch.reference.setup import ACCEL_ANGLES, BASELINE, GYRO_ANGLES, LOOSE, Setup
+from calib.mismatch.reference.setup import (
+    ACCEL_ANGLES,
+    BASELINE,
+    GYRO_ANGLES,
+    GYRO_TERM,
+    LOOSE,
+    Setup,
+)
 from calib.mismatch.reference.shapes import Shapes, find_shapes
 from calib.mismatch.reference.slips import find_slips
 from calib.mismatch.reference.steadied import steadied
@@ -97,8 +105,8 @@ class ComparisonProblem:
     alignment : Alignment
     gravity : float, m/s²
     model : SensorModel, optional
-        Where the baseline starts. The angles of its gyroscope are fitted too if it has them; its
-        further terms stay.
+        Where the baseline starts. The angles of its gyroscope are fitted too if it has them, and
+        its further terms, but for what acts on finished signals.
     mat_sr : (3, 3) array, optional
         From the truth's frame to s. Given, its three angles are fitted; else the frames are one.
     spoilt : (n,) array of bool, optional
@@ -191,7 +199,8 @@ class ComparisonProblem:
         at_rest = self.still.gyro
         bias = np.median(at_rest, axis=0) if len(at_rest) else start.gyro.bias
         self.vibration = vibration(shaken, self.time, bias=bias)
-        self.given = start.terms
+        self.given, self.rough = start.terms, tuple[Term, ...]()
+        self.further: list[Further] = []
         self.power_on = float(real.time[0])
         mat = np.eye(3) if mat_sr is None else mat_sr
         self.white, self.carries = white, other is not None
@@ -204,8 +213,12 @@ class ComparisonProblem:
             *(ACCEL_ANGLES if own_axes else ()),
             *(GYRO_ANGLES if self.full_gyro else ()),
         )
+        if self.given:
+            beside = [*self.alignments, *GYRO_TERM] if self.full_gyro else self.alignments
+            self.further = further_of(self.given, self._state(), beside=beside)
         kinds = [n.split(".")[1] for n in (*self.names, *self.alignments)]
-        self.loose = np.append([LOOSE[k] for k in kinds], own)
+        loose = [*(LOOSE[k] for k in kinds), *(f.loose for f in self.further)]
+        self.loose = np.append(loose, own)
         self.moved = np.zeros(len(self.loose))
         self.late = 0.0
         self.shapes: Shapes | None = None
@@ -222,8 +235,14 @@ class ComparisonProblem:
 
     @property
     def aligned(self) -> tuple[str, ...]:
-        """The nuisances in their order: alignment, and the errors that an arm carries."""
-        return (*self.alignments, *(NAMES if self.carries else ()))
+        """The nuisances in order: alignment, further terms, and errors that an arm carries."""
+        further = (f.label for f in self.further)
+        return (*self.alignments, *further, *(NAMES if self.carries else ()))
+
+    @property
+    def first_further(self) -> int:
+        """Where the coefficients of a given model's further terms begin among all of a fit."""
+        return len(self.names) + len(self.alignments)
 
     def state(self) -> State:
         """Return the true state at the recording's times, in frame s."""
@@ -264,18 +283,26 @@ class ComparisonProblem:
     def move(
         self, baseline: Mapping[str, float], nuisance: FloatArray, terms: tuple[Term, ...]
     ) -> None:
-        """Move model and alignment by steps; set the further terms."""
+        """Move model and alignment by steps; set the terms beside those that are given."""
         self.moved = self.moved + np.append([baseline[n] for n in self.names], nuisance)
-        self.setup = self.setup.moved(baseline, nuisance, (*self.given, *terms), turned=self.turned)
+        start = len(self.alignments)
+        own = slice(start, start + len(self.further))
+        self.given = moved_terms(self.given, self.further, nuisance[own])
+        self.setup = self.setup.moved(
+            baseline,
+            np.delete(nuisance, own),
+            (*self.given, *self.rough, *terms),
+            turned=self.turned,
+        )
 
     def place(self) -> object:
         """Return where model and alignment stand."""
-        return self.setup, self.moved
+        return self.setup, self.moved, self.given
 
     def go_back(self, place: object) -> None:
         """Let model and alignment stand where they stood."""
         assert isinstance(place, tuple)
-        self.setup, self.moved = place
+        self.setup, self.moved, self.given = place
 
     def rows(self) -> Rows:
         """Return recording minus model of the truth."""
@@ -338,6 +365,7 @@ class ComparisonProblem:
                     self._nuisance(state if turn else felt, name)
                     for name, turn in zip(self.alignments, turned, strict=True)
                 ),
+                *further_columns(self.given, self.further, felt),
                 *self._carried(state),
             ],
             aligned=self.aligned,
@@ -357,8 +385,10 @@ class ComparisonProblem:
         for k, name in enumerate(self.names):
             plain[:, k] = rows.column(baseline_column(name, state))
         # What an arm carries is not there without one.
-        own = len(self.names) + len(self.alignments)
+        own = self.first_further
         plain[:, len(self.names) : own] = rows.nuisance[:, : len(self.alignments)]
+        for k, column in enumerate(further_columns(self.given, self.further, state), own):
+            plain[:, k] = rows.column(column)
         return replace(rows, plain=plain)
 
     def _known(self, accel: float, gyro: float) -> Known | None:
@@ -454,9 +484,9 @@ class ComparisonProblem:
         by far, and it would look like noise. Both are left to be found as any other effect.
         """
         check_units(self.state(), self.measured)
-        given, arm = self.given, np.zeros(3)
+        arm = np.zeros(3)
         self._align_accel()
-        known, moved = self.given, 0.0
+        late, moved = self.rough, 0.0
         # Beside a truth without noise the first step leads nearly there.
         anew = 2 if self.noisy or self.band else 1
         for k in range(STEPS):
@@ -471,7 +501,7 @@ class ComparisonProblem:
             step, further, most = robust_step(rows, beside, prior)
             moved += most
             p = len(self.names)
-            terms = self.setup.model.terms[len(self.given) :]
+            terms = self.setup.model.terms[len(self.given) + len(self.rough) :]
             self.move(dict(zip(self.names, step[:p], strict=True)), step[p:], terms)
             if k > (COLOURED if self.band else anew) and np.abs(step).max() < 1e-7:
                 break
@@ -480,14 +510,14 @@ class ComparisonProblem:
             arm = arm + further
             if np.linalg.norm(arm) <= SEEN:
                 arm = np.zeros(3)
-            self._give((*known, arm_term(arm)) if arm.any() else known)
+            self._suppose((*late, arm_term(arm)) if arm.any() else late)
         if moved > SAME or arm.any() or self.late:
             self.shapes = None
         if self.late:
             # Windows, and their noise, as they are beside a gyroscope that is not late.
-            self._give(known)
+            self._suppose(late)
             self.rows()
-        self._give(given)
+        self._suppose(())
         state = self.state()
         check_motion(state, self.measured, self.residual(state))
 
@@ -527,15 +557,17 @@ class ComparisonProblem:
             return
         self.late = late
         self.setup = self.setup._replace(alignment=self.setup.alignment.moved(-force, 0.0))
-        self._give((*self.given, Term("time_offset", {"gyro_delay": self.late})))
+        self._suppose((Term("time_offset", {"gyro_delay": self.late}),))
 
-    def _give(self, terms: tuple[Term, ...]) -> None:
-        if terms == self.given:
+    def _suppose(self, terms: tuple[Term, ...]) -> None:
+        """Let the model have terms for the time of the first fit, which are found later on."""
+        if terms == self.rough:
             return
         model = self.setup.model
-        found = model.terms[len(self.given) :]
-        self.given = terms
-        self.setup = self.setup._replace(model=replace(model, terms=(*terms, *found)))
+        found = model.terms[len(self.given) + len(self.rough) :]
+        self.rough = terms
+        terms = (*self.given, *self.rough, *found)
+        self.setup = self.setup._replace(model=replace(model, terms=terms))
 
     def _whiten(self) -> None:
         """Look from here on through what makes the noise that is left white."""
@@ -596,6 +628,11 @@ class ComparisonProblem:
                 for size, column in zip(SIZES, carried(state, arm, self.setup.errors), strict=True):
                     for channel, values in column.items():
                         yield channel, size * values
+        for f, column in zip(
+            self.further, further_columns(self.given, self.further, state), strict=True
+        ):
+            for channel, values in column.items():
+                yield channel, f.typical * values
         yield from catalogue_shapes(state)
 
 

@@ -19,7 +19,8 @@ from calib.mismatch.findings.diagnosis import (
 from calib.mismatch.hypotheses.places import gathered, joined
 from calib.mismatch.reference.carried import OF_GYRO
 from calib.mismatch.reference.comparison import ComparisonProblem
-from calib.mismatch.reference.others import told_from_the_other
+from calib.mismatch.reference.given import told_further, with_given
+from calib.mismatch.reference.others import axes_since, told_from_the_other
 from calib.mismatch.reference.setupfindings import find_setups
 from calib.mismatch.reference.unturned import UNTURNED, with_any_angle
 from calib.mismatch.samples.found import Samples
@@ -66,7 +67,11 @@ def conclude(
     skip = _skipped(problem, skip)
     outcome, model = _in_samples(search(problem, skip=skip), problem.setup.model, problem.thin)
     fit, any_angle = _free_to_turn(problem, outcome)
-    findings, unexplained, known = explain(outcome, fit, names=problem.names)
+    further = _further(problem, outcome, fit)
+    findings, unexplained, known = explain(outcome, fit, names=problem.names, further=further)
+    findings = [with_given(f, problem.given) for f in findings]
+    # The fit's last small step is still to be taken from where the rows stand.
+    model = model.with_terms_moved({name: float(fit.step[k]) for name, k in further.items()})
     if any_angle:
         # What an arm is then nobody can tell, nor what it is worth.
         arm = get_effect("accel_lever_arm").follows
@@ -84,7 +89,11 @@ def conclude(
     findings = [*seen.findings, *found, *findings]
     noisy = (*noisy, *_beside(problem, another=another))
     unexplained = _all_unexplained(problem, seen, findings, unexplained, noisy)
-    names, covariance = _of_model(problem, findings, *known)
+    names, covariance = _of_model((*problem.names, *further), findings, *known)
+    if another:
+        moved = {name: float(problem.moved[k] + fit.step[k]) for name, k in further.items()}
+        covariance, others = axes_since(moved, names, covariance, spread)
+        missing += others
     open_ = open_baseline(problem.names, fit)
     if problem.judged is not None:
         # What it lacks for one sensor is no lack for the other.
@@ -107,7 +116,7 @@ def conclude(
         model=claimed(model, problem.given, findings),
         names=names,
         covariance=covariance,
-        undetermined=tuple(n for n in problem.names if n not in names),
+        undetermined=tuple(n for n in (*problem.names, *further) if n not in names),
         summary={**summary, **_compared(problem, cast(float, summary["duration"]))},
     )
 
@@ -153,24 +162,36 @@ def _all_unexplained(
     return [*said, *gathered(joined([*unexplained, *noisy]))]
 
 
+def _further(problem: ComparisonProblem, outcome: Outcome, fit: Estimate) -> dict[str, int]:
+    """Return which coefficients are a given model's further terms that motion tells, by name."""
+    sigma = np.sqrt(np.diag(fit.covariance))
+    found = {a.candidate.name for a in outcome.accepted}
+    told = told_further(problem.further, problem.first_further, sigma)
+    return {name: k for name, k in told.items() if name.split(".")[0] not in found}
+
+
 def _of_model(
-    problem: ComparisonProblem,
+    own: Sequence[str],
     findings: Sequence[Finding],
     known: tuple[str, ...],
     covariance: FloatArray,
 ) -> tuple[tuple[str, ...], FloatArray]:
-    """Return names and covariance of those parameters that are known and said."""
+    """Return names and covariance of those parameters that are known and said.
+
+    Those of the model's ``own``, and of findings.
+    """
     slugs = {f.effect for f in findings}
-    keep = [i for i, n in enumerate(known) if n in problem.names or n.split(".")[0] in slugs]
+    keep = [i for i, n in enumerate(known) if n in own or n.split(".")[0] in slugs]
     return tuple(known[i] for i in keep), covariance[np.ix_(keep, keep)]
 
 
 def _hidden(problem: ComparisonProblem, outcome: Outcome, skip: tuple[str, ...]) -> dict[str, str]:
     """Return the effects that nothing here would show, with what each needs."""
+    always = {*skip, *(f.name.split(".")[0] for f in problem.further)}
     out = {
         slug: effect.needs
         for slug, effect in effects().items()
-        if slug not in outcome.tried and effect.kind == "sensor" and slug not in skip
+        if slug not in outcome.tried and effect.kind == "sensor" and slug not in always
     }
     return out | (dict.fromkeys(UNPLACED, NOWHERE) if problem.judged is not None else {})
 

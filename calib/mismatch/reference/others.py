@@ -6,7 +6,7 @@ far its errors may be off is known (`carried.known_errors`); what lies within th
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from scipy.special import chdtrc
@@ -20,6 +20,9 @@ BY_CHANCE = 0.01
 """Probability that the other one's errors alone are as large, above which they may be it."""
 
 EFFECT = "gyro_misalignment"
+
+CLEAR = 3.0
+"""Standard errors from which on an angle that is given is another one now."""
 
 
 def told_from_the_other(
@@ -38,12 +41,38 @@ def told_from_the_other(
     gone = [f for f in findings if f not in kept]
     if not gone:
         return kept, ()
-    angle = np.degrees(max(abs(q.value) for f in gone for q in f.parameters.values()))
-    return kept, (
-        f"a gyroscope in the reference that is known better: the axes of the two differ by "
-        f"{angle:.2g}°, which its own errors may be; correct it first (imu-cal apply), or compare "
-        "with a third one",
+    return kept, (_needed(max(abs(q.value) for f in gone for q in f.parameters.values())),)
+
+
+def _needed(angle: float) -> str:
+    return (
+        "a gyroscope in the reference that is known better: the axes of the two differ by "
+        f"{np.degrees(angle):.2g}°, which its own errors may be; correct it first (imu-cal apply), "
+        "or compare with a third one"
     )
+
+
+def axes_since(
+    moved: Mapping[str, float], names: Sequence[str], covariance: FloatArray, spread: FloatArray
+) -> tuple[FloatArray, tuple[str, ...]]:
+    """Return a covariance in which angles that are given are no better known than the other's.
+
+    And what is missing to tell whose they are, if any ``moved`` since, by name (rad), by more than
+    its own standard error but by no more than that.
+    """
+    loose = spread[3:OF_GYRO].reshape(3, 3)
+    variance, seen = np.zeros(len(names)), [0.0]
+    for name, shift in moved.items():
+        effect, parameter = name.split(".")
+        if effect == EFFECT and name in names:
+            i, j = (AXES.index(letter) for letter in parameter[1:])
+            k = names.index(name)
+            variance[k] = loose[i, j] ** 2
+            sigma = float(np.sqrt(covariance[k, k]))
+            if CLEAR * sigma < abs(shift) < CLEAR * np.hypot(loose[i, j], sigma):
+                seen.append(abs(shift))
+    most = max(seen)
+    return covariance + np.diag(variance), (_needed(most),) if most else ()
 
 
 def _may_be(finding: Finding, errors: FloatArray, spread: FloatArray) -> bool:

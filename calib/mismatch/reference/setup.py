@@ -28,6 +28,8 @@ ACCEL_ANGLES = tuple(f"accel.misalignment.{p[::-1]}" for p in ACCEL_MISALIGNMENT
 """What turns an accelerometer against the frame of the truth."""
 
 GYRO_ANGLES = tuple(f"gyro.misalignment.{p}" for p in GYRO_MISALIGNMENT)
+GYRO_TERM = tuple(f"gyro_misalignment.m{p}" for p in GYRO_MISALIGNMENT)
+"""The same, as a term has them."""
 
 LOOSE = {
     "bias": 2.0,

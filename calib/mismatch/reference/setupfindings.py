@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -9,11 +10,13 @@ import numpy as np
 from calib.calibration import Quantity
 from calib.effects import get_effect
 from calib.mismatch.findings.diagnosis import Finding
+from calib.mismatch.findings.evidence import Evidence, Regressor, gather
 from calib.mismatch.findings.heldout import HeldOut, held_out
 from calib.mismatch.hypotheses.factors import SCALES, SHARES
 from calib.mismatch.hypotheses.families import PHYSICAL, tried_effects
 from calib.mismatch.reference.comparison import ComparisonProblem
-from calib.mismatch.search.estimate import Estimate
+from calib.mismatch.search.accepted import fitted
+from calib.mismatch.search.estimate import Estimate, solved
 from calib.mismatch.search.ranking import CLAIM, chance
 from calib.mismatch.search.search import Outcome
 from calib.recording import CHANNELS
@@ -55,7 +58,7 @@ def find_setups(
         typical = np.array([sizes[n] for n in names])
         e_value = prior * bayes_factor(value, covariance, typical)
         if slug in setups and e_value >= CLAIM:
-            out[slug] = _setup(outcome, problem, slug, names, own, value, covariance, e_value)
+            out[slug] = _setup(outcome, fit, problem, slug, names, own, value, covariance, e_value)
         elif slug in setups:
             found = found.without(own)
     return [out[slug] for slug in dict.fromkeys(slugs) if slug in out]
@@ -117,6 +120,7 @@ def bayes_factor(value: FloatArray, covariance: FloatArray, typical: FloatArray)
 
 def _setup(
     outcome: Outcome,
+    fit: Estimate,
     problem: ComparisonProblem,
     slug: str,
     names: list[str],
@@ -128,24 +132,39 @@ def _setup(
     effect, rows = get_effect(slug), outcome.rows
     units = {x.name: x.unit for x in effect.parameters}
     proof: HeldOut | None = None
+    evidence: Evidence | None = None
     reason = "without it the two are not aligned, and nothing can be compared"
     if np.abs(value).max() <= _LINEAR[slug]:
         keep = np.ones(rows.nuisance.shape[1], bool)
         keep[own] = False
         nuisance = _from_the_first(rows.nuisance, problem)
         columns = nuisance[:, own]
-        mean = np.hstack((rows.baseline, nuisance[:, keep], *(a.columns for a in outcome.accepted)))
-        proof, reason = (
-            held_out(
-                rows,
-                mean,
-                columns,
-                rows.residual + columns @ value,
-                levels=outcome.levels,
-                contrast=outcome.contrast,
-                channels=CHANNELS,
-            ),
-            "",
+        without = replace(
+            rows,
+            residual=rows.residual + columns @ value,
+            nuisance=nuisance[:, keep],
+            aligned=tuple(n for n, k in zip(rows.aligned, keep, strict=True) if k),
+            prior=np.delete(rows.prior, rows.baseline.shape[1] + own, axis=0),
+        )
+        mean = fitted(without, outcome.accepted)
+        reason = ""
+        proof = held_out(
+            rows,
+            mean,
+            columns,
+            without.residual,
+            levels=outcome.levels,
+            contrast=outcome.contrast,
+            channels=CHANNELS,
+        )
+        step, _ = solved(without, outcome.accepted, outcome.levels, outcome.contrast)
+        evidence = gather(
+            rows,
+            effect.follows,
+            columns @ value,
+            without.residual - mean @ step,
+            fit.left,
+            regressor=Regressor.of(effect, names, columns, value),
         )
     sigma = np.sqrt(np.diag(covariance))
     return Finding(
@@ -166,6 +185,7 @@ def _setup(
         rivals=(),
         to_separate="",
         sentence=effect.sentence,
+        evidence=evidence,
     )
 
 

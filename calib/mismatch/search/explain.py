@@ -14,7 +14,7 @@ from calib.calibration import Quantity, parameter_unit
 from calib.effects import effects, get_effect
 from calib.effects.base import Effect
 from calib.mismatch.findings.diagnosis import Finding, Interval, Rival, Unexplained, Verdict
-from calib.mismatch.findings.evidence import TIME, gather
+from calib.mismatch.findings.evidence import TIME, Regressor, gather
 from calib.mismatch.findings.heldout import LeftOut, leave_out
 from calib.mismatch.hypotheses.places import joined
 from calib.mismatch.hypotheses.rivals import FROM_START
@@ -224,8 +224,22 @@ def _judge(case: _Case, which: int) -> Finding | Unexplained | None:
         rivals=rivals,
         to_separate=to_separate(effect, rivals),
         sentence=" ".join(w for w in (*words, fast, slow) if w),
-        evidence=gather(outcome.rows, effect.follows, predicted, before, fit.left),
+        evidence=gather(
+            outcome.rows,
+            effect.follows,
+            predicted,
+            before,
+            fit.left,
+            regressor=_regressor(a, effect, fit.step[fit.at[which] : fit.at[which + 1]]),
+        ),
     )
+
+
+def _regressor(a: Accepted, effect: Effect, step: FloatArray) -> Regressor | None:
+    """Return what the largest part of a finding is in proportion to."""
+    if a.candidate.present:
+        return None
+    return Regressor.of(effect, a.candidate.parameters, a.columns / a.typical, step * a.typical)
 
 
 def _parameters(a: Accepted, effect: Effect, fit: Estimate, which: int) -> dict[str, Quantity]:

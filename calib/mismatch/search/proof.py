@@ -8,7 +8,14 @@ import numpy as np
 
 from calib.calibration import parameter_unit
 from calib.mismatch.findings.diagnosis import Absorbed, Change
-from calib.mismatch.findings.heldout import HeldOut, LeftOut, held_out, pose_levels
+from calib.mismatch.findings.heldout import (
+    HeldOut,
+    LeftOut,
+    at_most_left,
+    held_out,
+    pose_levels,
+    with_drift_as_jitter,
+)
 from calib.mismatch.noise.noise import make_whitener
 from calib.mismatch.rows.rows import Kind, Rows
 from calib.mismatch.search.accepted import Accepted, fitted
@@ -93,38 +100,51 @@ def fit_without(outcome: Outcome, which: int) -> tuple[FloatArray, FloatArray, B
 
 
 def changes(outcome: Outcome) -> tuple[tuple[Change, ...], tuple[float, float]]:
-    """Return residual RMS and log-likelihood before and after, on the rows that were fitted."""
-    rows = outcome.rows
-    residual = rows.residual
-    before = np.hstack((rows.baseline, rows.nuisance))
-    after = fitted(rows, outcome.accepted)
-    out: dict[str, list[float]] = {}
-    units = {}
-    likelihood = []
-    for mean in (before, after):
-        whitener = make_whitener(rows, outcome.levels, outcome.contrast, mean)
-        white = whitener.project(residual)
-        likelihood.append(-0.5 * float(white @ white))
-        fit = whitener.whiten(residual)
-        coefficients = np.linalg.lstsq(whitener.whiten(mean), fit, rcond=1e-10)[0]
-        left = residual - mean @ coefficients
-        floor = np.append(rows.variance(outcome.levels), outcome.contrast)
-        keep = 1.0 - whitener.basis.shape[1] / len(residual)
-        for label, unit, own in _row_kinds(rows):
-            out.setdefault(label, []).append(float(np.sqrt(np.mean(np.square(left[own])))))
-            units[label] = (unit, float(np.sqrt(np.mean(floor[own]) * keep)))
-    found = tuple(
-        Change(label, units[label][0], v[0], v[1], units[label][1]) for label, v in out.items()
-    )
-    return found, (likelihood[0], likelihood[1])
+    """Return residual RMS and log-likelihood before and after, on the rows that were fitted.
+
+    Residuals are those that parameters alone leave, as held-out blocks have it: where drift is part
+    of the noise a fit leaves it to that, and what is left of rows is mostly drift.
+
+    Baseline and nuisances are held by what is known of them: beside an arm the errors of another
+    IMU are among these, and would take it up if they could be of any size. So would a scale factor
+    of what the arm makes the sensor feel: before it is found nothing of that is felt.
+    """
+    rows, levels, contrast = outcome.rows, outcome.levels, outcome.contrast
+    whitener = make_whitener(rows, levels, contrast, rows.baseline[:, :0])
+    before = (judging(outcome, i) for i in range(len(outcome.accepted)))
+    plain = next((judged for judged in before if judged is not rows), rows)
+    left, likelihood = list[FloatArray](), list[float]()
+    still = with_drift_as_jitter(rows, levels)
+    for fit, accepted in ((plain, ()), (rows, outcome.accepted)):
+        mean = fitted(fit, accepted)
+        step, _ = solved(fit, accepted, levels, contrast)
+        white = whitener.whiten(rows.residual - mean @ step)
+        likelihood.append(-0.5 * float(np.square(white).sum()))
+        step, covariance = solved(fit, accepted, still, contrast)
+        left.append(rows.residual - mean @ step)
+    # What was fitted takes its part of the noise.
+    taken = np.einsum("mp,mp->m", mean @ covariance, mean)
+    floor = np.maximum(np.append(rows.variance(still), contrast) - taken, 0.0)
+    floor = at_most_left(rows, np.square(left[1]), floor)
+    found = []
+    for label, unit, own in _row_kinds(rows):
+        squares = (np.square(left[0]), np.square(left[1]), floor)
+        found.append(Change(label, unit, *(float(np.sqrt(x[own].mean())) for x in squares)))
+    return tuple(found), (likelihood[0], likelihood[1])
 
 
-def _row_kinds(rows: Rows) -> list[tuple[str, str, FloatArray]]:
-    where = "at rest" if rows.is_rest.any() else "over windows"
+def _row_kinds(rows: Rows) -> list[tuple[str, str, BoolArray]]:
+    """Return what residuals are told apart by: label, unit and rows, (m,) bool.
+
+    At rest it is means: changes within rests are many, and what shows from pose to pose would be
+    lost among them.
+    """
+    resting = bool(rows.is_rest.any())
+    where, last = ("at rest", Kind.MEAN) if resting else ("over windows", Kind.CONTRAST)
     out = []
     for label, unit, own in (
-        (f"accel {where}", "m/s²", (rows.kind <= Kind.CONTRAST) & (rows.channel // 3 == 0)),
-        (f"gyro {where}", "rad/s", (rows.kind <= Kind.CONTRAST) & (rows.channel // 3 == 1)),
+        (f"accel {where}", "m/s²", (rows.kind <= last) & (rows.channel // 3 == 0)),
+        (f"gyro {where}", "rad/s", (rows.kind <= last) & (rows.channel // 3 == 1)),
         ("attitude after turns", "rad", rows.kind == Kind.ATTITUDE),
         ("velocity after turns", "m/s", rows.kind == Kind.VELOCITY),
     ):

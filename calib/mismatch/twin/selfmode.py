@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from calib.calibration import parameter_unit
-from calib.effects import get_effect
+from calib.effects import get_effect, shape_of
 from calib.effects.base import PRESENCE, State, Term
 from calib.mismatch.noise.leaning import leaning
 from calib.mismatch.noise.rounded import Rounding
@@ -95,7 +95,7 @@ class SelfProblem:
         further = {
             f"{term.effect}.{name}": rows.column(signals)
             for term in self.given
-            for name, signals in get_effect(term.effect).columns(rows.state, _shape(term)).items()
+            for name, signals in get_effect(term.effect).columns(rows.state, shape_of(term)).items()
         }
         self.further = tuple(further)
         known = list(further.values())
@@ -227,8 +227,3 @@ class SelfProblem:
         """Let the twin stand where it stood."""
         assert isinstance(place, Twin)
         self.twin = place
-
-
-def _shape(term: Term) -> dict[str, float]:
-    names = [item.name for item in get_effect(term.effect).shape]
-    return {n: term.parameters[n] for n in names if n in term.parameters}

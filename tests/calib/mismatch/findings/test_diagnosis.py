@@ -204,6 +204,9 @@ def test_a_model_has_no_parameter_that_the_recording_leaves_open():
     # What was given stays.
     given = claimed(replace(found.model, terms=(more,)), (more,), ())
     assert given.terms == (more,)
+    # But not what was tried beside it and has no name.
+    beside = claimed(replace(found.model, terms=(more, term)), (more,), ())
+    assert beside.terms == (more,)
 
 
 def test_what_shows_in_samples_is_none_of_what_a_recording_cannot_show():
@@ -329,3 +332,44 @@ def test_what_settles_after_turns_is_known_whatever_it_does_in_them(form: int) -
     clean = SensorModel(terms=(term,)).correct(State(real.time, real.accel, real.gyro)).accel
     left, size = (np.sqrt(np.mean(np.square(a - without.accel))) for a in (clean, real.accel))
     assert left < 0.6 * size
+
+
+def test_what_differs_from_pose_to_pose_shows_in_what_is_left_at_rest():
+    """Changes within rests are many, and have nothing of it."""
+    found = diagnose_recording(
+        recording(Term("gyro_g_sensitivity", {"gxz": 3e-5})), gravity=GRAVITY
+    )
+    assert [f.effect for f in found.findings] == ["gyro_g_sensitivity"]
+    gyro = next(c for c in found.changes if c.rows == "gyro at rest")
+    assert gyro.before > 2.5 * gyro.after
+    # What was fitted takes its part of the noise, and most of it from the closures of turns.
+    for change in found.changes:
+        assert change.after == pytest.approx(change.noise_floor, rel=0.25)
+
+
+@pytest.mark.parametrize(
+    ("term", "follows", "x_unit", "channel"),
+    [
+        (Term("gyro_g_sensitivity", {"gxz": 3e-4}), "specific force along z", "m/s²", "gyro.x"),
+        (
+            Term("gyro_misalignment", {"mxy": 0.02}),
+            "rate about y, added up over a turn",
+            "rad",
+            "attitude after turns",
+        ),
+    ],
+)
+def test_residuals_are_plotted_against_what_the_largest_entry_goes_with(
+    term, follows, x_unit, channel
+):
+    """Against what the effect itself predicts, anything is a straight line."""
+    found = diagnose_recording(recording(term), gravity=GRAVITY)
+    (item,) = found.findings
+    assert item.evidence is not None
+    assert (item.evidence.follows, item.evidence.x_unit) == (follows, x_unit)
+    (series,) = item.evidence.series
+    assert series.channel == channel
+    assert np.ptp(series.x) > 1.0
+    (slope,) = term.parameters.values()
+    # What the baseline had absorbed of it is not in what was left.
+    assert 0.2 < np.polyfit(series.x, series.before - series.after, 1)[0] / slope < 1.1

@@ -67,6 +67,17 @@ def test_the_arm_between_two_imus_on_a_body_is_found():
     held = found.findings[0].held_out
     assert held is not None
     assert held.after < held.before
+    seen = found.findings[0].evidence
+    assert seen is not None
+    assert seen.x_unit == "1/s²"
+    first = seen.series[0]
+    assert np.square(first.before).sum() > 9 * np.square(first.after).sum()
+    # Nor have the other one's errors, or a scale factor of what the arm makes it feel, taken it up.
+    force = found.changes[0]
+    assert force.before > 3 * force.after
+    assert force.after == pytest.approx(force.noise_floor, rel=0.15)
+    assert found.log_likelihood is not None
+    assert found.log_likelihood[1] > found.log_likelihood[0] + 100
 
 
 def test_two_imus_that_are_mounted_at_an_angle_and_start_apart():

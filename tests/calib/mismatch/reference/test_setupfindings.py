@@ -77,3 +77,15 @@ def test_what_is_said_of_the_clocks_makes_the_recording_again(terms):
     again, real = recorded(said, NoiseModel()), recorded(terms, NoiseModel())
     noise = np.std(recorded(terms, CONSUMER).gyro - real.gyro)
     assert np.std(again.gyro - real.gyro) < 0.2 * noise
+
+
+def test_an_alignment_has_its_plot() -> None:
+    """Residuals without it, against what goes with it, as far as it acts in proportion."""
+    late = Term("time_offset", {"delay": 0.01})
+    (item,) = diagnose_reference(recorded((late,), CONSUMER), captured(), gravity=9.80665).findings
+    assert item.effect == "time_offset"
+    assert item.evidence is not None
+    assert item.evidence.follows == "derivative of the signal, its sign changed"
+    for series in item.evidence.series:
+        assert np.square(series.before).sum() > 4 * np.square(series.after).sum()
+        assert np.ptp(series.x) > 1.0

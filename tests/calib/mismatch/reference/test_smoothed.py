@@ -1,10 +1,12 @@
 """A captured motion that was smoothed before it was given away."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter1d
+from scipy.signal import butter, sosfiltfilt
 
 from calib.calibration import Gravity
 from calib.mismatch import ReferenceMotion, diagnose_reference
@@ -91,3 +93,20 @@ def test_a_table_is_commanded_and_not_smoothed():
     seen = look_at_samples(real, find_poses(real))
     skips = [compare_reference(real, r, seen, gravity=GRAVITY)[1] for r in (reference, table)]
     assert ["reference_smoothing" in skip for skip in skips] == [False, True]
+
+
+@pytest.mark.long
+def test_shaking_that_markers_do_not_follow_is_no_noise_of_what_is_compared():
+    """It is fast: the floor was four times what was left once the smoothing had been found."""
+    real, rng = recorded(1), np.random.default_rng(51)
+    moving = gaussian_filter1d(1.0 * (np.linalg.norm(real.gyro, axis=1) > 0.1), 30)[:, None]
+    band = butter(4, [8.0, 25.0], "bandpass", fs=100.0, output="sos")
+    shaken = moving * sosfiltfilt(band, rng.normal(size=(len(real), 6)), axis=0)
+    real = replace(real, accel=real.accel + shaken[:, :3], gyro=real.gyro + 0.3 * shaken[:, 3:])
+    found = diagnose_reference(real, captured(1, smoothed=0.012), gravity=GRAVITY)
+    (item,) = found.findings
+    assert item.effect == "reference_smoothing"
+    assert item.held_out is not None
+    assert item.held_out.noise_floor == pytest.approx(item.held_out.after, rel=0.1)
+    for change in found.changes:
+        assert change.noise_floor == pytest.approx(change.after, rel=0.1)
