@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -58,9 +58,29 @@ def refuse_source(
 ) -> None:
     """Refuse to write over what is read, under whichever of its names."""
     for path in sources:
-        same = out.resolve() == path.resolve()
-        if same or (out.exists() and path.exists() and out.samefile(path)):
+        if _one_file(out, path):
             raise typer.BadParameter(f"{out} is the {what} itself", param_hint=hint)
+
+
+def refuse_overwriting(
+    outputs: Mapping[str, Path | None], sources: Iterable[tuple[str, Path | None]]
+) -> None:
+    """Refuse outputs, by their options, that write over a source, or over each other."""
+    made = [(hint, path) for hint, path in outputs.items() if path is not None]
+    for k, (hint, path) in enumerate(made):
+        for what, source in sources:
+            if source is not None:
+                refuse_source(path, [source], what=what, hint=hint)
+        for other, earlier in made[:k]:
+            if _one_file(path, earlier):
+                raise typer.BadParameter(
+                    f"{path} is that of {other}, too: give two files", param_hint=hint
+                )
+
+
+def _one_file(first: Path, second: Path) -> bool:
+    same = first.resolve() == second.resolve()
+    return same or (first.exists() and second.exists() and first.samefile(second))
 
 
 def replayed(url: str) -> list[Path]:

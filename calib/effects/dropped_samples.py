@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from calib.effects.base import (
+    SAMPLES,
     SPLINE_REACH,
     Column,
     Parameter,
@@ -29,7 +30,7 @@ class DroppedSamples(TransformEffect):
     source = "Overrun of a buffer or a lost packet where time is counted in samples; one sample"
     kind = "event"
     stage = "readout"
-    parameters = (Parameter("count", "samples", 1.0, CHANNELS),)
+    parameters = (Parameter("count", SAMPLES, 1.0, CHANNELS),)
     shape = (ShapeParameter("moment", "s", None, None, "linear"),)
     from_moment = True
     follows = "time: one turn's angle is short by rate times the sample interval"
