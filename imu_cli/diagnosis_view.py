@@ -10,12 +10,14 @@ from imu_cli.output import styled
 from imu_cli.report.units import people_unit, said
 from imu_cli.report.words import (
     alias_sentence,
+    alternatives,
     chance,
     headline,
     likelihood,
     moved_lines,
+    much,
     notes,
-    rival_of,
+    shift_of,
     spans,
     what,
     where,
@@ -40,15 +42,13 @@ def diagnosis_lines(document: Mapping[str, Any]) -> Iterator[str | Text | Table]
         yield styled((f"{number}. {finding['title']}", "bold"), f" ({finding['effect']})")
         yield from (f"   {line}" for line in _finding(finding))
     for left in document["unexplained"]:
-        place = f"{', '.join(left['channels'])}; {spans(left['intervals'])}"
-        size = left.get("size")
-        much = f", up to {_in_unit(size['unit'], size['value'])} at rest" if size else ""
+        said_of = [", ".join(left["channels"]), spans(left["intervals"]), what(left["follows"])]
+        words = "; ".join(said_of)
+        if size := much(left, document["fit"]):
+            words += f", {size}"
         yield ""
-        yield styled(
-            ("Unexplained", "bold"),
-            f": {place}; {what(left['follows'])}{much} (p {_equal(left['p_value'])}).",
-        )
-        yield from (f"  or: {rival_of(r)}" for r in left["rivals"])
+        yield styled(("Unexplained", "bold"), f": {words} (p {_equal(left['p_value'])}).")
+        yield from (f"  {line}" for line in alternatives(left["rivals"]))
     for alias in document["aliases"]:
         if alias["alike"]:
             yield ""
@@ -78,7 +78,7 @@ def _finding(finding: Mapping[str, Any]) -> Iterator[str]:
             yield f"{name} = {said(item['value'], item['sigma'], item['unit'])}"
     for item in finding["absorbed_by"][:ABSORBED]:
         yield (
-            f"{item['parameter']} had absorbed {_in_unit(item['unit'], item['shift'])} of it "
+            f"{item['parameter']} was off by {shift_of(item)} to take it up "
             f"({item['standard_errors']:.1f} standard errors)."
         )
     held = finding["held_out"]
@@ -91,8 +91,8 @@ def _finding(finding: Mapping[str, Any]) -> Iterator[str]:
         )
     elif finding["held_out_reason"]:
         yield f"Not checked on held-out data: {finding['held_out_reason']}."
-    for rival in finding["rivals"]:
-        yield f"Or: {rival_of(rival)}."
+    for line in alternatives(finding["rivals"]):
+        yield f"{line[0].upper()}{line[1:]}."
     if finding["to_separate"]:
         yield finding["to_separate"]
 

@@ -14,12 +14,14 @@ from imu_cli.report.words import (
     SEEN,
     VERDICTS,
     alias_sentence,
+    alternatives,
     chance,
     headline,
     likelihood,
     moved_lines,
+    much,
     notes,
-    rival_of,
+    shift_of,
     spans,
     where,
 )
@@ -39,7 +41,7 @@ def diagnosis_report(document: Mapping[str, Any]) -> Report:
     for number, finding in enumerate(findings, 1):
         blocks += _finding(number, finding)
     if document["unexplained"]:
-        blocks.append(_unexplained(document["unexplained"]))
+        blocks.append(_unexplained(document["unexplained"], document.get("fit") or {}))
         blocks += _where(document["unexplained"])
     for alias in document.get("aliases", ()):
         if alias["alike"]:
@@ -118,8 +120,8 @@ def _finding(number: int, finding: Mapping[str, Any]) -> list[Block]:
         moved = [_absorbed(item) for item in finding["absorbed_by"]]
         sentences.append(f"Until now these parameters had taken it up: {', '.join(moved)}.")
     if finding["rivals"]:
-        rivals = "; ".join(rival_of(r) for r in finding["rivals"])
-        sentences.append(f"It could as well be: {rivals}.")
+        line = "; ".join(alternatives(finding["rivals"]))
+        sentences.append(f"{line[0].upper()}{line[1:]}.")
     if finding["to_separate"]:
         sentences.append(finding["to_separate"])
     if finding["held_out"] is None and finding.get("held_out_reason"):
@@ -152,8 +154,7 @@ def _finding(number: int, finding: Mapping[str, Any]) -> list[Block]:
 def _absorbed(item: Any) -> str:
     if isinstance(item, str):
         return item
-    unit, factor = people_unit(item["unit"])
-    return f"{item['parameter']} by {item['shift'] * factor:+.3g} {unit}"
+    return f"{item['parameter']} by {shift_of(item)}"
 
 
 def _evidence(
@@ -179,25 +180,19 @@ def _evidence(
     )
 
 
-def _unexplained(items: list[Mapping[str, Any]]) -> Table:
+def _unexplained(items: list[Mapping[str, Any]], fit: Mapping[str, Any]) -> Table:
     rows = tuple(
         (
             ", ".join(item["channels"]),
             spans(item["intervals"], "; "),
             item["follows"].removeprefix(SEEN),
-            _size(item.get("size")),
+            "; ".join(alternatives(item.get("rivals", ()))) or "-",
+            much(item, fit).removeprefix("up to ") or "-",
             chance(item["p_value"]),
         )
         for item in items
     )
-    return Table("Unexplained", ("channels", "when", "follows", "at rest up to", "p"), rows, (4,))
-
-
-def _size(size: Mapping[str, Any] | None) -> str:
-    if size is None:
-        return "-"
-    unit, factor = people_unit(size["unit"])
-    return f"{size['value'] * factor:.3g} {unit}"
+    return Table("Unexplained", ("channels", "when", "follows", "or", "up to", "p"), rows, (5,))
 
 
 def _where(items: list[Mapping[str, Any]]) -> list[Block]:

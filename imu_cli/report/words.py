@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from imu_cli.report.units import said
+from imu_cli.report.units import people_unit, said
 
 VERDICTS = {
     "consistent": ("Consistent: nothing beyond noise.", "good"),
@@ -24,12 +25,18 @@ SEEN = "nothing: "
 OR_ANOTHER = "Explained: everything beyond noise has a name, or one of several."
 """The sentence where other names are as good, or nearly, for some of it."""
 
+MENDED_FIRST = "Explained so far: this has to be mended first, and nothing else was looked at."
+"""The sentence where units or axes are wrong: nothing was compared."""
+
 NEARLY = 0.1
 """Odds of a rival from which on it is said to be as good, or nearly."""
 
 
 def headline(document: Mapping[str, Any]) -> str:
     """Return the verdict as a sentence."""
+    fit = document.get("fit")
+    if document["verdict"] == "explained" and fit is not None and not fit["residuals"]:
+        return MENDED_FIRST
     rivals = [r for f in document.get("findings", ()) for r in f.get("rivals", ())]
     if document["verdict"] == "explained" and any(r["odds"] >= NEARLY for r in rivals):
         return OR_ANOTHER
@@ -68,7 +75,48 @@ def where(finding: Mapping[str, Any]) -> str:
 def rival_of(rival: Mapping[str, Any]) -> str:
     """Return what something that was found may be instead, and how probable that is beside it."""
     times = f"{rival['odds']:.2g}"
-    return f"{rival['effect']}, {'just' if times == '1' else f'{times} times'} as probable"
+    name = re.sub(r" ((?:accel|gyro)(?:\.[xyz])?)$", r" (\1)", rival["effect"])
+    return f"{name}, {'just' if times == '1' else f'{times} times'} as probable"
+
+
+ALTERNATIVES = 5
+"""So many rivals are said; the document has all."""
+
+
+def alternatives(rivals: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return what something that was found may be instead, in a line each, the likeliest first."""
+    ordered = sorted(rivals, key=lambda r: -float(r["odds"]))
+    out = []
+    for rival in ordered[:ALTERNATIVES]:
+        more = float(f"{rival['odds']:.2g}") > 1.0
+        out.append(f"{'or, more probable' if more else 'or'}: {rival_of(rival)}")
+    if left := len(ordered[ALTERNATIVES:]):
+        out.append(f"and {left} less probable one{'s' if left > 1 else ''}")
+    return out
+
+
+_TURNING = re.compile(r"\brates?\b(?! of temperature)|speed of rotation")
+
+
+def much(left: Mapping[str, Any], fit: Mapping[str, Any]) -> str:
+    """Return the most that is seen of something unexplained, and in what; nothing if unknown.
+
+    What follows how fast the sensor turns does not show at rest.
+    """
+    size = left.get("size")
+    rows = [item["rows"] for item in fit.get("residuals", ())]
+    at_rest = not rows or any(name.endswith("at rest") for name in rows)
+    if size is None or (at_rest and _TURNING.search(left["follows"])):
+        return ""
+    unit, factor = people_unit(size["unit"])
+    where = "at rest" if at_rest else "in the mean of a window"
+    return f"up to {size['value'] * factor:.3g} {unit} {where}"
+
+
+def shift_of(absorbed: Mapping[str, Any]) -> str:
+    """Return by how much a parameter had moved to take something up."""
+    unit, factor = people_unit(absorbed["unit"])
+    return f"{absorbed['shift'] * factor:+.3g} {unit}"
 
 
 def what(follows: str) -> str:

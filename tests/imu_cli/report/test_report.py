@@ -137,7 +137,7 @@ def test_the_page_asks_for_nothing_from_a_network(calibration: Calibration) -> N
 
 def test_text_of_a_document_is_escaped() -> None:
     page = render_page(diagnosis_report(DIAGNOSIS))
-    assert "It could as well be: earth_rate, 0.1 times as probable." in page
+    assert "Or: earth_rate, 0.1 times as probable." in page
     assert "<b>specific force</b>" not in page.split('id="document"')[0]
     assert "residual against specific force x" in page
 

@@ -2,7 +2,21 @@
 
 from imu_cli.report.diagnosis import diagnosis_report
 from imu_cli.report.model import Paragraph
-from imu_cli.report.words import SPELT, chance, likelihood, notes, rival_of, spans, what, where
+from imu_cli.report.words import (
+    MENDED_FIRST,
+    SPELT,
+    alternatives,
+    chance,
+    headline,
+    likelihood,
+    much,
+    notes,
+    rival_of,
+    shift_of,
+    spans,
+    what,
+    where,
+)
 
 DOCUMENT = {
     "verdict": "consistent",
@@ -84,3 +98,45 @@ def test_rivals_are_said_by_how_probable_they_are_beside_the_finding() -> None:
     assert rival_of({"effect": "earth_rate", "odds": 12.34}) == "earth_rate, 12 times as probable"
     assert rival_of({"effect": "earth_rate", "odds": 0.1}) == "earth_rate, 0.1 times as probable"
     assert rival_of({"effect": "earth_rate", "odds": 1.0}) == "earth_rate, just as probable"
+    fluctuating = {"effect": "fluctuation in a window accel", "odds": 0.5}
+    assert rival_of(fluctuating) == "fluctuation in a window (accel), 0.5 times as probable"
+
+
+def test_few_rivals_are_said_the_likeliest_first_and_what_is_more_probable_as_such() -> None:
+    odds = {"a": 0.2, "b": 29.4, "c": 1.0, "d": 0.1, "e": 0.15, "f": 0.3, "g": 0.12}
+    rivals = [{"effect": name, "odds": value} for name, value in odds.items()]
+    assert alternatives(rivals) == [
+        "or, more probable: b, 29 times as probable",
+        "or: c, just as probable",
+        "or: f, 0.3 times as probable",
+        "or: a, 0.2 times as probable",
+        "or: e, 0.15 times as probable",
+        "and 2 less probable ones",
+    ]
+    assert alternatives([]) == []
+
+
+def test_what_had_taken_something_up_is_said_to_have_moved() -> None:
+    """It read as if it had taken up a part of the effect, in its own unit."""
+    item = {"parameter": "gyro.scale_factor_error.x", "shift": 0.00507, "unit": "1"}
+    assert shift_of(item) == "+0.507 %"
+
+
+def test_where_nothing_was_compared_not_everything_is_explained() -> None:
+    document = {"verdict": "explained", "findings": [], "fit": {"residuals": []}}
+    assert headline(document) == MENDED_FIRST
+    compared = {**document, "fit": {"residuals": [{"rows": "accel at rest"}]}}
+    assert headline(compared).startswith("Explained: everything")
+
+
+def test_the_size_of_what_is_unexplained_says_where_it_shows() -> None:
+    left = {"follows": "direction of gravity", "size": {"value": 0.0486, "unit": "m/s²"}}
+    rests = {"residuals": [{"rows": "accel at rest"}]}
+    windows = {"residuals": [{"rows": "accel over windows"}]}
+    assert much(left, rests) == "up to 4.96 mg at rest"
+    assert much(left, windows) == "up to 4.96 mg in the mean of a window"
+    turning = {**left, "follows": "speed of rotation"}
+    assert much(turning, rests) == ""
+    assert much(turning, windows) == "up to 4.96 mg in the mean of a window"
+    assert much({**left, "follows": "rate of temperature"}, rests) == "up to 4.96 mg at rest"
+    assert much({**left, "size": None}, rests) == ""
