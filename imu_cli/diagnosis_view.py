@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from calib.effects.base import FORM, PRESENCE
 from imu_cli.output import styled
+from imu_cli.report.advice import next_step
 from imu_cli.report.units import people_unit, said
 from imu_cli.report.words import (
     alias_sentence,
@@ -17,6 +18,7 @@ from imu_cli.report.words import (
     moved_lines,
     much,
     notes,
+    remarks,
     shift_of,
     spans,
     what,
@@ -49,6 +51,8 @@ def diagnosis_lines(document: Mapping[str, Any]) -> Iterator[str | Text | Table]
         yield ""
         yield styled(("Unexplained", "bold"), f": {words} (p {_equal(left['p_value'])}).")
         yield from (f"  {line}" for line in alternatives(left["rivals"]))
+        if document["fit"]["residuals"]:  # what ends a diagnosis says itself what it needs
+            yield f"  next: {next_step(left)}"
     for alias in document["aliases"]:
         if alias["alike"]:
             yield ""
@@ -62,8 +66,8 @@ def diagnosis_lines(document: Mapping[str, Any]) -> Iterator[str | Text | Table]
         explained = bool(document["findings"] or document["unexplained"])
         yield ""
         yield _residuals(residuals, explained=explained)
-        if explained:
-            yield f" {likelihood(document['fit'])}"
+        if explained and (line := likelihood(document["fit"])):
+            yield f" {line}"
     for note in notes(document):
         yield ""
         yield note
@@ -76,6 +80,7 @@ def _finding(finding: Mapping[str, Any]) -> Iterator[str]:
     for name, item in finding["parameters"].items():
         if item["unit"] not in (PRESENCE, FORM):  # channels and words say it
             yield f"{name} = {said(item['value'], item['sigma'], item['unit'])}"
+    yield from remarks(finding)
     for item in finding["absorbed_by"][:ABSORBED]:
         yield (
             f"{item['parameter']} was off by {shift_of(item)} to take it up "

@@ -33,7 +33,7 @@ class DroppedSamples(TransformEffect):
     parameters = (Parameter("count", SAMPLES, 1.0, CHANNELS),)
     shape = (ShapeParameter("moment", "s", None, None, "linear"),)
     from_moment = True
-    follows = "time: one turn's angle is short by rate times the sample interval"
+    follows = "time: one turn's angle is off by rate times the sample interval"
     needs = "that it happened in a fast turn; at rest it cannot be seen"
     sentence = "Samples are missing (or repeated) at this moment, and the time stamps hide it."
     absorbed_by = ("gyro.scale_factor_error",)

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from calib.effects.base import FORM, PRESENCE
+from imu_cli.report.advice import next_step
 from imu_cli.report.model import Block, Paragraph, Plot, Report, Series, Table
 from imu_cli.report.units import people_unit, with_error
 from imu_cli.report.words import (
@@ -21,6 +22,7 @@ from imu_cli.report.words import (
     moved_lines,
     much,
     notes,
+    remarks,
     shift_of,
     spans,
     where,
@@ -42,6 +44,8 @@ def diagnosis_report(document: Mapping[str, Any]) -> Report:
         blocks += _finding(number, finding)
     if document["unexplained"]:
         blocks.append(_unexplained(document["unexplained"], document.get("fit") or {}))
+        if (document.get("fit") or {}).get("residuals"):
+            blocks.append(Paragraph("What to do next", _next_steps(document["unexplained"])))
         blocks += _where(document["unexplained"])
     for alias in document.get("aliases", ()):
         if alias["alike"]:
@@ -116,6 +120,7 @@ def _overview(findings: list[Mapping[str, Any]]) -> Table:
 def _finding(number: int, finding: Mapping[str, Any]) -> list[Block]:
     title = f"{number}. {finding.get('title', finding['effect'])}"
     sentences = [finding.get("sentence", ""), f"Where: {where(finding)}."]
+    sentences += remarks(finding)
     if finding["absorbed_by"]:
         moved = [_absorbed(item) for item in finding["absorbed_by"]]
         sentences.append(f"Until now these parameters had taken it up: {', '.join(moved)}.")
@@ -193,6 +198,13 @@ def _unexplained(items: list[Mapping[str, Any]], fit: Mapping[str, Any]) -> Tabl
         for item in items
     )
     return Table("Unexplained", ("channels", "when", "follows", "or", "up to", "p"), rows, (5,))
+
+
+def _next_steps(items: list[Mapping[str, Any]]) -> tuple[str, ...]:
+    steps: dict[str, list[str]] = {}
+    for item in items:
+        steps.setdefault(next_step(item), []).extend(item["channels"])
+    return tuple(f"{', '.join(dict.fromkeys(on))}: {step}." for step, on in steps.items())
 
 
 def _where(items: list[Mapping[str, Any]]) -> list[Block]:

@@ -6,6 +6,8 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from calib.effects import get_effect
+from calib.effects.base import SAMPLES
 from imu_cli.report.units import people_unit, said
 
 VERDICTS = {
@@ -47,7 +49,7 @@ def headline(document: Mapping[str, Any]) -> str:
 
 def chance(p_value: float) -> str:
     """Write a p-value; below a millionth the noise model is not to be trusted to the digit."""
-    return "< 1e-6" if p_value < 1e-6 else f"{p_value:.2g}"
+    return "< 1e-6" if p_value <= 1e-6 else f"{p_value:.2g}".replace("e-0", "e-")
 
 
 SPELT = 8
@@ -83,6 +85,10 @@ ALTERNATIVES = 5
 """So many rivals are said; the document has all."""
 
 
+VAGUE = 3.0
+"""Standard errors below which a time constant or a cut-off is not known in size."""
+
+
 def alternatives(rivals: Sequence[Mapping[str, Any]]) -> list[str]:
     """Return what something that was found may be instead, in a line each, the likeliest first."""
     ordered = sorted(rivals, key=lambda r: -float(r["odds"]))
@@ -113,6 +119,20 @@ def much(left: Mapping[str, Any], fit: Mapping[str, Any]) -> str:
     return f"up to {size['value'] * factor:.3g} {unit} {where}"
 
 
+def remarks(finding: Mapping[str, Any]) -> list[str]:
+    """Return what is to be said of the numbers of a finding."""
+    out = []
+    shape = {item.name: item.spacing for item in get_effect(finding["effect"]).shape}
+    for name, item in finding["parameters"].items():
+        value, sigma = item["value"], item["sigma"]
+        if item["unit"] == SAMPLES:
+            many = f"{abs(value):g} sample{'s are' if abs(value) != 1 else ' is'}"
+            out.append(f"{many} {'repeated' if value < 0 else 'missing'}.")
+        elif shape.get(name) == "log" and sigma is not None and sigma > value / VAGUE:
+            out.append(f"{name}: that it is there is sure, how large it is not.")
+    return out
+
+
 def shift_of(absorbed: Mapping[str, Any]) -> str:
     """Return by how much a parameter had moved to take something up."""
     unit, factor = people_unit(absorbed["unit"])
@@ -126,11 +146,12 @@ def what(follows: str) -> str:
 
 
 def likelihood(fit: Mapping[str, Any]) -> str:
-    """Return the log-likelihood before and after; nothing where nothing was fitted."""
+    """Return the log-likelihood before and after; nothing where nothing was fitted, or changed."""
     both = fit.get("log_likelihood")
     if both is None:
         return ""
-    return f"Log-likelihood: {both['before']:.1f} -> {both['after']:.1f}."
+    before, after = (f"{both[key]:.1f}" for key in ("before", "after"))
+    return f"Log-likelihood: {before} -> {after}." if before != after else ""
 
 
 def alias_sentence(alias: Mapping[str, Any]) -> str:

@@ -11,6 +11,7 @@ from imu_cli.report.words import (
     likelihood,
     much,
     notes,
+    remarks,
     rival_of,
     shift_of,
     spans,
@@ -80,13 +81,15 @@ def test_of_very_many_intervals_the_first_few_are_written_and_how_many_more() ->
 
 
 def test_a_chance_is_not_said_beyond_what_the_noise_model_knows() -> None:
-    assert [chance(p) for p in (1e-306, 2e-6, 0.0123, 1.0)] == ["< 1e-6", "2e-06", "0.012", "1"]
+    assert [chance(p) for p in (1e-306, 1e-6, 2e-6, 0.0123)] == ["< 1e-6"] * 2 + ["2e-6", "0.012"]
+    assert chance(1.0) == "1"
 
 
 def test_the_log_likelihood_is_said_where_something_was_fitted() -> None:
     both = {"before": -33570.34, "after": -187.81}
     assert likelihood({"log_likelihood": both}) == "Log-likelihood: -33570.3 -> -187.8."
     assert likelihood({"log_likelihood": None}) == ""
+    assert likelihood({"log_likelihood": {"before": -187.81, "after": -187.81}}) == ""
 
 
 def test_what_is_seen_in_samples_follows_nothing_and_is_said_as_it_is() -> None:
@@ -140,3 +143,33 @@ def test_the_size_of_what_is_unexplained_says_where_it_shows() -> None:
     assert much(turning, windows) == "up to 4.96 mg in the mean of a window"
     assert much({**left, "follows": "rate of temperature"}, rests) == "up to 4.96 mg at rest"
     assert much({**left, "size": None}, rests) == ""
+
+
+def finding_of(effect: str, **parameters: tuple[float, float | None, str]) -> dict[str, object]:
+    names = ("value", "sigma", "unit")
+    return {
+        "effect": effect,
+        "parameters": {k: dict(zip(names, v, strict=True)) for k, v in parameters.items()},
+    }
+
+
+def test_repeated_samples_are_said_to_be() -> None:
+    """It read "count = -9 samples", and that samples are missing (or repeated)."""
+
+    def said(count: float) -> list[str]:
+        moment = (3.0, 0.01, "s")
+        return remarks(finding_of("dropped_samples", count=(count, None, "samples"), moment=moment))
+
+    assert said(-9.0) == ["9 samples are repeated."]
+    assert said(-1.0) == ["1 sample is repeated."]
+    assert said(3.0) == ["3 samples are missing."]
+
+
+def test_a_size_that_is_not_known_is_said_not_to_be() -> None:
+    """A cut-off of 18 +- 16 Hz stood beside p = 0.0005."""
+    there = (1.0, None, "presence")
+    vague = finding_of("bandwidth", gyro=there, gyro_cutoff=(18.0, 16.0, "Hz"))
+    assert remarks(vague) == ["gyro_cutoff: that it is there is sure, how large it is not."]
+    assert remarks(finding_of("bandwidth", gyro=there, gyro_cutoff=(18.0, 2.0, "Hz"))) == []
+    late = finding_of("time_offset", gyro_delay=(1e-3, 5e-4, "s"))
+    assert remarks(late) == []
