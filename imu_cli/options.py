@@ -56,7 +56,11 @@ def parse_duration(text: str) -> float:
 def refuse_source(
     out: Path, sources: Iterable[Path], *, what: str = "recording", hint: str = "--output"
 ) -> None:
-    """Refuse to write over what is read, under whichever of its names."""
+    """Refuse to write over what is read, under whichever of its names, and to write to ``-``."""
+    if str(out) == "-":
+        raise typer.BadParameter(
+            "- is no file: name one (standard output has what is said, and --json)", param_hint=hint
+        )
     for path in sources:
         if _one_file(out, path):
             raise typer.BadParameter(f"{out} is the {what} itself", param_hint=hint)
@@ -68,6 +72,7 @@ def refuse_overwriting(
     """Refuse outputs, by their options, that write over a source, or over each other."""
     made = [(hint, path) for hint, path in outputs.items() if path is not None]
     for k, (hint, path) in enumerate(made):
+        refuse_source(path, [], hint=hint)
         for what, source in sources:
             if source is not None:
                 refuse_source(path, [source], what=what, hint=hint)

@@ -151,8 +151,8 @@ class Simulated:
             f"{path}: {len(r)} samples, {r.duration:.1f} s at {rate:.6g} Hz, {self.motion.name}"
         ]
         counts = [
-            f"{len(found)} {label}"
-            for kind, label in (("static", "static poses"), ("turn", "turns"), ("spin", "spins"))
+            f"{len(found)} {label}{'s' if len(found) > 1 else ''}"
+            for kind, label in (("static", "static pose"), ("turn", "turn"), ("spin", "spin"))
             if len(found := self.motion.intervals(kind))
         ]
         if counts:

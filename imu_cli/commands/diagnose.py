@@ -153,8 +153,9 @@ def diagnose(
         print_json(document)
     else:
         print_lines(*diagnosis_lines(document))
+        alone = against is None and reference is None
         for text in found.missing:
-            warn(f"the recording lacks {text}")
+            warn(f"the {'recording' if alone else 'comparison'} lacks {text}")
     if output is not None and not found.names:
         # The verdict is said before what it leaves nothing to write for.
         found.calibration(real, gravity=local)

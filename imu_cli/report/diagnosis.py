@@ -37,7 +37,7 @@ def diagnosis_report(document: Mapping[str, Any]) -> Report:
         verdict += " Found: " + ", ".join(f.get("title", f["effect"]) for f in findings) + "."
     blocks: list[Block] = []
     if document.get("missing"):
-        blocks.append(Paragraph("What the recording lacks", tuple(document["missing"])))
+        blocks.append(Paragraph("What is lacking", tuple(document["missing"])))
     if findings:
         blocks.append(_overview(findings))
     for number, finding in enumerate(findings, 1):

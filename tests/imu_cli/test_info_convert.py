@@ -139,6 +139,30 @@ def test_no_command_writes_over_its_source(
 @pytest.mark.parametrize(
     "words",
     [
+        ("convert", "a.csv", "-o", "-"),
+        ("report", "a.csv", "-o", "-"),
+        ("diagnose", "a.csv", "-o", "-"),
+        ("diagnose", "a.csv", "--report", "-"),
+        ("calibrate", "a.csv", "-o", "-"),
+        ("simulate", "-o", "-"),
+        ("record", "replay://a.csv?speed=0", "-o", "-"),
+    ],
+)
+def test_standard_output_is_no_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: tuple[str, ...]
+) -> None:
+    """A file of the name `-` was written."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "a.csv").write_bytes((BAD / "one_pose.csv").read_bytes())
+    code, _, err = run(*words)
+    assert code == 2
+    assert "- is no file: name one" in " ".join(err.replace("│", " ").split())
+    assert os.listdir(tmp_path) == ["a.csv"]
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
         ("diagnose", "a.csv", "-o", "z.json", "--report", "z.json"),
         ("simulate", "-o", "z.csv", "--truth", "z.csv"),
         ("record", "replay://a.csv?speed=0", "-o", "z.csv", "--raw", "./z.csv"),

@@ -1,6 +1,7 @@
 """``imu-cal simulate``: files, twins, effects and wrong arguments."""
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -309,6 +310,14 @@ def test_a_duration_beyond_the_reference_is_said(moved: Motion, tmp_path: Path) 
     result = run("--reference", known, "--duration", "5min", "--rate", 20, "-o", path)
     assert result.exit_code == 0, result.stderr
     assert "less than --duration 5min: the simulation ends with it" in result.stderr
+
+
+@pytest.mark.parametrize("name", MOTIONS)
+def test_the_summary_says_the_motion_that_was_asked_for(name: str, tmp_path: Path) -> None:
+    """A hand-held motion was "bench", and had "1 spins"."""
+    result = run("--motion", name, "--duration", "30s", "-o", tmp_path / "sim.arrow")
+    assert result.stdout.partition("\n")[0].endswith(f", {name}")
+    assert not re.search(r"\b1 (turns|spins|static poses)", result.stdout)
 
 
 def test_repeated_samples_of_a_twin_are_bounded_by_its_recording(
