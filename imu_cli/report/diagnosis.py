@@ -44,6 +44,8 @@ def diagnosis_report(document: Mapping[str, Any]) -> Report:
         blocks += _finding(number, finding)
     if document["unexplained"]:
         blocks.append(_unexplained(document["unexplained"], document.get("fit") or {}))
+        if rivals := _rivals(document["unexplained"]):
+            blocks.append(Paragraph("What else it may be", rivals))
         if (document.get("fit") or {}).get("residuals"):
             blocks.append(Paragraph("What to do next", _next_steps(document["unexplained"])))
         blocks += _where(document["unexplained"])
@@ -60,7 +62,7 @@ def diagnosis_report(document: Mapping[str, Any]) -> Report:
         blocks.append(_residuals(fit))
     if document.get("cannot_show"):
         rows = tuple(document["cannot_show"].items())
-        blocks.append(Table("What this recording cannot show", ("effect", "why"), rows))
+        blocks.append(Table("What this recording cannot show", ("effect", "what to record"), rows))
     return Report(
         title="Diagnosis",
         verdict=verdict,
@@ -189,15 +191,27 @@ def _unexplained(items: list[Mapping[str, Any]], fit: Mapping[str, Any]) -> Tabl
     rows = tuple(
         (
             ", ".join(item["channels"]),
-            spans(item["intervals"], "; "),
+            _unbroken(spans(item["intervals"], "; ")),
             item["follows"].removeprefix(SEEN),
-            "; ".join(alternatives(item.get("rivals", ()))) or "-",
             much(item, fit).removeprefix("up to ") or "-",
             chance(item["p_value"]),
         )
         for item in items
     )
-    return Table("Unexplained", ("channels", "when", "follows", "or", "up to", "p"), rows, (5,))
+    return Table("Unexplained", ("channels", "when", "follows", "up to", "p"), rows, (4,))
+
+
+def _unbroken(times: str) -> str:
+    """Return intervals that a narrow cell breaks between, and not within."""
+    return times.replace(" to ", "\u00a0to\u00a0").replace(" s", "\u00a0s")
+
+
+def _rivals(items: list[Mapping[str, Any]]) -> tuple[str, ...]:
+    return tuple(
+        f"{', '.join(item['channels'])}; {item['follows'].removeprefix(SEEN)}: {'; '.join(lines)}."
+        for item in items
+        if (lines := alternatives(item.get("rivals", ())))
+    )
 
 
 def _next_steps(items: list[Mapping[str, Any]]) -> tuple[str, ...]:

@@ -129,7 +129,7 @@ def remarks(finding: Mapping[str, Any]) -> list[str]:
             many = f"{abs(value):g} sample{'s are' if abs(value) != 1 else ' is'}"
             out.append(f"{many} {'repeated' if value < 0 else 'missing'}.")
         elif shape.get(name) == "log" and sigma is not None and sigma > value / VAGUE:
-            out.append(f"{name}: that it is there is sure, how large it is not.")
+            out.append(f"{name}: the effect is sure, this number is not.")
     return out
 
 

@@ -169,7 +169,7 @@ def test_a_size_that_is_not_known_is_said_not_to_be() -> None:
     """A cut-off of 18 +- 16 Hz stood beside p = 0.0005."""
     there = (1.0, None, "presence")
     vague = finding_of("bandwidth", gyro=there, gyro_cutoff=(18.0, 16.0, "Hz"))
-    assert remarks(vague) == ["gyro_cutoff: that it is there is sure, how large it is not."]
+    assert remarks(vague) == ["gyro_cutoff: the effect is sure, this number is not."]
     assert remarks(finding_of("bandwidth", gyro=there, gyro_cutoff=(18.0, 2.0, "Hz"))) == []
     late = finding_of("time_offset", gyro_delay=(1e-3, 5e-4, "s"))
     assert remarks(late) == []
