@@ -163,6 +163,12 @@ class Corrector:
                 cover.outside += int(np.count_nonzero((values < span.low) | (values > span.high)))
 
 
+OF_SETUP = (
+    "it belongs to the set-up that was recorded, such as where the sensor sat beside its "
+    "reference, not to the sensor"
+)
+
+
 @dataclass(frozen=True)
 class NotApplied:
     """A part of a calibration that a recording was not corrected for, and why."""
@@ -172,9 +178,15 @@ class NotApplied:
 
 
 def not_applied(calibration: Calibration, coverage: Coverage) -> tuple[NotApplied, ...]:
-    """Return what of a calibration was not applied: events, and terms whose input was missing."""
+    """Return what of a calibration was not applied: events, and terms whose input was missing.
+
+    What belongs to the set-up is kept beside the events.
+    """
     out = []
     for event in calibration.events:
+        if get_effect(event.effect).kind == "setup":
+            out.append(NotApplied(event.effect, OF_SETUP))
+            continue
         spans = ", ".join(f"{a:.2f} to {b:.2f} s" for a, b in event.intervals)
         reason = f"at {spans} it is an event of the recording that was calibrated"
         out.append(NotApplied(event.effect, reason))

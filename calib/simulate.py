@@ -51,10 +51,10 @@ class Sampling:
             raise ValueError(f"`clock_scale` must be above -1, got {self.clock_scale}")
         if not 0 <= self.lost < 1:
             raise ValueError(f"`lost` must be in [0, 1), got {self.lost}")
-        if self.lost_run < 1:
+        if not 1 <= self.lost_run < np.inf:
             raise ValueError(f"`lost_run` must be at least 1, got {self.lost_run}")
-        if self.jitter < 0:
-            raise ValueError(f"`jitter` must not be negative, got {self.jitter}")
+        if not 0 <= self.jitter < np.inf:
+            raise ValueError(f"`jitter` must be 0 s or more, got {self.jitter}")
 
     def stamps(self, time: FloatArray, *, rng: np.random.Generator) -> FloatArray:
         """Return what the clock shows at (n,) true times."""

@@ -14,6 +14,7 @@ from typing import NoReturn
 from calib.calibration import Calibration, InputFile
 from calib.document import from_document, to_document
 from calib.errors import CalibrationFileError
+from drivers.output_file import can_replace
 
 
 def load_calibration(path: str | Path) -> Calibration:
@@ -74,6 +75,9 @@ def check_can_save(calibration: Calibration, path: Path) -> None:
     CalibrationFileError
         If it could not be written; nothing is left behind.
     """
+    if not can_replace(path):
+        check_can_write(path)
+        return
     try:
         with tempfile.TemporaryDirectory(dir=path.resolve().parent) as folder:
             save_calibration(calibration, Path(folder) / path.name)
@@ -93,6 +97,10 @@ def check_can_write(path: Path) -> None:
     try:
         if path.is_dir():
             raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+        if not can_replace(path):
+            if not os.access(path, os.W_OK):
+                raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+            return
         with tempfile.TemporaryFile(dir=path.parent):
             pass
     except OSError as error:
@@ -102,11 +110,15 @@ def check_can_write(path: Path) -> None:
 def write_atomic(path: Path, text: str) -> None:
     """Write a text file: beside it under another name, synced to disk, then renamed over it.
 
-    A file that is replaced keeps its permissions; a link keeps pointing where it points.
+    A file that is replaced keeps its permissions; a link keeps pointing where it points. A device
+    or a pipe is written into.
     """
     path = path.resolve()
     temporary = None
     try:
+        if not can_replace(path):
+            path.write_text(text, encoding="utf-8", newline="\n")
+            return
         mode = path.stat().st_mode & 0o7777 if path.exists() else 0o666 & ~_umask()
         handle, temporary = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
         with os.fdopen(handle, "w", encoding="utf-8", newline="\n") as file:

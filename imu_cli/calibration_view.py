@@ -7,12 +7,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from calib.calibration import Calibration, TriadSummary, parameter_unit
+from calib.effects import get_effect
 from calib.effects.base import PRESENCE
 from calib.gravity import STANDARD_GRAVITY
 from imu_cli.output import console, styled
+from imu_cli.report.units import people_unit
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from rich.table import Table
+    from rich.text import Text
 
 EVERYDAY = {
     "accel.bias": (1e3 / STANDARD_GRAVITY, "mg"),
@@ -24,10 +29,13 @@ EVERYDAY = {
 }
 """Factor and unit in which people know each group of parameters."""
 
-WIDE = 72
-"""Columns of a window from which both units are shown."""
 NUMBER = 11
 """Characters of a number: a narrow window takes none of them away."""
+
+HEADING = len("value ± std error")
+
+FOLDED = 7
+"""Characters of ``(rad/s)/(m/s²)`` on each of two lines."""
 
 SHOWN = 4
 """So many of what was left out are listed on the screen; the file has all."""
@@ -39,27 +47,21 @@ def plus_minus(value: float, sigma: float | None) -> str:
         return f"{value:.5g}"
     if not sigma > 0:
         return f"{value:.6g} ± 0"
-    decimals = 1 - int(np.floor(np.log10(sigma)))
-    if not 0 <= decimals <= 8 or abs(value) >= 1e6:
+    decimals = max(0, 1 - int(np.floor(np.log10(sigma))))
+    if decimals > 8 or max(abs(value), sigma) >= 1e6:
         return f"{value:.4g} ± {sigma:.2g}"
-    return f"{value:.{decimals}f} ± {sigma:.{decimals}f}"
+    # Adding 0 makes a plain zero of what rounds to minus zero.
+    return f"{round(value, decimals) + 0.0:.{decimals}f} ± {sigma:.{decimals}f}"
 
 
 def parameter_table(calibration: Calibration) -> Table:
     """Return the table of all parameters that are determined or should be.
 
-    A narrow window has the SI units alone, and breaks lines between numbers.
+    A window that is too narrow for both has the SI units alone, and breaks lines between numbers.
     """
     from rich.table import Table
 
-    table = Table(box=None, pad_edge=False, collapse_padding=True, header_style="bold")
-    wide = console().width >= WIDE
-    table.add_column("parameter", overflow="fold")
-    table.add_column("value ± std error", justify="right", min_width=NUMBER)
-    table.add_column("unit", overflow="fold")
-    if wide:
-        table.add_column("", justify="right", min_width=NUMBER)
-        table.add_column("", overflow="fold")
+    rows: list[list[str | Text]] = []
     sigmas = calibration.sigmas
     previous = ""
     for name, value in calibration.values.items():
@@ -68,23 +70,49 @@ def parameter_table(calibration: Calibration) -> Table:
             continue
         group = name.rsplit(".", 1)[0]
         if previous and group.partition(".")[0] != previous.partition(".")[0]:
-            table.add_row()
+            rows.append([])
         previous = group
         unit = parameter_unit(name)
         if unit == PRESENCE:  # what it is like is in the rows after it
             continue
         unit = "" if unit == "1" else unit
         if status == "undetermined":
-            table.add_row(name, styled(("undetermined", "yellow")), unit)
+            rows.append([name, styled(("undetermined", "yellow")), unit, "", ""])
             continue
         sigma = sigmas.get(name)
-        cells = [name, plus_minus(value, sigma), unit]
-        if wide and group in EVERYDAY:
-            factor, everyday = EVERYDAY[group]
+        cells: list[str | Text] = [name, plus_minus(value, sigma), unit, "", ""]
+        factor, people = everyday(name)
+        if people != parameter_unit(name):
             scaled = None if sigma is None else factor * sigma
-            cells += [plus_minus(factor * value, scaled), everyday]
-        table.add_row(*cells)
+            cells[3:] = [plus_minus(factor * value, scaled), people]
+        rows.append(cells)
+    wide = _width(rows) <= console().width
+    table = Table(box=None, pad_edge=False, collapse_padding=True, header_style="bold")
+    table.add_column("parameter", overflow="fold", no_wrap=wide)
+    table.add_column("value ± std error", justify="right", min_width=NUMBER, no_wrap=wide)
+    table.add_column("unit", overflow="fold")
+    if wide:
+        table.add_column("", justify="right", min_width=NUMBER, no_wrap=True)
+        table.add_column("", overflow="fold", no_wrap=True)
+    for row in rows:
+        table.add_row(*(row if wide else row[:3]))
     return table
+
+
+def everyday(name: str) -> tuple[float, str]:
+    """Return factor and unit in which people know a parameter; its own where they know no other."""
+    group = name.rpartition(".")[0]
+    if group in EVERYDAY:
+        return EVERYDAY[group]
+    unit, factor = people_unit(parameter_unit(name))
+    return factor, unit
+
+
+def _width(rows: Sequence[Sequence[str | Text]]) -> int:
+    """Return how wide both units are, where an SI unit may be folded but no name and no number."""
+    most = [max((len(row[k]) for row in rows if row), default=0) for k in range(5)]
+    most[1], most[2], most[3] = max(most[1], HEADING), min(most[2], FOLDED), max(most[3], NUMBER)
+    return sum(most) + len(most) - 1
 
 
 def summary_lines(calibration: Calibration) -> list[str]:
@@ -120,6 +148,9 @@ def summary_lines(calibration: Calibration) -> list[str]:
             f"({housing.poses} poses on known faces, {rms:.3f}° rms)"
         )
     for event in calibration.events:
+        if get_effect(event.effect).kind == "setup":
+            lines.append(f"set-up       {event.effect}: of how it was recorded, not of the sensor")
+            continue
         spans = ", ".join(f"{a:.2f}-{b:.2f} s" for a, b in event.intervals)
         lines.append(f"event        {event.effect} in {spans}: not part of the sensor")
     lines += [f"note         {key}: {value}" for key, value in source.notes.items()]

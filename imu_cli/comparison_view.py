@@ -9,7 +9,7 @@ import numpy as np
 from calib.checks import Check
 from calib.compare import Comparison, Difference
 from calib.verify import Verification
-from imu_cli.calibration_view import EVERYDAY, NUMBER, plus_minus, residual_text
+from imu_cli.calibration_view import NUMBER, everyday, plus_minus, residual_text
 from imu_cli.output import styled
 
 if TYPE_CHECKING:
@@ -32,8 +32,7 @@ def difference_table(differences: tuple[Difference, ...], changed: tuple[Differe
     table.add_column("std errors", justify="right", min_width=SCORE)
     table.add_column("", overflow="fold")
     for item in differences:
-        group = item.name.rpartition(".")[0]
-        factor, unit = EVERYDAY.get(group, (1.0, item.unit))
+        factor, unit = everyday(item.name)
         mark: str | Text = styled(("changed", "red")) if item in changed else ""
         table.add_row(
             item.name,
@@ -43,6 +42,16 @@ def difference_table(differences: tuple[Difference, ...], changed: tuple[Differe
             mark,
         )
     return table
+
+
+def comparison_line(comparison: Comparison) -> Text:
+    """Return the answer in one line; of what one alone determines it does not say anything."""
+    alone = comparison.only_first or comparison.only_second
+    shared = " in what both have" if alone else ""
+    return styled(
+        f"all {len(comparison.differences)} together: p = {comparison.p_value:.2g}: ",
+        (f"the same{shared}", "green") if comparison.same else (f"different{shared}", "red"),
+    )
 
 
 def check_lines(verification: Verification) -> list[str | Text]:

@@ -7,15 +7,19 @@ from typing import TYPE_CHECKING, Any
 
 from calib.effects.base import FORM, PRESENCE
 from imu_cli.output import styled
+from imu_cli.report.advice import next_step
 from imu_cli.report.units import people_unit, said
 from imu_cli.report.words import (
     alias_sentence,
+    alternatives,
     chance,
     headline,
     likelihood,
     moved_lines,
+    much,
     notes,
-    rival_of,
+    remarks,
+    shift_of,
     spans,
     what,
     where,
@@ -40,15 +44,15 @@ def diagnosis_lines(document: Mapping[str, Any]) -> Iterator[str | Text | Table]
         yield styled((f"{number}. {finding['title']}", "bold"), f" ({finding['effect']})")
         yield from (f"   {line}" for line in _finding(finding))
     for left in document["unexplained"]:
-        place = f"{', '.join(left['channels'])}; {spans(left['intervals'])}"
-        size = left.get("size")
-        much = f", up to {_in_unit(size['unit'], size['value'])} at rest" if size else ""
+        said_of = [", ".join(left["channels"]), spans(left["intervals"]), what(left["follows"])]
+        words = "; ".join(said_of)
+        if size := much(left, document["fit"]):
+            words += f", {size}"
         yield ""
-        yield styled(
-            ("Unexplained", "bold"),
-            f": {place}; {what(left['follows'])}{much} (p {_equal(left['p_value'])}).",
-        )
-        yield from (f"  or: {rival_of(r)}" for r in left["rivals"])
+        yield styled(("Unexplained", "bold"), f": {words} (p {_equal(left['p_value'])}).")
+        yield from (f"  {line}" for line in alternatives(left["rivals"]))
+        if document["fit"]["residuals"]:  # what ends a diagnosis says itself what it needs
+            yield f"  next: {next_step(left)}"
     for alias in document["aliases"]:
         if alias["alike"]:
             yield ""
@@ -62,8 +66,8 @@ def diagnosis_lines(document: Mapping[str, Any]) -> Iterator[str | Text | Table]
         explained = bool(document["findings"] or document["unexplained"])
         yield ""
         yield _residuals(residuals, explained=explained)
-        if explained:
-            yield f" {likelihood(document['fit'])}"
+        if explained and (line := likelihood(document["fit"])):
+            yield f" {line}"
     for note in notes(document):
         yield ""
         yield note
@@ -76,9 +80,10 @@ def _finding(finding: Mapping[str, Any]) -> Iterator[str]:
     for name, item in finding["parameters"].items():
         if item["unit"] not in (PRESENCE, FORM):  # channels and words say it
             yield f"{name} = {said(item['value'], item['sigma'], item['unit'])}"
+    yield from remarks(finding)
     for item in finding["absorbed_by"][:ABSORBED]:
         yield (
-            f"{item['parameter']} had absorbed {_in_unit(item['unit'], item['shift'])} of it "
+            f"{item['parameter']} was off by {shift_of(item)} to take it up "
             f"({item['standard_errors']:.1f} standard errors)."
         )
     held = finding["held_out"]
@@ -91,8 +96,8 @@ def _finding(finding: Mapping[str, Any]) -> Iterator[str]:
         )
     elif finding["held_out_reason"]:
         yield f"Not checked on held-out data: {finding['held_out_reason']}."
-    for rival in finding["rivals"]:
-        yield f"Or: {rival_of(rival)}."
+    for line in alternatives(finding["rivals"]):
+        yield f"{line[0].upper()}{line[1:]}."
     if finding["to_separate"]:
         yield finding["to_separate"]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -56,11 +56,36 @@ def parse_duration(text: str) -> float:
 def refuse_source(
     out: Path, sources: Iterable[Path], *, what: str = "recording", hint: str = "--output"
 ) -> None:
-    """Refuse to write over what is read, under whichever of its names."""
+    """Refuse to write over what is read, under whichever of its names, and to write to ``-``."""
+    if str(out) == "-":
+        raise typer.BadParameter(
+            "- is no file: name one (standard output has what is said, and --json)", param_hint=hint
+        )
     for path in sources:
-        same = out.resolve() == path.resolve()
-        if same or (out.exists() and path.exists() and out.samefile(path)):
+        if _one_file(out, path):
             raise typer.BadParameter(f"{out} is the {what} itself", param_hint=hint)
+
+
+def refuse_overwriting(
+    outputs: Mapping[str, Path | None], sources: Iterable[tuple[str, Path | None]]
+) -> None:
+    """Refuse outputs, by their options, that write over a source, or over each other."""
+    made = [(hint, path) for hint, path in outputs.items() if path is not None]
+    for k, (hint, path) in enumerate(made):
+        refuse_source(path, [], hint=hint)
+        for what, source in sources:
+            if source is not None:
+                refuse_source(path, [source], what=what, hint=hint)
+        for other, earlier in made[:k]:
+            if _one_file(path, earlier):
+                raise typer.BadParameter(
+                    f"{path} is that of {other}, too: give two files", param_hint=hint
+                )
+
+
+def _one_file(first: Path, second: Path) -> bool:
+    same = first.resolve() == second.resolve()
+    return same or (first.exists() and second.exists() and first.samefile(second))
 
 
 def replayed(url: str) -> list[Path]:

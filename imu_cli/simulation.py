@@ -65,7 +65,7 @@ class Plan:
     def __post_init__(self) -> None:
         if not (np.isfinite(self.rate) and self.rate > 0):
             raise ValueError(f"--rate must be positive, got {self.rate}")
-        samples = self.rate * self.duration
+        samples = self.samples
         if samples < 2:
             raise ValueError(
                 f"--rate and --duration give {samples:.2g} samples, expected 2 or more"
@@ -86,7 +86,15 @@ class Plan:
             raise ValueError(f"--gravity must be in m/s², 9.7 to 9.9 on Earth, got {self.gravity}")
         if self.bandwidth is not None and not (np.isfinite(self.bandwidth) and self.bandwidth > 0):
             raise ValueError(f"--bandwidth must be positive, got {self.bandwidth}")
-        self.terms((0.0, self.duration) if self.like is None else WHENEVER)
+        if self.like is None:
+            self.terms((0.0, self.duration), samples)
+        else:
+            self.terms(WHENEVER, np.inf)
+
+    @property
+    def samples(self) -> float:
+        """How many samples the rate and the duration give."""
+        return self.rate * self.duration
 
     @property
     def device(self) -> DeviceInfo:
@@ -102,9 +110,12 @@ class Plan:
             gyro_lsb=None if gyro is None else gyro * step,
         )
 
-    def terms(self, span: tuple[float, float]) -> tuple[Term, ...]:
-        """Return the effects that were asked for; moments lie within the span, s."""
-        return tuple(parse_term(text, span=span) for text in self.effects)
+    def terms(self, span: tuple[float, float], samples: float) -> tuple[Term, ...]:
+        """Return the effects that were asked for, as a recording of that span, s, can have them."""
+        terms = tuple(parse_term(text, span=span) for text in self.effects)
+        for term in terms:
+            effects()[term.effect].check_counts(term.parameters, samples=samples)
+        return terms
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,8 +151,8 @@ class Simulated:
             f"{path}: {len(r)} samples, {r.duration:.1f} s at {rate:.6g} Hz, {self.motion.name}"
         ]
         counts = [
-            f"{len(found)} {label}"
-            for kind, label in (("static", "static poses"), ("turn", "turns"), ("spin", "spins"))
+            f"{len(found)} {label}{'s' if len(found) > 1 else ''}"
+            for kind, label in (("static", "static pose"), ("turn", "turn"), ("spin", "spin"))
             if len(found := self.motion.intervals(kind))
         ]
         if counts:
@@ -166,7 +177,7 @@ def run(plan: Plan, *, rng: np.random.Generator) -> Simulated:
         return _twin(plan, plan.like, rng=rng)
     calibration = None if plan.sensor is None else load_calibration(plan.sensor)
     model = SensorModel() if calibration is None else calibration.model
-    model = replace(model, terms=model.terms + plan.terms((0.0, plan.duration)))
+    model = replace(model, terms=model.terms + plan.terms((0.0, plan.duration), plan.samples))
     gravity = plan.gravity or (G if calibration is None else calibration.gravity.value)
     noise = _noise(calibration).scaled(plan.noise)
     known: dict[str, Any] = {}
@@ -244,7 +255,7 @@ def _twin(plan: Plan, log: Path, *, rng: np.random.Generator) -> Simulated:
         model = replace(model, terms=without_alignment(model.terms))
     span = float(recording.time[0]), float(recording.time[-1])
     try:
-        model = replace(model, terms=model.terms + plan.terms(span))
+        model = replace(model, terms=model.terms + plan.terms(span, len(recording)))
     except ValueError as error:
         raise typer.BadParameter(str(error), param_hint="--effect") from error
     assumed = calibration or sensor

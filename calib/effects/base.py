@@ -15,7 +15,7 @@ A `Column` is sparse: it names only the channels that the parameter touches, eac
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Literal, NamedTuple
@@ -42,6 +42,9 @@ G = STANDARD_GRAVITY
 
 FORM = "form"
 """Unit of a number that stands for one of several forms, which `Effect.in_words` says."""
+
+SAMPLES = "samples"
+"""Unit of a number of samples, which is whole."""
 
 PRESENCE = "presence"
 """Unit of a parameter that only says whether the effect is there: 1, or 0. Its sizes are shape
@@ -422,12 +425,8 @@ class Effect(ABC):
         ValueError
             Naming the parameter, what was expected of it and what came, or those that there are.
         """
-        linear = [p.name for p in self.parameters]
-        shape = [p.name for p in self.shape]
+        self.check_names(parameters)
         for name, value in parameters.items():
-            if name not in linear and name not in shape:
-                known = ", ".join(linear + shape)
-                raise ValueError(f"`{name}` is no parameter of {self.slug}: it has {known}")
             if not np.isfinite(value):
                 raise ValueError(f"`{name}` of {self.slug} must be finite, got {value}")
         for item in self.shape:
@@ -437,6 +436,21 @@ class Effect(ABC):
         if missing:
             raise ValueError(f"{self.slug} needs `{missing[0]}` as well")
         self._check_sizes(parameters)
+
+    def check_names(self, names: Iterable[str]) -> None:
+        """Check that these are parameters of this effect.
+
+        Raises
+        ------
+        ValueError
+            Naming the first that is not, and those that there are.
+        """
+        known = [p.name for p in self.parameters] + [p.name for p in self.shape]
+        for name in names:
+            if name not in known:
+                raise ValueError(
+                    f"`{name}` is no parameter of {self.slug}: it has {', '.join(known)}"
+                )
 
     def _check_shape(self, item: ShapeParameter, value: float) -> None:
         if item.spacing == "integer" and value not in item.codes:
@@ -486,6 +500,26 @@ class Effect(ABC):
                 raise ValueError(
                     f"`{item.name}` of {self.slug} must be in the recording, {span[0]:.6g} to "
                     f"{span[1]:.6g} s, got {value:.6g}"
+                )
+
+    def check_counts(self, parameters: Mapping[str, float], *, samples: float) -> None:
+        """Check that numbers of samples are whole, and no more than the recording has.
+
+        Raises
+        ------
+        ValueError
+            Naming the parameter, its value and what is expected.
+        """
+        for name in (item.name for item in self.parameters if item.unit == SAMPLES):
+            value = parameters.get(name, 0.0)
+            if value != np.round(value):
+                raise ValueError(
+                    f"`{name}` of {self.slug} must be a whole number of samples, got {value:g}"
+                )
+            if abs(value) > samples:
+                raise ValueError(
+                    f"`{name}` of {self.slug} must be at most {samples:.0f}, the samples of the "
+                    f"recording, got {value:g}"
                 )
 
 

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from calib.effects.base import (
+    SAMPLES,
     SPLINE_REACH,
     Column,
     Parameter,
@@ -29,10 +30,10 @@ class DroppedSamples(TransformEffect):
     source = "Overrun of a buffer or a lost packet where time is counted in samples; one sample"
     kind = "event"
     stage = "readout"
-    parameters = (Parameter("count", "samples", 1.0, CHANNELS),)
+    parameters = (Parameter("count", SAMPLES, 1.0, CHANNELS),)
     shape = (ShapeParameter("moment", "s", None, None, "linear"),)
     from_moment = True
-    follows = "time: one turn's angle is short by rate times the sample interval"
+    follows = "time: one turn's angle is off by rate times the sample interval"
     needs = "that it happened in a fast turn; at rest it cannot be seen"
     sentence = "Samples are missing (or repeated) at this moment, and the time stamps hide it."
     absorbed_by = ("gyro.scale_factor_error",)

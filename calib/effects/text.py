@@ -23,11 +23,15 @@ def parse_term(text: str, *, span: tuple[float, float]) -> Term:
     given: dict[str, float] = {}
     for item in filter(None, rest.split(",")):
         name, equals, value = item.partition("=")
+        name = name.strip()
+        if name in given:
+            raise ValueError(f"`{name}` is given twice in {text!r}")
         try:
-            given[name.strip()] = float(value)
+            given[name] = float(value)
         except ValueError:
             shown = "no number" if equals else "no value"
             raise ValueError(f"{item!r} in {text!r} has {shown}: give name=value") from None
+    effect.check_names(given)
     linear = {p.name for p in effect.parameters}
     if not linear & set(given):
         shape = {p.name for p in effect.shape}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -84,4 +85,4 @@ def make_motion(name: str, *, rng: np.random.Generator, duration: float, gravity
         raise ValueError(f"`name` must be one of {', '.join(MOTIONS)}, got {name!r}")
     if not (np.isfinite(duration) and duration > 0):
         raise ValueError(f"`duration` must be positive and finite, got {duration}")
-    return MOTIONS[name][1](rng, duration, gravity)
+    return replace(MOTIONS[name][1](rng, duration, gravity), name=name)

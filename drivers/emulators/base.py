@@ -14,8 +14,10 @@ from functools import cached_property
 
 import numpy as np
 
+from calib.effects import get_effect
 from calib.effects.base import Signals, State
 from calib.effects.text import parse_term
+from calib.errors import AddressError
 from calib.gravity import STANDARD_GRAVITY
 from calib.model import SensorModel, Triad
 from calib.simulation.bench import bench_protocol
@@ -154,12 +156,22 @@ def make_sensor(options: EmulatorOptions, *, default_rate: float) -> EmulatedSen
 
     The errors have the size of a consumer part's: accelerometer bias 40 mg, gyroscope bias 2 dps,
     scale factor 1 %, misalignment 0.5°, noise 200 µg/√Hz and 0.007 dps/√Hz.
+
+    Raises
+    ------
+    AddressError
+        If an effect is none, or cannot be of such a motion.
     """
     rate = options.rate or default_rate
     generator = np.random.default_rng(options.seed)
     state = MOTIONS[options.motion](rate, options.seed)
     span = (float(state.time[0]), float(state.time[-1]))
-    terms = tuple(parse_term(text, span=span) for text in options.effects)
+    try:
+        terms = tuple(parse_term(text, span=span) for text in options.effects)
+        for term in terms:
+            get_effect(term.effect).check_counts(term.parameters, samples=len(state.time))
+    except ValueError as error:
+        raise AddressError(f"`effect` of the address: {error}") from error
     return EmulatedSensor(
         state,
         rate=rate,

@@ -40,6 +40,12 @@ __all__ = [
 
 BATCH = 1 << 16
 """Samples in a batch of `open_batches`."""
+PACKED = {
+    b"\x1f\x8b": "compressed by gzip: gunzip it first, and give what is in it",
+    b"PK\x03\x04": "a ZIP archive, or a sheet of Excel: unpack it first, or export it as CSV",
+}
+"""How files begin that hold a recording in another wrapping, and what to do."""
+
 FILE_GAP = 1.0
 """s between files that are one recording but whose clocks do not run on."""
 
@@ -174,6 +180,9 @@ def find_format(source: Source, options: ReadOptions) -> Format:
     RecordingFormatError
         If the content is of no known format, or not what the suffix says.
     """
+    for magic, packed in PACKED.items():
+        if source.head.startswith(magic):
+            raise RecordingFormatError(f"{source.path} is {packed}")
     suffix = source.path.suffix.lower()
     every = formats()
     found = next((f for f in every.values() if f.sniff(source.head)), None)

@@ -193,7 +193,7 @@ class Assembler:
             value = np.hstack([c[row] for c in columns])[column]
             raise InvalidSampleError(
                 f"{self.name}, {self.row_name(first + row)}: {names[column]} is {value}, "
-                f"expected a finite number ({int(bad.sum())} such rows). --drop-invalid leaves "
+                f"expected a finite number ({_such(bad)}). --drop-invalid leaves "
                 "these rows out and counts them as lost samples"
             )
         return bad
@@ -218,7 +218,7 @@ class Assembler:
         )
         if not self.drop_invalid:
             raise InvalidSampleError(
-                f"{what}, expected later ({int(late.sum())} such rows). --drop-invalid leaves "
+                f"{what}, expected later ({_such(late)}). --drop-invalid leaves "
                 "these rows out; if the clock started again, split the file there"
             )
         back = float((latest - time)[late].max())
@@ -251,3 +251,8 @@ def _tick(step: FloatArray) -> float:
         if (np.abs(count - np.round(count)) < EXACT).all():
             return tick
     return 0.0
+
+
+def _such(rows: BoolArray) -> str:
+    count = int(rows.sum())
+    return f"{count} such row{'s' if count != 1 else ''}"

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 from calib.errors import RecordingWriteError
 from calib.recording import Recording
+from drivers.output_file import can_replace
 
 if TYPE_CHECKING:
     from drivers.formats.profile import Profile
@@ -66,14 +67,19 @@ class ReadOptions:
 class Writer(ABC):
     """Appends batches of one recording to a file; a context manager.
 
-    With ``atomic`` the file appears under its name only when the writer is closed without an error;
-    otherwise it grows in place, and whoever records handles the operating system's errors.
+    With ``atomic`` the file appears under its name only when the writer is closed without an error,
+    though a device or a pipe is written into; otherwise it grows in place, and whoever records
+    handles the operating system's errors.
     """
 
     def __init__(self, path: str | os.PathLike[str], *, atomic: bool = False) -> None:
         self.path = Path(path)
         self.atomic = atomic
-        self._target = self.path.with_name(f"{self.path.name}.part") if atomic else self.path
+        self._final = self.path.resolve()  # a link keeps pointing where it points
+        self._renamed = atomic and can_replace(self._final)
+        self._target = (
+            self._final.with_name(f"{self._final.name}.part") if self._renamed else self.path
+        )
         self._last: Recording | None = None
         self.remarks: dict[str, str] = {}
         """What becomes known while the file grows, such as how many frames were damaged; it is kept
@@ -122,8 +128,8 @@ class Writer(ABC):
         self._last = None
         with self._failures_named():
             self._finish()
-            if self.atomic:
-                os.replace(self._target, self.path)
+            if self._renamed:
+                os.replace(self._target, self._final)
 
     @contextmanager
     def _failures_named(self) -> Iterator[None]:
@@ -132,14 +138,18 @@ class Writer(ABC):
         except OSError as error:
             if not self.atomic:
                 raise
-            self._target.unlink(missing_ok=True)
+            self._remove()
             why = os.strerror(error.errno) if error.errno else str(error)
             raise RecordingWriteError(f"{self.path} cannot be written: {why}") from error
         except BaseException:
             # A signal may come between the opening of the file and the note that it is open.
-            if self.atomic:
-                self._target.unlink(missing_ok=True)
+            self._remove()
             raise
+
+    def _remove(self) -> None:
+        """Take away what is not whole and has not its name yet."""
+        if self._renamed:
+            self._target.unlink(missing_ok=True)
 
     def __enter__(self) -> Self:
         return self
@@ -156,8 +166,7 @@ class Writer(ABC):
             self._last = None
             with suppress(OSError):  # the error that came first is the one to tell
                 self._abandon()
-            if self.atomic:
-                self._target.unlink(missing_ok=True)
+            self._remove()
 
 
 class Format(ABC):

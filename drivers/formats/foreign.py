@@ -257,6 +257,9 @@ def _guess_delimiter(line: str) -> str:
     return next((d for d in DELIMITERS if d in line.strip()), ",")
 
 
+EXPLAINED = "see Import profiles in docs/pages/recordings.md"
+
+
 def _unknown(source: Source, text: str) -> str:
     """Return what to do with a text log that no profile recognises."""
     rows = _rows(text)
@@ -274,6 +277,13 @@ def _unknown(source: Source, text: str) -> str:
             f"{source.path} is text but no log: its lines hold no numbers (first: {first[:60]!r}). "
             "Expected rows of at least 6 numbers"
         )
+    parted = next((d for d in (";", "\t") if d in rows[-1]), "") if rows else ""
+    if parted and re.search(r"\d,\d", rows[-1]):
+        return (
+            f"{source.path}: its numbers have decimal commas, between columns separated by "
+            f"{parted!r}. Write it with decimal points, or use --profile FILE.toml with "
+            f'decimal = "," and your own columns, units and rate ({EXPLAINED})'
+        )
     if count < 6:
         return (
             f"{source.path} is no IMU log: {count} columns ({first[:60]!r}), expected at least 6 "
@@ -284,6 +294,6 @@ def _unknown(source: Source, text: str) -> str:
     units = "" if numbers else f"name the units there ({EXAMPLE}), or use "
     return (
         f"{source.path}: cannot tell columns and units from {what}. Say what they are: {units}"
-        f"{which}--profile FILE.toml with your own (columns, units and rate in a few lines; see "
-        "Import profiles in docs/pages/recordings.md)"
+        f"{which}--profile FILE.toml with your own (columns, units and rate in a few lines; "
+        f"{EXPLAINED})"
     )

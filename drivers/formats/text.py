@@ -173,9 +173,11 @@ class TextTable:
             for column in columns:
                 field = fields[column].strip().replace(self._decimal, ".")
                 if field not in NULLS and not _is_number(field):
+                    comma = _is_number(field.replace(",", "."))
+                    with_point = " with a decimal point, not a comma" if comma else ""
                     return RecordingFormatError(
                         f"{self._source.path}, line {number}: {self._names[column]} is {field!r}, "
-                        "expected a number"
+                        f"expected a number{with_point}"
                     )
         return RecordingFormatError(f"{self._source.path}: {error}")
 

@@ -169,8 +169,13 @@ def _say_coverage(known: Calibration, coverage: Coverage) -> None:
     span = known.temperature
     if span is None or not coverage.outside:
         return
+    # As many digits as tell the ends apart.
+    ends = (span.low, span.high, coverage.low, coverage.high)
+    beyond = [(a, b) for a, b in ((span.low, coverage.low), (coverage.high, span.high)) if a > b]
+    apart = (k for k in range(1, 6) if all(round(a, k) != round(b, k) for a, b in beyond))
+    digits = next(apart, 6)
+    low, high, lowest, highest = (f"{end:.{digits}f}" for end in ends)
     output.warn(
         f"{coverage.outside} of {coverage.samples} samples are outside the calibrated temperature "
-        f"range {span.low:.1f} to {span.high:.1f} °C (they go from {coverage.low:.1f} to "
-        f"{coverage.high:.1f} °C)"
+        f"range {low} to {high} °C (they go from {lowest} to {highest} °C)"
     )

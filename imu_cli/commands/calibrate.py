@@ -17,6 +17,7 @@ from imu_cli.options import (
     LatitudeOption,
     ProfileOption,
     choose_gravity,
+    refuse_overwriting,
     refuse_source,
 )
 
@@ -66,6 +67,10 @@ def calibrate(
     from imu_cli import output
 
     destination = _destination(log, out)
+    refuse_overwriting(
+        {"--output": destination},
+        [("file of --housing-faces", housing_faces), ("file of --table-rate", _file(table_rate))],
+    )
     notes = _notes(note or [])
     local_gravity = choose_gravity(gravity, latitude, height)
     options = {} if table_rate is None else {"table_rate": _table_rate(table_rate)}
@@ -148,6 +153,10 @@ def _notes(pairs: list[str]) -> dict[str, str]:
             raise typer.BadParameter(f"expected KEY=VALUE, got {pair!r}", param_hint="--note")
         notes[key.strip()] = value.strip()
     return notes
+
+
+def _file(text: str | None) -> Path | None:
+    return None if text is None or not Path(text).is_file() else Path(text)
 
 
 def _table_rate(text: str) -> object:

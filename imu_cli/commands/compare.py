@@ -36,11 +36,6 @@ def compare(
         for names, path in ((answer.only_first, first), (answer.only_second, second)):
             if names:
                 output.print_lines(f"only {path} determines {', '.join(names)}")
-        output.print_lines(
-            output.styled(
-                f"all {len(answer.differences)} together: p = {answer.p_value:.2g}: ",
-                ("the same", "green") if answer.same else ("different", "red"),
-            )
-        )
+        output.print_lines(view.comparison_line(answer))
     if not answer.same:
         raise typer.Exit(DIFFERENT)

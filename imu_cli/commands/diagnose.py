@@ -15,7 +15,7 @@ from imu_cli.options import (
     LatitudeOption,
     ProfileOption,
     choose_gravity,
-    refuse_source,
+    refuse_overwriting,
 )
 
 if TYPE_CHECKING:
@@ -91,11 +91,15 @@ def diagnose(
     from imu_cli.diagnosis_view import diagnosis_lines
     from imu_cli.output import print_json, print_lines, warn
 
-    sources = [path for path in (recording, against, reference) if path is not None]
-    for made, option in ((output, "--output"), (report, "--report")):
-        if made is not None:
-            refuse_source(made, sources, hint=option)
-            check_can_write(made)
+    files = (
+        ("recording", recording),
+        ("calibration", calibration),
+        ("simulation", against),
+        ("reference", reference),
+    )
+    refuse_overwriting({"--output": output, "--report": report}, files)
+    for made in filter(None, (output, report)):
+        check_can_write(made)
     local = choose_gravity(gravity, latitude, height)
     if against is not None and reference is not None:
         raise typer.BadParameter(
@@ -135,12 +139,6 @@ def diagnose(
         found = found.beside(known, real)
     if output is not None and found.names:
         save_calibration(_signed(found.calibration(real, gravity=local), recording), output)
-    files = (
-        ("recording", recording),
-        ("calibration", calibration),
-        ("simulation", against),
-        ("reference", reference),
-    )
     document = {
         **found.to_json(),
         "files": {what: name_of(path) for what, path in files if path is not None},
@@ -155,8 +153,9 @@ def diagnose(
         print_json(document)
     else:
         print_lines(*diagnosis_lines(document))
+        alone = against is None and reference is None
         for text in found.missing:
-            warn(f"the recording lacks {text}")
+            warn(f"the {'recording' if alone else 'comparison'} lacks {text}")
     if output is not None and not found.names:
         # The verdict is said before what it leaves nothing to write for.
         found.calibration(real, gravity=local)

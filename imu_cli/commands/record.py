@@ -50,7 +50,7 @@ def record(
     from drivers.stream import StreamDriver
     from drivers.transports import make_driver
     from imu_cli import recording_view as view
-    from imu_cli.options import parse_duration, refuse_source, replayed
+    from imu_cli.options import parse_duration, refuse_overwriting, replayed
 
     if duration is not None and samples is not None:
         raise typer.BadParameter("give --duration or --samples, not both")
@@ -62,17 +62,15 @@ def record(
     for path in (output_file, raw):
         if path is not None and path.exists() and not overwrite:
             raise typer.BadParameter(f"{path} exists; name another file, or use --overwrite")
-    if raw is not None and raw == output_file:
-        raise typer.BadParameter("--raw and --output must be two files")
     driver = make_driver(url)
-    refuse_source(output_file, replayed(url))
-    if raw is not None:
-        refuse_source(raw, replayed(url), hint="--raw")
-        if not isinstance(driver, StreamDriver):
-            raise typer.BadParameter(
-                f"{url} has no stream of bytes to save: only serial devices have one",
-                param_hint="--raw",
-            )
+    refuse_overwriting(
+        {"--output": output_file, "--raw": raw}, [("recording", path) for path in replayed(url)]
+    )
+    if raw is not None and not isinstance(driver, StreamDriver):
+        raise typer.BadParameter(
+            f"{url} has no stream of bytes to save: only serial devices have one",
+            param_hint="--raw",
+        )
     with view.stop_on_signals() as stop, view.Progress() as progress:
         state = run(
             driver,

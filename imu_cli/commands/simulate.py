@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from imu_cli.options import FixedPointOption, parse_duration
+from imu_cli.options import FixedPointOption, parse_duration, refuse_overwriting
 
 MOTION_HELP = (
     "bench, hand-held, vibrating, paper, rate-table, record-player, pendulum or thermal. "
@@ -131,19 +131,26 @@ def simulate(
         raise typer.BadParameter(
             "expected --motion or --reference, got both", param_hint="--motion"
         )
-    for name, needs in (("--fixed-point", fixed_point), ("--bandwidth", bandwidth is not None)):
-        if needs and reference is None:
+    for name, wanted in (("--fixed-point", fixed_point), ("--bandwidth", bandwidth is not None)):
+        if wanted and reference is None:
             raise typer.BadParameter("it needs --reference", param_hint=name)
-    used = (like, calibration, sensor, reference)
-    inputs = [path for path in used if path is not None and path.exists()]
-    outputs = [path for path in (output, truth) if path is not None]
-    if any(path.exists() and path.samefile(other) for path in outputs for other in inputs):
-        raise typer.BadParameter("would overwrite what it is made from", param_hint="--output")
-    if truth is not None and truth.resolve() == output.resolve():
-        raise typer.BadParameter("is the same file as --output", param_hint="--truth")
+    for name, wanted in (("--profile", profile is not None), ("--imu", imu is not None)):
+        if wanted and like is None:
+            raise typer.BadParameter("it needs --like", param_hint=name)
+    outputs = {"--output": output, "--truth": truth}
+    refuse_overwriting(
+        outputs,
+        (
+            ("recording", like),
+            ("calibration", calibration),
+            ("sensor", sensor),
+            ("reference", reference),
+        ),
+    )
     moved = None if reference is None else read_motion(reference, fixed=fixed_point)
     try:
         seconds = parse_duration(duration or "3min")
+        longer = moved is not None and duration is not None and seconds > moved.duration
         if moved is not None:
             seconds = min(seconds if duration else np.inf, moved.duration)
         plan = Plan(
@@ -169,7 +176,7 @@ def simulate(
     except ValueError as error:
         raise typer.BadParameter(str(error)) from error
     # The suffixes are checked before the work is done.
-    writers = [open_writer(path, atomic=True) for path in outputs]
+    writers = [open_writer(path, atomic=True) for path in outputs.values() if path is not None]
     result = run(plan, rng=np.random.default_rng(seed))
     for writer, recording in zip(writers, (result.recording, result.truth), strict=False):
         if recording is not None:
@@ -178,6 +185,11 @@ def simulate(
     if moved is not None and not moved.placed:
         out.warn(
             f"{reference} has no positions: its point counts as fixed (--fixed-point, if it was)"
+        )
+    if longer:
+        out.warn(
+            f"{reference} lasts {seconds:.6g} s, less than --duration {duration}: the simulation "
+            "ends with it"
         )
     for warning in result.warnings():
         out.warn(warning)

@@ -8,18 +8,22 @@ from typing import Any
 import numpy as np
 
 from calib.effects.base import FORM, PRESENCE
+from imu_cli.report.advice import next_step
 from imu_cli.report.model import Block, Paragraph, Plot, Report, Series, Table
 from imu_cli.report.units import people_unit, with_error
 from imu_cli.report.words import (
     SEEN,
     VERDICTS,
     alias_sentence,
+    alternatives,
     chance,
     headline,
     likelihood,
     moved_lines,
+    much,
     notes,
-    rival_of,
+    remarks,
+    shift_of,
     spans,
     where,
 )
@@ -33,13 +37,17 @@ def diagnosis_report(document: Mapping[str, Any]) -> Report:
         verdict += " Found: " + ", ".join(f.get("title", f["effect"]) for f in findings) + "."
     blocks: list[Block] = []
     if document.get("missing"):
-        blocks.append(Paragraph("What the recording lacks", tuple(document["missing"])))
+        blocks.append(Paragraph("What is lacking", tuple(document["missing"])))
     if findings:
         blocks.append(_overview(findings))
     for number, finding in enumerate(findings, 1):
         blocks += _finding(number, finding)
     if document["unexplained"]:
-        blocks.append(_unexplained(document["unexplained"]))
+        blocks.append(_unexplained(document["unexplained"], document.get("fit") or {}))
+        if rivals := _rivals(document["unexplained"]):
+            blocks.append(Paragraph("What else it may be", rivals))
+        if (document.get("fit") or {}).get("residuals"):
+            blocks.append(Paragraph("What to do next", _next_steps(document["unexplained"])))
         blocks += _where(document["unexplained"])
     for alias in document.get("aliases", ()):
         if alias["alike"]:
@@ -54,7 +62,7 @@ def diagnosis_report(document: Mapping[str, Any]) -> Report:
         blocks.append(_residuals(fit))
     if document.get("cannot_show"):
         rows = tuple(document["cannot_show"].items())
-        blocks.append(Table("What this recording cannot show", ("effect", "why"), rows))
+        blocks.append(Table("What this recording cannot show", ("effect", "what to record"), rows))
     return Report(
         title="Diagnosis",
         verdict=verdict,
@@ -114,12 +122,13 @@ def _overview(findings: list[Mapping[str, Any]]) -> Table:
 def _finding(number: int, finding: Mapping[str, Any]) -> list[Block]:
     title = f"{number}. {finding.get('title', finding['effect'])}"
     sentences = [finding.get("sentence", ""), f"Where: {where(finding)}."]
+    sentences += remarks(finding)
     if finding["absorbed_by"]:
         moved = [_absorbed(item) for item in finding["absorbed_by"]]
         sentences.append(f"Until now these parameters had taken it up: {', '.join(moved)}.")
     if finding["rivals"]:
-        rivals = "; ".join(rival_of(r) for r in finding["rivals"])
-        sentences.append(f"It could as well be: {rivals}.")
+        line = "; ".join(alternatives(finding["rivals"]))
+        sentences.append(f"{line[0].upper()}{line[1:]}.")
     if finding["to_separate"]:
         sentences.append(finding["to_separate"])
     if finding["held_out"] is None and finding.get("held_out_reason"):
@@ -152,8 +161,7 @@ def _finding(number: int, finding: Mapping[str, Any]) -> list[Block]:
 def _absorbed(item: Any) -> str:
     if isinstance(item, str):
         return item
-    unit, factor = people_unit(item["unit"])
-    return f"{item['parameter']} by {item['shift'] * factor:+.3g} {unit}"
+    return f"{item['parameter']} by {shift_of(item)}"
 
 
 def _evidence(
@@ -179,25 +187,38 @@ def _evidence(
     )
 
 
-def _unexplained(items: list[Mapping[str, Any]]) -> Table:
+def _unexplained(items: list[Mapping[str, Any]], fit: Mapping[str, Any]) -> Table:
     rows = tuple(
         (
             ", ".join(item["channels"]),
-            spans(item["intervals"], "; "),
+            _unbroken(spans(item["intervals"], "; ")),
             item["follows"].removeprefix(SEEN),
-            _size(item.get("size")),
+            much(item, fit).removeprefix("up to ") or "-",
             chance(item["p_value"]),
         )
         for item in items
     )
-    return Table("Unexplained", ("channels", "when", "follows", "at rest up to", "p"), rows, (4,))
+    return Table("Unexplained", ("channels", "when", "follows", "up to", "p"), rows, (4,))
 
 
-def _size(size: Mapping[str, Any] | None) -> str:
-    if size is None:
-        return "-"
-    unit, factor = people_unit(size["unit"])
-    return f"{size['value'] * factor:.3g} {unit}"
+def _unbroken(times: str) -> str:
+    """Return intervals that a narrow cell breaks between, and not within."""
+    return times.replace(" to ", "\u00a0to\u00a0").replace(" s", "\u00a0s")
+
+
+def _rivals(items: list[Mapping[str, Any]]) -> tuple[str, ...]:
+    return tuple(
+        f"{', '.join(item['channels'])}; {item['follows'].removeprefix(SEEN)}: {'; '.join(lines)}."
+        for item in items
+        if (lines := alternatives(item.get("rivals", ())))
+    )
+
+
+def _next_steps(items: list[Mapping[str, Any]]) -> tuple[str, ...]:
+    steps: dict[str, list[str]] = {}
+    for item in items:
+        steps.setdefault(next_step(item), []).extend(item["channels"])
+    return tuple(f"{', '.join(dict.fromkeys(on))}: {step}." for step, on in steps.items())
 
 
 def _where(items: list[Mapping[str, Any]]) -> list[Block]:

@@ -11,6 +11,7 @@ import jinja2
 import numpy as np
 import plotly.graph_objects as go
 import plotly.io
+from markupsafe import Markup, escape
 
 from imu_cli.report.model import HeatMap, Paragraph, Plot, Report, Series, Sphere, Table
 
@@ -25,12 +26,14 @@ SHAPES = (
     ("x", "X"),
 )
 """Of points, as Plotly and as Matplotlib call them."""
+SHEET = 670
+"""Pixels between the margins of a sheet of A4."""
 _LAYOUT: dict[str, Any] = {
     "template": "plotly_white",
     "font": {"family": "system-ui, sans-serif", "size": 13},
-    "margin": {"l": 64, "r": 16, "t": 16, "b": 48},
-    "height": 340,
-    "legend": {"orientation": "h", "y": 1.08},
+    "margin": {"l": 64, "r": 16, "t": 32, "b": 48},
+    "height": 380,
+    "legend": {"orientation": "h", "y": -0.3, "yanchor": "top"},
 }
 
 
@@ -40,6 +43,7 @@ def render_page(report: Report) -> str:
     environment = jinja2.Environment(
         autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
+    environment.filters["breakable"] = _breakable
     source = resources.files("imu_cli.report").joinpath("page.html.j2").read_text(encoding="utf-8")
     return environment.from_string(source).render(
         report=report,
@@ -53,11 +57,17 @@ def render_page(report: Report) -> str:
             )
             for block in figures
         },
+        sheet=SHEET,
         plotly=plotly.offline.get_plotlyjs() if figures else "",
         document=json.dumps(report.document, ensure_ascii=False, allow_nan=False).replace(
             "</", "<\\/"
         ),
     )
+
+
+def _breakable(text: object) -> Markup:
+    """Return text whose names may be broken after an underscore, and nowhere else."""
+    return Markup("_<wbr>").join(escape(text).split("_"))
 
 
 def _kind(block: object) -> str:
@@ -151,6 +161,6 @@ def _(chart: HeatMap) -> Any:
             reversescale=True,
         )
     )
-    figure.update_layout(**{**_LAYOUT, "height": 560, "margin": {"l": 190, "b": 190, "t": 16}})
+    figure.update_layout(**{**_LAYOUT, "height": 560, "margin": {"l": 190, "b": 190, "t": 32}})
     figure.update_yaxes(autorange="reversed")
     return figure

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from imu_cli.report.units import said
+from calib.effects import get_effect
+from calib.effects.base import SAMPLES
+from imu_cli.report.units import people_unit, said
 
 VERDICTS = {
     "consistent": ("Consistent: nothing beyond noise.", "good"),
@@ -24,12 +27,18 @@ SEEN = "nothing: "
 OR_ANOTHER = "Explained: everything beyond noise has a name, or one of several."
 """The sentence where other names are as good, or nearly, for some of it."""
 
+MENDED_FIRST = "Explained so far: this has to be mended first, and nothing else was looked at."
+"""The sentence where units or axes are wrong: nothing was compared."""
+
 NEARLY = 0.1
 """Odds of a rival from which on it is said to be as good, or nearly."""
 
 
 def headline(document: Mapping[str, Any]) -> str:
     """Return the verdict as a sentence."""
+    fit = document.get("fit")
+    if document["verdict"] == "explained" and fit is not None and not fit["residuals"]:
+        return MENDED_FIRST
     rivals = [r for f in document.get("findings", ()) for r in f.get("rivals", ())]
     if document["verdict"] == "explained" and any(r["odds"] >= NEARLY for r in rivals):
         return OR_ANOTHER
@@ -40,7 +49,7 @@ def headline(document: Mapping[str, Any]) -> str:
 
 def chance(p_value: float) -> str:
     """Write a p-value; below a millionth the noise model is not to be trusted to the digit."""
-    return "< 1e-6" if p_value < 1e-6 else f"{p_value:.2g}"
+    return "< 1e-6" if p_value <= 1e-6 else f"{p_value:.2g}".replace("e-0", "e-")
 
 
 SPELT = 8
@@ -68,7 +77,66 @@ def where(finding: Mapping[str, Any]) -> str:
 def rival_of(rival: Mapping[str, Any]) -> str:
     """Return what something that was found may be instead, and how probable that is beside it."""
     times = f"{rival['odds']:.2g}"
-    return f"{rival['effect']}, {'just' if times == '1' else f'{times} times'} as probable"
+    name = re.sub(r" ((?:accel|gyro)(?:\.[xyz])?)$", r" (\1)", rival["effect"])
+    return f"{name}, {'just' if times == '1' else f'{times} times'} as probable"
+
+
+ALTERNATIVES = 5
+"""So many rivals are said; the document has all."""
+
+
+VAGUE = 3.0
+"""Standard errors below which a time constant or a cut-off is not known in size."""
+
+
+def alternatives(rivals: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return what something that was found may be instead, in a line each, the likeliest first."""
+    ordered = sorted(rivals, key=lambda r: -float(r["odds"]))
+    out = []
+    for rival in ordered[:ALTERNATIVES]:
+        more = float(f"{rival['odds']:.2g}") > 1.0
+        out.append(f"{'or, more probable' if more else 'or'}: {rival_of(rival)}")
+    if left := len(ordered[ALTERNATIVES:]):
+        out.append(f"and {left} less probable one{'s' if left > 1 else ''}")
+    return out
+
+
+_TURNING = re.compile(r"\brates?\b(?! of temperature)|speed of rotation")
+
+
+def much(left: Mapping[str, Any], fit: Mapping[str, Any]) -> str:
+    """Return the most that is seen of something unexplained, and in what; nothing if unknown.
+
+    What follows how fast the sensor turns does not show at rest.
+    """
+    size = left.get("size")
+    rows = [item["rows"] for item in fit.get("residuals", ())]
+    at_rest = not rows or any(name.endswith("at rest") for name in rows)
+    if size is None or (at_rest and _TURNING.search(left["follows"])):
+        return ""
+    unit, factor = people_unit(size["unit"])
+    where = "at rest" if at_rest else "in the mean of a window"
+    return f"up to {size['value'] * factor:.3g} {unit} {where}"
+
+
+def remarks(finding: Mapping[str, Any]) -> list[str]:
+    """Return what is to be said of the numbers of a finding."""
+    out = []
+    shape = {item.name: item.spacing for item in get_effect(finding["effect"]).shape}
+    for name, item in finding["parameters"].items():
+        value, sigma = item["value"], item["sigma"]
+        if item["unit"] == SAMPLES:
+            many = f"{abs(value):g} sample{'s are' if abs(value) != 1 else ' is'}"
+            out.append(f"{many} {'repeated' if value < 0 else 'missing'}.")
+        elif shape.get(name) == "log" and sigma is not None and sigma > value / VAGUE:
+            out.append(f"{name}: the effect is sure, this number is not.")
+    return out
+
+
+def shift_of(absorbed: Mapping[str, Any]) -> str:
+    """Return by how much a parameter had moved to take something up."""
+    unit, factor = people_unit(absorbed["unit"])
+    return f"{absorbed['shift'] * factor:+.3g} {unit}"
 
 
 def what(follows: str) -> str:
@@ -78,11 +146,12 @@ def what(follows: str) -> str:
 
 
 def likelihood(fit: Mapping[str, Any]) -> str:
-    """Return the log-likelihood before and after; nothing where nothing was fitted."""
+    """Return the log-likelihood before and after; nothing where nothing was fitted, or changed."""
     both = fit.get("log_likelihood")
     if both is None:
         return ""
-    return f"Log-likelihood: {both['before']:.1f} -> {both['after']:.1f}."
+    before, after = (f"{both[key]:.1f}" for key in ("before", "after"))
+    return f"Log-likelihood: {before} -> {after}." if before != after else ""
 
 
 def alias_sentence(alias: Mapping[str, Any]) -> str:

@@ -134,6 +134,35 @@ def test_a_stream_without_temperature_is_told_so_once_and_events_before(cal: Pat
     assert "is not applied: " not in result.stderr.replace("gyro_bias_step is not applied: ", "")
 
 
+def test_temperatures_just_outside_the_range_are_told_apart_from_it(
+    cal: Path, tmp_path: Path
+) -> None:
+    """It read "outside 20.0 to 30.0 °C (they go from 25.0 to 30.0 °C)"."""
+    made = recording()
+    warm = np.array(made.temperature)
+    warm[-2:] = 30.004
+    write_recording(replace(made, temperature=warm), tmp_path / "a.arrow")
+    warned = " ".join(run(cal, tmp_path / "a.arrow", "-o", tmp_path / "b.arrow")[2].split())
+    assert "2 of 1000 samples are outside the calibrated temperature" in warned
+    assert "20.000 to 30.000 °C (they go from 25.000 to 30.004 °C)" in warned
+
+
+def test_what_belongs_to_the_set_up_is_no_event(cal: Path, tmp_path: Path) -> None:
+    """An arm to the reference was called an event of the recording."""
+    known = load_calibration(cal)
+    arm = Event("accel_lever_arm", ("accel.x",), ((0.0, 9.0),))
+    save_calibration(replace(known, events=(*known.events, arm)), cal)
+    write_recording(recording(), tmp_path / "a.arrow")
+    _, said, warned = run(cal, tmp_path / "a.arrow", "-o", tmp_path / "b.arrow", "--json")
+    assert "accel_lever_arm is not applied: it belongs to the set-up" in " ".join(warned.split())
+    reasons = {item["effect"]: item["reason"] for item in json.loads(said)["not_applied"]}
+    assert "set-up" in reasons["accel_lever_arm"]
+    assert "event of the recording" in reasons["gyro_bias_step"]
+    shown = CliRunner().invoke(app, ["show", str(cal)]).stdout
+    assert "set-up       accel_lever_arm" in shown
+    assert "event        gyro_bias_step" in shown
+
+
 def test_from_when_a_warm_up_is_counted_is_said(cal: Path, tmp_path: Path) -> None:
     terms = with_terms(cal, WARM_UP)
     late = replace(recording(), time=recording().time + 12.5)

@@ -1,6 +1,7 @@
 """``imu-cal info`` and ``convert`` as a person at the bench, or a script, uses them."""
 
 import json
+import os
 import signal
 import subprocess
 import sys
@@ -114,6 +115,13 @@ def test_convert_says_what_it_left_out(tmp_path: Path) -> None:
         ("record", "replay://a.csv?speed=0", "-o", "a.csv", "--overwrite"),
         ("record", "replay://a.csv?speed=0", "-o", "b.csv", "--raw", "link.csv", "--overwrite"),
         ("bench", "replay://a.csv?speed=0", "-o", "a.csv", "--overwrite", "--auto"),
+        ("diagnose", "b.csv", "--calibration", "a.csv", "-o", "a.csv"),
+        ("diagnose", "b.csv", "--calibration", "a.csv", "--report", "link.csv"),
+        ("diagnose", "b.csv", "--reference", "a.csv", "-o", "a.csv"),
+        ("calibrate", "b.csv", "--housing-faces", "a.csv", "-o", "link.csv"),
+        ("calibrate", "b.csv", "--table-rate", "a.csv", "-o", "a.csv"),
+        ("simulate", "--sensor", "a.csv", "-o", "a.csv"),
+        ("simulate", "--reference", "a.csv", "-o", "b.csv", "--truth", "a.csv"),
     ],
 )
 def test_no_command_writes_over_its_source(
@@ -126,6 +134,60 @@ def test_no_command_writes_over_its_source(
     assert code == 2
     assert "itself" in err
     assert (tmp_path / "a.csv").read_bytes() == (BAD / "one_pose.csv").read_bytes()
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("convert", "a.csv", "-o", "-"),
+        ("report", "a.csv", "-o", "-"),
+        ("diagnose", "a.csv", "-o", "-"),
+        ("diagnose", "a.csv", "--report", "-"),
+        ("calibrate", "a.csv", "-o", "-"),
+        ("simulate", "-o", "-"),
+        ("record", "replay://a.csv?speed=0", "-o", "-"),
+    ],
+)
+def test_standard_output_is_no_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: tuple[str, ...]
+) -> None:
+    """A file of the name `-` was written."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "a.csv").write_bytes((BAD / "one_pose.csv").read_bytes())
+    code, _, err = run(*words)
+    assert code == 2
+    assert "- is no file: name one" in " ".join(err.replace("│", " ").split())
+    assert os.listdir(tmp_path) == ["a.csv"]
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("diagnose", "a.csv", "-o", "z.json", "--report", "z.json"),
+        ("simulate", "-o", "z.csv", "--truth", "z.csv"),
+        ("record", "replay://a.csv?speed=0", "-o", "z.csv", "--raw", "./z.csv"),
+    ],
+)
+def test_no_command_writes_two_outputs_to_one_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: tuple[str, ...]
+) -> None:
+    """The report was written over the model that was found."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "a.csv").write_bytes((BAD / "one_pose.csv").read_bytes())
+    code, _, err = run(*words)
+    assert code == 2
+    assert "two files" in " ".join(err.replace("│", " ").split())
+    assert os.listdir(tmp_path) == ["a.csv"]
+
+
+def test_what_is_written_over_is_called_what_it_is(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A reference was called "the recording itself"."""
+    monkeypatch.chdir(tmp_path)
+    code, _, err = run("diagnose", "a.csv", "--reference", "ref.csv", "-o", "ref.csv")
+    assert code == 2
+    assert "is the reference itself" in " ".join(err.replace("│", " ").split())
 
 
 def test_convert_refuses_to_overwrite_its_input_and_unknown_suffixes(tmp_path: Path) -> None:

@@ -125,7 +125,7 @@ def test_a_narrow_window_cuts_no_number(cal: Path, tmp_path: Path, width: int) -
     narrow = numbers(width, "show", cal)
     assert set(narrow) <= set(wide)
     assert {"0.34941", "0.012034", "0.000094"} <= set(narrow)
-    assert {"-22.470", "1.2034"} <= set(narrow) or width < 72
+    assert {"-22.470", "1.2034"} <= set(narrow) or width < 79
     assert sorted(numbers(width, "compare", cal, other)) == sorted(
         numbers(100, "compare", cal, other)
     )

@@ -1,6 +1,7 @@
 """``imu-cal show``: a table that fits 80 columns, the document, the schema."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import jsonschema
@@ -44,6 +45,20 @@ def test_table_in_si_and_everyday_units(tmp_path: Path) -> None:
     assert "42.0 ± 2.0" in text
     assert "presence" not in text
     assert "…" not in text
+
+
+def test_names_and_people_s_units_are_whole_at_80_columns(tmp_path: Path) -> None:
+    """A scale factor's name was broken inside, and terms had no people's unit."""
+    path = tmp_path / "a.cal.json"
+    names = (*CALIBRATION.names, "accel.scale_factor_error.x")
+    covariance = np.diag([1e-6, 1e-8, 1e-12, 4e4, 1e-10])
+    save_calibration(replace(CALIBRATION, names=names, covariance=covariance), path)
+    result = CliRunner().invoke(app, ["show", str(path)], env={"COLUMNS": "80"})
+    rows = {line.split()[0]: line for line in result.stdout.splitlines() if line.strip()}
+    assert max(map(len, rows.values())) <= 80
+    assert "0.0000 ± 0.0010 %" in rows["accel.scale_factor_error.x"]
+    assert "0.05619 ± 0.00056 dps/g" in rows["gyro_g_sensitivity.gxx"]
+    assert "42 ± 200 Hz" in rows["bandwidth.gyro_cutoff"]
 
 
 def test_json_is_the_document_and_obeys_the_schema(tmp_path: Path) -> None:

@@ -1,6 +1,7 @@
 """``imu-cal simulate``: files, twins, effects and wrong arguments."""
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -193,6 +194,11 @@ def test_events_are_in_the_twin_of_their_own_recording_only(sensor: Path, tmp_pa
         (["--effect", "bandwidth:gyro_cutoff=-5"], "above 0 Hz, got -5"),
         (["--effect", "saturation:gyro=1"], "`gyro_full_scale`"),
         (["--effect", "dropped_samples:count=1,moment=1e3"], "0 to 180 s, got 1000"),
+        (["--effect", "dropped_samples:count=1e9,moment=10"], "at most 18000, the samples"),
+        (["--effect", "dropped_samples:count=-1e9,moment=10"], "at most 18000, the samples"),
+        (["--effect", "dropped_samples:count=1.5,moment=10"], "a whole number of samples, got 1.5"),
+        (["--effect", "gyro_g_sensitivity:gxz=1,gxz=2"], "`gxz` is given twice"),
+        (["--effect", "saturation:level=-1"], "`level` is no parameter of saturation"),
         (["--duration", "long"], "no duration"),
         (["--rate", "0"], "--rate"),
         (["--seed", "-1"], "--seed"),
@@ -203,6 +209,10 @@ def test_events_are_in_the_twin_of_their_own_recording_only(sensor: Path, tmp_pa
         (["--noise", "-1"], "--noise"),
         (["--gravity", "1"], "--gravity"),
         (["--lost", "2"], "lost"),
+        (["--jitter", "nan"], "`jitter` must be 0 s or more, got nan"),
+        (["--jitter", "inf"], "`jitter` must be 0 s or more, got inf"),
+        (["--imu", "2"], "--like"),
+        (["--profile", "mpu6050"], "--like"),
         (["--like", "log.csv"], "--calibration"),
         (["--calibration", "cal.json"], "--like"),
         (["--like", "log.csv", "--calibration", "cal.json", "--rate", "50"], "--rate"),
@@ -238,7 +248,7 @@ def test_inputs_are_not_overwritten(sensor: Path, tmp_path: Path) -> None:
     before = log.read_bytes()
     result = run("--like", log, "--calibration", sensor, "-o", log)
     assert result.exit_code == 2
-    assert "overwrite" in result.stderr
+    assert "itself" in result.stderr
     assert run("-o", tmp_path / "a.csv", "--truth", tmp_path / "a.csv").exit_code == 2
     assert log.read_bytes() == before
 
@@ -292,6 +302,35 @@ def test_a_reference_without_positions_is_said_to_stay(moved: Motion, tmp_path: 
     result = run("--reference", known, "--fixed-point", "--duration", "20s", "-o", path)
     assert result.exit_code == 0, result.stderr
     assert not result.stderr
+
+
+def test_a_duration_beyond_the_reference_is_said(moved: Motion, tmp_path: Path) -> None:
+    known = reference(tmp_path / "ref.csv", moved)
+    path = tmp_path / "sim.csv"
+    result = run("--reference", known, "--duration", "5min", "--rate", 20, "-o", path)
+    assert result.exit_code == 0, result.stderr
+    assert "less than --duration 5min: the simulation ends with it" in result.stderr
+
+
+@pytest.mark.parametrize("name", MOTIONS)
+def test_the_summary_says_the_motion_that_was_asked_for(name: str, tmp_path: Path) -> None:
+    """A hand-held motion was "bench", and had "1 spins"."""
+    result = run("--motion", name, "--duration", "30s", "-o", tmp_path / "sim.arrow")
+    assert result.stdout.partition("\n")[0].endswith(f", {name}")
+    assert not re.search(r"\b1 (turns|spins|static poses)", result.stdout)
+
+
+def test_repeated_samples_of_a_twin_are_bounded_by_its_recording(
+    sensor: Path, tmp_path: Path
+) -> None:
+    log = tmp_path / "log.arrow"
+    assert run("--duration", "10s", "-o", log).exit_code == 0
+    result = run(
+        *("--like", log, "--calibration", sensor, "-o", tmp_path / "twin.arrow"),
+        *("--effect", "dropped_samples:count=-1e9,moment=5"),
+    )
+    assert result.exit_code == 2
+    assert "at most 1001, the samples" in " ".join(result.stderr.replace("│", " ").split())
 
 
 def test_a_hole_of_a_reference_is_left_out_and_said(moved: Motion, tmp_path: Path) -> None:

@@ -79,7 +79,18 @@ def test_what_changed_is_named_and_the_exit_code_is_6(
 def test_the_same_calibration_is_the_same(cal: Path) -> None:
     code, said, _ = run("compare", cal, cal)
     assert code == 0
-    assert "the same" in said
+    assert said.rstrip().endswith("the same")
+
+
+def test_what_only_one_has_is_not_said_to_be_the_same(cal: Path, tmp_path: Path) -> None:
+    known = load_calibration(cal)
+    names = known.names[:-1]
+    less = replace(known, names=names, covariance=known.covariance[:-1, :-1])
+    save_calibration(less, tmp_path / "less.json")
+    code, said, _ = run("compare", cal, tmp_path / "less.json")
+    assert code == 0
+    assert f"{cal} determines {known.names[-1]}" in said.replace("\n", "")
+    assert said.rstrip().endswith("the same in what both have")
 
 
 def test_another_device_and_a_newer_version_are_said(cal: Path, tmp_path: Path) -> None:

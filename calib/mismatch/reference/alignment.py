@@ -134,11 +134,21 @@ def _aligned(
     step = max(STEP, _interval(time), _interval(ref_time))
     a, b = _even(time, rate, step), _even(ref_time, ref_rate, step)
     units = _units(a, b, step)
-    for name, values in (("the recording", a), ("the reference", b)):
+    for name, values, usual in (
+        ("the recording", a, _steady(rate, BIASED)),
+        ("the reference", b, _steady(ref_rate, MOVING)),
+    ):
         if len(values) * step < LEAST_OVERLAP:
             raise NoCommonMotionError(
                 f"{name} lasts {len(values) * step:.1f} s; at least {LEAST_OVERLAP:g} s of common "
                 f"motion are needed to align the two in time{units}"
+            )
+        # A mean over a step is of half of one at either end.
+        if usual and values[1:-1].std() < MOVING:
+            raise NoCommonMotionError(
+                f"{name} turns at one rate all along, {np.degrees(usual):.3g} dps, and the two "
+                "cannot be aligned in time by that: let both begin before the spin-up and end "
+                "after the spin-down"
             )
         if values.std() < MOVING:
             raise NoCommonMotionError(
@@ -180,6 +190,12 @@ def _aligned(
     # By the clock that was made to run as the recording's.
     near = Alignment((1.0 + faster) * offset, (1.0 + faster) * stretch, middle, match.value)
     return near.moved(faster * middle, faster)
+
+
+def _steady(rate: FloatArray, least: float) -> float:
+    """Return how fast it usually turns, rad/s; 0 if that is less than ``least``."""
+    usual = float(np.linalg.norm(np.median(rate, axis=0)))
+    return usual if usual >= least else 0.0
 
 
 def _units(a: FloatArray, b: FloatArray, step: float) -> str:

@@ -12,13 +12,15 @@ import numpy as np
 
 from calib.errors import NoCommonMotionError
 from calib.mismatch.findings.diagnosis import Finding
+from calib.mismatch.noise.hush import audible
 from calib.mismatch.reference.alignment import Alignment
 from calib.mismatch.reference.laid import reading
 from calib.mismatch.reference.mounted import both
 from calib.mismatch.reference.truths import RecordingTruth
-from calib.mismatch.samples.units import axes_beside, factor_beside
+from calib.mismatch.samples.units import axes_beside, factor_beside, look_at_units
 from calib.recording import Recording
 from calib.rotation import nearest_rotation
+from calib.statics import find_poses
 
 TOLD = 0.05
 """Second singular value of gravity's directions, relative to the first, from which they tell a
@@ -55,11 +57,22 @@ def misread(
     if number:
         return axes_beside(real, {"gyro": number}, other=other)
     if _is_other_unit(factor):
-        return factor_beside(real, "gyro", factor, other=other)
+        return _off(real, truth, "gyro", factor, other=other)
     number, factor = reading(accel, force @ mat.T, about)
     if not number and _is_other_unit(factor):
-        return factor_beside(real, "accel", factor, other=other)
+        return _off(real, truth, "accel", factor, other=other)
     return None
+
+
+def _off(
+    real: Recording, truth: RecordingTruth, triad: str, factor: float, *, other: str
+) -> Finding:
+    """Return the finding of another unit, with whose it is, if the other shows that by itself."""
+    found, _ = look_at_units(truth.recording, find_poses(audible(truth.recording)))
+    theirs = any(
+        item.effect == "unit_error" and item.channels[0].startswith(triad) for item in found
+    )
+    return factor_beside(real, triad, factor, other=other, theirs=theirs)
 
 
 def _is_other_unit(factor: float) -> bool:

@@ -82,11 +82,13 @@ class Samples(NamedTuple):
     @property
     def need(self) -> str:
         """What must be mended first where they are fatal."""
-        need = "right units and axes"
+        need = "units and axes that are right"
         if any(f.effect == "time_offset" for f in self.findings):
             need = "a gyroscope and an accelerometer on one clock"
         if self.unexplained:
-            need = NEEDED.get(self.unexplained[-1].follows, "channels that move: one is stuck")
+            last = self.unexplained[-1]
+            many = {1: "one is", len(CHANNELS): "all are"}.get(len(last.channels), "some are")
+            need = NEEDED.get(last.follows, f"channels that move: {many} stuck")
         return f"{need}: mend that and diagnose again"
 
 

@@ -154,12 +154,19 @@ def axes_beside(
     return replace(found, sentence=f"{whose} Beside the {other}: {words}")
 
 
-def factor_beside(recording: Recording, triad: str, factor: float, *, other: str) -> Finding:
-    """Return the finding that a triad reads so many times what the `other` has."""
+def factor_beside(
+    recording: Recording, triad: str, factor: float, *, other: str, theirs: bool = False
+) -> Finding:
+    """Return the finding that a triad reads so many times what the `other` has.
+
+    If it is known to be ``theirs``, by its own rests and turns, the other's unit is wrong.
+    """
     channels, known = (CHANNELS[:3], ACCEL_FACTORS) if triad == "accel" else (GYRO, GYRO_FACTORS)
     found = fault_finding("unit_error", recording, channels, {triad: factor - 1.0})
+    mend = f": check the units and ranges of both{name_of(factor, known)}."
+    if theirs:
+        name = name_of(1.0 / factor, known) or ": check its units and ranges"
+        mend = f", and by its own rests and turns it is the {other} that is off{name}."
     return replace(
-        found,
-        sentence=f"The {triad} reads {factor:.4g} times what the {other} has: check the units and "
-        f"ranges of both{name_of(factor, known)}.",
+        found, sentence=f"The {triad} reads {factor:.4g} times what the {other} has{mend}"
     )

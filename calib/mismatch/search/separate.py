@@ -15,7 +15,7 @@ _HEAT = ("temperature", "temperature_rate")
 
 _AGAIN = "the same once more: what the sensor has comes back, what happened once does not"
 
-_OF_MOTION = {
+OF_MOTION = {
     "rate and direction of gravity": "turns at several rates about axes that point several ways",
     "its own rate": "turns at several rates, both ways",
     "rate about the other axes": "slow and fast turns about one axis at a time",
@@ -52,5 +52,5 @@ def to_separate(effect: Effect, rivals: tuple[Rival, ...]) -> str:
     known = effects()
     parts = [f"{known[s].title}: {known[s].needs}" for s in slugs if s in known]
     for s in (s for s in slugs if s not in known):
-        parts.append(f"{s}: {_OF_MOTION.get(s, _OF_MOTION.get(s.rpartition(' ')[0], _AGAIN))}")
+        parts.append(f"{s}: {OF_MOTION.get(s, OF_MOTION.get(s.rpartition(' ')[0], _AGAIN))}")
     return "To tell them apart, record what each needs. " + "; ".join(parts) + "."

@@ -1,5 +1,7 @@
 import numpy as np
+import pytest
 
+from calib.errors import AddressError
 from drivers.emulators.base import EmulatorOptions, make_sensor
 
 
@@ -21,3 +23,17 @@ def test_a_still_sensor_shows_its_own_errors() -> None:
     assert np.all(np.abs(signals.accel.mean(axis=0) - truth) < 5 * sigma / np.sqrt(20_000))
     assert np.allclose(signals.accel.std(axis=0), sigma, rtol=0.03)
     assert np.all(np.abs(signals.gyro.mean(axis=0) - sensor.model.gyro.bias) < 1e-4)
+
+
+@pytest.mark.parametrize(
+    ("effect", "said"),
+    [
+        ("foo", "'foo' is no effect"),
+        ("dropped_samples:count=1e9,moment=1", "at most [0-9]+, the samples"),
+    ],
+)
+def test_an_effect_that_cannot_be_is_a_wrong_address(effect: str, said: str) -> None:
+    """It was a traceback, and a billion samples more than memory."""
+    options = EmulatorOptions(motion="bench", effects=(effect,))
+    with pytest.raises(AddressError, match=said):
+        make_sensor(options, default_rate=100.0)

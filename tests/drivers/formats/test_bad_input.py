@@ -46,6 +46,34 @@ def test_refused_with_a_message_of_its_own(name: str) -> None:
         assert caught.value.exit_code == 3
 
 
+HEADER = "time (s);acc x (m/s^2);acc y (m/s^2);acc z (m/s^2);gyr x (dps);gyr y (dps);gyr z (dps)\n"
+ROWS = "0,00;0,1;0,2;9,8;0,1;0,1;0,2\n0,01;0,1;0,2;9,8;0,1;0,1;0,2\n"
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("a.csv.gz", b"\x1f\x8b\x08\x08\x1f\xca", "compressed by gzip: gunzip it first"),
+        ("a.csv", b"\x1f\x8b\x08\x08\x1f\xca", "compressed by gzip: gunzip it first"),
+        ("a.xlsx", b"PK\x03\x04\x14\x00", "export it as CSV"),
+        ("a.csv", ROWS.encode(), "its numbers have decimal commas, between columns separated by"),
+        ("a.csv", f"t;ax;ay;az;gx;gy;gz\n{ROWS}".encode(), "decimal commas.*decimal = "),
+        ("a.csv", (HEADER + ROWS).encode(), "'0,[01]+', expected a number with a decimal point"),
+    ],
+)
+def test_what_is_wrapped_or_written_otherwise_is_called_that(
+    tmp_path: Path, name: str, content: bytes, message: str
+) -> None:
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(RecordingFormatError, match=message):
+        read_recording(tmp_path / name)
+
+
+def test_one_bad_row_is_one_row() -> None:
+    with pytest.raises(InvalidSampleError, match=r"\(1 such row\)"):
+        read_recording(BAD / "nan_row.csv")
+
+
 @pytest.mark.parametrize("value", ["nan", "inf", "-39", "4 g"])
 def test_a_full_scale_is_a_number(tmp_path: Path, value: str) -> None:
     path = tmp_path / "a.csv"

@@ -137,7 +137,7 @@ def test_the_page_asks_for_nothing_from_a_network(calibration: Calibration) -> N
 
 def test_text_of_a_document_is_escaped() -> None:
     page = render_page(diagnosis_report(DIAGNOSIS))
-    assert "It could as well be: earth_rate, 0.1 times as probable." in page
+    assert "Or: earth_rate, 0.1 times as probable." in page
     assert "<b>specific force</b>" not in page.split('id="document"')[0]
     assert "residual against specific force x" in page
 
@@ -187,6 +187,50 @@ def test_what_is_unexplained_is_drawn_with_its_window_shaded() -> None:
     assert "accel.y" in plot().title
     assert len(draw(plot()).layout.shapes) == 1
     assert plot(follows="temperature", x_unit="°C").shaded == ()
+
+
+def test_what_is_unexplained_has_a_next_step_and_what_else_it_may_be() -> None:
+    left = {
+        **DIAGNOSIS["unexplained"][0],  # type: ignore[index]
+        "follows": "speed of rotation",
+        "rivals": [{"effect": "accel_settling", "odds": 29.4}],
+    }
+    residuals = [
+        {"rows": "accel at rest", "unit": "m/s²", "before": 2.0, "after": 1.0, "noise_floor": 1.0}
+    ]
+    shown = {"quantization": "few distinct values at rest"}
+    page = render_page(
+        diagnosis_report(
+            {
+                **DIAGNOSIS,
+                "unexplained": [left],
+                "cannot_show": shown,
+                "fit": {"residuals": residuals},
+            }
+        )
+    )
+    assert "or, more probable: accel_settling, 29 times as probable." in page
+    assert "accel.y: record slow and fast turns about every axis." in page
+    assert "3.0\u00a0to\u00a09.0\u00a0s" in page
+    assert "<th>what to record</th>" in page
+
+
+def test_names_in_cells_break_after_underscores_and_charts_are_printed() -> None:
+    """Words of a narrow cell broke anywhere, and paper had no charts."""
+    page = render_page(diagnosis_report(DIAGNOSIS))
+    assert "<td>gyro_<wbr>g_<wbr>sensitivity</td>" in page
+    style = page.partition("<style>")[2].partition("</style>")[0]
+    assert ".chart { display: none" not in style
+    assert "overflow-wrap: anywhere" not in style.partition("th, td")[2].partition("}")[0]
+    assert 'addEventListener("beforeprint"' in page
+
+
+def test_no_legend_is_under_the_tool_bar() -> None:
+    finding = DIAGNOSIS["findings"][0]  # type: ignore[index]
+    report = diagnosis_report({**DIAGNOSIS, "findings": [finding]})
+    plot = next(block for block in report.blocks if isinstance(block, Plot))
+    legend = draw(plot).layout.legend
+    assert (legend.y < 0, legend.yanchor) == (True, "top")
 
 
 def test_the_budget_is_the_root_of_squares(calibration: Calibration) -> None:

@@ -355,7 +355,7 @@ def test_a_simulation_in_g_is_named_with_its_factor():
     ).findings
     assert found.effect == "unit_error"
     assert found.parameters["accel"].value == pytest.approx(GRAVITY - 1.0, rel=0.02)
-    assert "check the units" in found.sentence
+    assert "it is the simulation that is off: the accelerometer is in g" in found.sentence
 
 
 def test_what_is_wrong_with_samples_is_to_be_mended_as_without_a_simulation():

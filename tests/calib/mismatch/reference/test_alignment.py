@@ -83,3 +83,17 @@ def test_however_stretched_another_motion_is_another(seed: int) -> None:
     _, other = pair("bench", 120.0, seed)
     with pytest.raises(NoCommonMotionError, match="same motion"):
         diagnose_against(real, other, gravity=GRAVITY)
+
+
+@pytest.mark.parametrize("dps", [5.0, 200.0])
+def test_a_rate_that_never_changes_is_said_to_align_nothing(dps: float) -> None:
+    """A table's profile of one rate "does not turn", and its unit was to be checked."""
+    real, _ = pair("bench", 60.0)
+    time = np.arange(0.0, 90.0, 0.1)
+    rate = np.tile([0.0, 0.0, np.radians(dps)], (len(time), 1))
+    with pytest.raises(NoCommonMotionError, match=r"at one rate all along.*spin-up") as caught:
+        align(real.time, real.gyro, time, rate)
+    assert f"{dps:.3g} dps" in str(caught.value)
+    assert "unit" not in str(caught.value)
+    with pytest.raises(NoCommonMotionError, match="does not turn"):
+        align(real.time, real.gyro, time, 0.0 * rate)

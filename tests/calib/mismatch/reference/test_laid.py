@@ -62,7 +62,7 @@ def test_the_wrong_sign_is_named_and_no_scale_factor(triad: str):
     assert finding.effect == "axis_error"
     assert finding.channels == (f"{triad}.z",)
     assert "x: x, y: y, z: -z" in finding.sentence
-    assert found.missing == ("right units and axes: mend that and diagnose again",)
+    assert found.missing == ("units and axes that are right: mend that and diagnose again",)
 
 
 @pytest.mark.parametrize("turn", [np.zeros(3), np.array([0.9, -2.0, 0.4])])

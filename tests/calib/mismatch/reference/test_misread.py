@@ -79,6 +79,15 @@ def test_it_ends_the_diagnosis_and_says_what_to_mend():
     assert "reads 2" in finding.sentence
 
 
+def test_a_simulation_in_degrees_is_said_to_be_the_one_that_is_off():
+    """The recording was to blame, for units that its own turns show to be right."""
+    other = simulation()
+    degrees = replace(other, gyro=np.degrees(other.gyro))
+    (finding,) = diagnose_against(recorded(), degrees, gravity=GRAVITY).findings
+    assert finding.effect == "unit_error"
+    assert "it is the simulation that is off: the gyroscope is in deg/s" in finding.sentence
+
+
 @pytest.mark.parametrize(("rate", "arm"), [(12.0, 0.08), (26.0, 0.08), (20.0, 0.15)])
 def test_more_than_gravity_off_the_axis_of_a_table_is_no_unit_and_no_axis(rate: float, arm: float):
     motion = turntable((rate,), spin=90.0, rest=8.0, ramp=4.0, offset=(arm, 0.0, 0.02))

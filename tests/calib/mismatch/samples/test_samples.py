@@ -32,6 +32,18 @@ def test_a_channel_that_is_stuck_is_said_and_nothing_else() -> None:
         assert [u.channels for u in found.unexplained] == [("accel.z",)]
 
 
+def test_how_many_channels_are_stuck_is_said() -> None:
+    """Of a recording in which all six were "one is stuck"."""
+    recording = simulated()
+    still = {t: np.tile(getattr(recording, t)[0], (len(recording), 1)) for t in ("accel", "gyro")}
+    all_six = diagnose_recording(replace(recording, **still), gravity=GRAVITY)
+    assert all_six.missing[-1].startswith("channels that move: all are stuck")
+    one = recording.accel.copy()
+    one[:, 2] = one[0, 2]
+    found = diagnose_recording(replace(recording, accel=one), gravity=GRAVITY)
+    assert found.missing[-1].startswith("channels that move: one is stuck")
+
+
 @pytest.mark.parametrize("value", ["last", "nothing"])
 def test_a_channel_that_freezes_in_two_turns_is_said_with_its_moments(value: str) -> None:
     real = simulated(rate=100.0)

@@ -3,7 +3,7 @@
 from calib.effects import get_effect
 from calib.mismatch.findings.diagnosis import Rival
 from calib.mismatch.search.ranking import make_stack
-from calib.mismatch.search.separate import _OF_MOTION, to_separate
+from calib.mismatch.search.separate import OF_MOTION, to_separate
 from calib.mismatch.search.twins import HEADING
 
 from ..bench import problem
@@ -20,7 +20,7 @@ def test_every_rival_comes_with_what_to_record():
         assert f"{group}: " in said
     # Those that follow the motion have words of their own, and no words are left over.
     followed = {g.rpartition(" ")[0] for g in groups}
-    assert set(_OF_MOTION) <= {HEADING, *followed}
+    assert set(OF_MOTION) <= {HEADING, *followed}
     assert "markers" in to_separate(own, (Rival(HEADING, 1.0),))
     assert "turns at several rates" in to_separate(own, (Rival("its own rate gyro.z", 0.2),))
     assert "happened once" in to_separate(own, (Rival("bias in a window gyro.z", 0.2),))
