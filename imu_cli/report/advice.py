@@ -28,6 +28,10 @@ _STEPS = (
         "this one turn",
         "repeat the recording; if it is off again, see what the cable does there",
     ),
+    (
+        "turns: they do not close",
+        "see what is loose, or comes late, then (samples of one triad, a mount); repeat it",
+    ),
     ("too few of them", "record more poses, spread over all directions"),
     ("in a part of the recording", "look for what changed where it begins or ends, and repeat"),
     ("fading from the start", "let the sensor rest for 20 s, hands off, before it is turned first"),

@@ -29,6 +29,7 @@ def test_every_kind_has_a_next_step(follows: str) -> None:
 def test_the_step_is_of_the_kind() -> None:
     assert "mains" in next_step({"follows": "a line at 50 Hz, a line at 100 Hz"})
     assert "mount" in next_step({"follows": f"{SLIPPED}, by 2.1°"})
+    assert "loose" in next_step({"follows": "these 4 turns: they do not close, by up to 1°"})
     assert "spread over all directions" in next_step({"follows": "direction of gravity"})
 
 
