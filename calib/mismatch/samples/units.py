@@ -118,7 +118,7 @@ def _axes(recording: Recording, closure: Closure | None) -> list[Finding]:
         found = replace(
             found,
             sentence=f"{found.sentence} Or, and nothing here tells which: {words}",
-            rivals=(Rival(f"axis_error of the {other}", 1.0),),
+            rivals=(Rival(f"axis_error {other}", 1.0),),
             to_separate="Lay the sensor down with each of its marked axes upwards: the "
             "accelerometer reads +1 g along it if its axes are right.",
         )
