@@ -34,7 +34,7 @@ from calib.mismatch.samples.within import MARGIN
 from calib.poses import Poses
 from calib.read_once import HELD
 from calib.recording import CHANNELS, TRIADS, Recording
-from calib.types import FloatArray, IntArray
+from calib.types import BoolArray, FloatArray, IntArray
 
 BLOCK = 6
 """Samples that are one here, where rests are long enough for periodograms of samples."""
@@ -61,9 +61,9 @@ over these a line spreads."""
 QUANTILES = 16
 """Lengths of pieces that stand for all of them."""
 
-LOST, LOWEST = 0.5, 0.8
-"""Cycles in a piece below which its straight line takes nearly all of a line away, and from which
-on one is looked for: of slower ones the means themselves tell."""
+LOST, LOWEST = (0.3, 0.5), (0.6, 0.8)
+"""Cycles in a piece below which its mean, or its straight line, takes nearly all of a line away,
+and from which on one is looked for: of slower ones the means themselves tell."""
 
 EFFICIENCY = 2.0 / np.pi
 """Of a median of many, relative to their mean."""
@@ -76,7 +76,9 @@ ALSO = 0.01
 
 
 class _Signal(NamedTuple):
-    """Means over blocks of samples at rest, without the straight line of their piece of it.
+    """Means over blocks of samples at rest, without the mean of their piece of it.
+
+    Or without its straight line, where a rest was cut into pieces.
 
     Parameters
     ----------
@@ -89,6 +91,8 @@ class _Signal(NamedTuple):
         Length of a block.
     length : (k,) array, s
         Of the pieces, as far as they are quiet.
+    cut : (k,) array of bool
+        Which are parts of a rest.
     interval : (k, 2) array, s
         When they begin and end.
     """
@@ -98,6 +102,7 @@ class _Signal(NamedTuple):
     values: FloatArray
     step: float
     length: FloatArray
+    cut: BoolArray
     interval: FloatArray
 
 
@@ -172,7 +177,7 @@ def _at_rest(recording: Recording, poses: Poses) -> _Signal | None:
     step = interval * (BLOCK if long else 1)
     margin = round(MARGIN / max(interval, 1e-9))
     quiet = ~knocked(recording, poses)
-    pieces, began = list[IntArray](), list[int]()
+    pieces, began, cut = list[IntArray](), list[int](), list[bool]()
     for a, b in zip(poses.start.tolist(), poses.stop.tolist(), strict=True):
         own = a + margin + np.flatnonzero(quiet[a + margin : b - margin])
         number = int(np.ceil(len(own) * interval / LONGEST))
@@ -180,6 +185,7 @@ def _at_rest(recording: Recording, poses: Poses) -> _Signal | None:
         some = [part for part in parts if len(part) * interval >= SEVERAL * step]
         pieces += some
         began += [a] * len(some)
+        cut += [number > 1] * len(some)
     if len(pieces) < FEWEST:
         return None
     sample = np.concatenate(pieces)
@@ -190,11 +196,11 @@ def _at_rest(recording: Recording, poses: Poses) -> _Signal | None:
     values = np.add.reduceat(every, first) / count[:, None]
     piece = piece[first]
     begin = ((recording.time[began] - recording.time[0]) / step).astype(np.int64)
-    values = values - _lines(values, piece, at)
+    values = values - _means(values, piece) - _slopes(values, piece, at, np.array(cut))
     values = values - _means(values, at - begin[piece], least=FEWEST)
     length = step * np.bincount(piece, minlength=len(pieces)).astype(np.float64)
     ends = np.array([recording.time[part[[0, -1]]] for part in pieces])
-    return _Signal(at - at[0], piece, values, step, length, ends)
+    return _Signal(at - at[0], piece, values, step, length, np.array(cut), ends)
 
 
 def _means(values: FloatArray, which: IntArray, *, least: int = 1) -> FloatArray:
@@ -204,15 +210,15 @@ def _means(values: FloatArray, which: IntArray, *, least: int = 1) -> FloatArray
     return np.asarray((mean * (number >= least)[:, None] / np.maximum(number, 1)[:, None])[which])
 
 
-def _lines(values: FloatArray, piece: IntArray, at: IntArray) -> FloatArray:
-    """Return the straight line through the (n, 6) values of its piece at each place.
+def _slopes(values: FloatArray, piece: IntArray, at: IntArray, cut: BoolArray) -> FloatArray:
+    """Return what the (n, 6) values of pieces of ``cut`` rests rise by from their middles.
 
-    A bias that drifts through a rest that is cut would be a sawtooth, of the period of its pieces.
+    A bias that drifts through such a rest would be a sawtooth, of the period of its pieces.
     """
     since = (at - _means(at[:, None].astype(np.float64), piece)[:, 0])[:, None]
     spread = _means(np.square(since), piece)
     slope = _means(since * values, piece) / np.maximum(spread, np.finfo(float).tiny)
-    return np.asarray(_means(values, piece) + slope * since)
+    return np.where(cut[piece, None], slope * since, 0.0)
 
 
 class _Spectrum:
@@ -242,13 +248,18 @@ class _Spectrum:
         self._share = self._number / size
         self.resolution = 1.0 / (size * signal.step)
         frequency = self.resolution * np.arange(len(power))
-        typical = np.quantile(signal.length, (np.arange(QUANTILES) + 0.5) / QUANTILES)
-        lost = np.mean([_taken(frequency * length) for length in typical], axis=0)
-        usual = float(np.median(signal.length))
-        self._first = int(np.searchsorted(frequency, LOST / usual))
+        lost = np.zeros_like(frequency)
+        for line in (False, True):
+            own = signal.length[signal.cut == line]
+            if len(own):
+                typical = np.quantile(own, (np.arange(QUANTILES) + 0.5) / QUANTILES)
+                taken = np.mean([_taken(frequency * t, line=line) for t in typical], axis=0)
+                lost += taken * own.sum() / signal.length.sum()
+        usual, kind = float(np.median(signal.length)), int(np.median(signal.cut))
+        self._first = int(np.searchsorted(frequency, LOST[kind] / usual))
         power /= len(signal.at) * (1.0 - lost[:, None]).clip(1e-9)
         self._power = power[self._first : -1]
-        self._lowest = LOWEST / usual
+        self._lowest = LOWEST[kind] / usual
         self._highest = BOTH_SIDES * BLOCK / (LENGTH * signal.step) if slow else np.inf
         self._scales = list(self._each())
         self.noise = np.median(self._power, axis=0)
@@ -301,14 +312,14 @@ class _Spectrum:
         return _Line(frequency, power, scale.floor[k], scale.chance[k])
 
 
-def _taken(cycles: FloatArray) -> FloatArray:
-    """Return the share of a line's power that a straight line takes, by its cycles in the piece.
+def _taken(cycles: FloatArray, *, line: bool) -> FloatArray:
+    """Return the share of a line's power that a mean takes, by its cycles in the piece.
 
-    That is ``j0(x)² + 3 j1(x)²`` with ``x = pi cycles``, of spherical Bessel functions: what a wave
-    of any phase has of the first two Legendre polynomials.
+    That is ``j0(x)²`` with ``x = pi cycles``, and with a straight ``line`` ``3 j1(x)²`` besides, of
+    spherical Bessel functions: what a wave of any phase has of Legendre polynomials.
     """
     x = np.pi * cycles
-    return np.asarray(np.square(spherical_jn(0, x)) + 3.0 * np.square(spherical_jn(1, x)))
+    return np.asarray(np.square(spherical_jn(0, x)) + 3.0 * line * np.square(spherical_jn(1, x)))
 
 
 def _floors(parts: FloatArray) -> tuple[FloatArray, IntArray]:

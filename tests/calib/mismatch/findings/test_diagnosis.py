@@ -186,9 +186,7 @@ def test_one_wrong_sign_is_likelier_than_two_and_what_else_it_may_be_is_said(
     assert list(found.channels) == channels
     assert said in found.sentence
     # A gyroscope's one wrong sign is no rotation, and no accelerometer makes up for it.
-    assert [r.effect for r in found.rivals] == ["axis_error gyro"] * (
-        channels[0] == "accel.z"
-    )
+    assert [r.effect for r in found.rivals] == ["axis_error gyro"] * (channels[0] == "accel.z")
 
 
 def test_a_model_has_no_parameter_that_the_recording_leaves_open():
