@@ -13,7 +13,7 @@ import numpy as np
 
 from calib.bumps import tilted
 from calib.faults import ROBUST
-from calib.mismatch.rows.underway import GAP
+from calib.mismatch.rows.underway import is_torn
 from calib.poses import Poses, average_poses
 from calib.recording import Recording
 from calib.types import FloatArray
@@ -72,14 +72,14 @@ def _bump(recording: Recording, start: int, stop: int) -> tuple[int, int] | None
     width = max(3, round(QUICK / step))
     least = max(FEWEST, round(SHORTEST / step))
     number = stop - start
-    if number < 2 * least + 2 * width or np.diff(recording.time[start:stop]).max() > GAP * step:
+    if number < 2 * least + 2 * width or is_torn(recording, start, stop):
         return None
     gyro = recording.gyro[start:stop]
     off = gyro - np.median(gyro, axis=0)
     run = np.concatenate((np.zeros((1, 3)), np.cumsum(off, axis=0)))
     angle = step * (run[width:] - run[:-width])
     within = slice(least, number - least - width + 1)
-    noise = _scatter(angle, width)
+    noise = scatter(angle[::width])
     size = np.square(np.divide(angle, noise, out=np.zeros_like(angle), where=noise > 0)).sum(axis=1)
     at = least + int(np.argmax(size[within]))
     if size[at] < STANDS_OUT**2:
@@ -89,7 +89,10 @@ def _bump(recording: Recording, start: int, stop: int) -> tuple[int, int] | None
     return (before.stop, after.start) if tilted(recording, before, after) else None
 
 
-def _scatter(angle: FloatArray, width: int) -> FloatArray:
-    """Return the standard deviation of angles in so many samples, (3,), from one to the next."""
-    change = np.diff(angle[::width], axis=0)
-    return np.asarray(np.median(np.abs(change), axis=0) * ROBUST / np.sqrt(2.0))
+def scatter(values: FloatArray) -> FloatArray:
+    """Return the standard deviation of each column (n, k), from one value to the next.
+
+    That of noise that may drift, and of which a few may be off.
+    """
+    change = np.abs(np.diff(values, axis=0))
+    return np.asarray(np.median(change, axis=0) * ROBUST / np.sqrt(2.0))

@@ -13,11 +13,11 @@ from typing import NamedTuple
 import numpy as np
 
 from calib.bumps import UNSURE
-from calib.faults import ROBUST
-from calib.mismatch.rows.underway import GAP
+from calib.mismatch.rows.bumped import scatter
+from calib.mismatch.rows.underway import is_torn
 from calib.poses import Poses, average_poses
 from calib.recording import Recording
-from calib.stillness import runs
+from calib.stillness import moving_mean, runs, spill
 from calib.types import BoolArray, FloatArray
 
 WINDOW, WIDTHS = 0.25, (2, 4, 8)
@@ -68,9 +68,9 @@ def still_parts(recording: Recording, poses: Poses) -> Poses:
     windows = [_windows(recording, *span) for span in whole]
     if not any(map(len, windows)):
         return poses
-    usual = np.median([_scatter(own) for own in windows if len(own)], axis=0)
+    usual = np.median([scatter(own) for own in windows if len(own)], axis=0)
     each = [
-        _still(recording, span, own, np.maximum(usual, _scatter(own)))
+        _still(recording, span, own, np.maximum(usual, scatter(own)))
         if len(own)
         else _Parts([span])
         for span, own in zip(whole, windows, strict=True)
@@ -87,11 +87,10 @@ def still_parts(recording: Recording, poses: Poses) -> Poses:
 
 def _windows(recording: Recording, start: int, stop: int) -> FloatArray:
     """Return force and rate in windows of a rest, (n, 6); none of a brief one, or with a hole."""
-    step = recording.interval
-    size = _size(step)
+    size = _size(recording.interval)
     number = (stop - start) // size
-    holes = np.diff(recording.time[start:stop]) > GAP * step
-    if number * size * step < 2 * SHORTEST or holes.any():
+    brief = number * size * recording.interval < 2 * SHORTEST
+    if brief or is_torn(recording, start, stop):
         return np.zeros((0, 6))
     used = slice(start, start + number * size)
     both = np.hstack((recording.accel[used], recording.gyro[used]))
@@ -100,12 +99,6 @@ def _windows(recording: Recording, start: int, stop: int) -> FloatArray:
 
 def _size(step: float) -> int:
     return max(FEWEST, round(WINDOW / step))
-
-
-def _scatter(values: FloatArray) -> FloatArray:
-    """Return the standard deviation of each column (n, k) of noise that may drift, or turn."""
-    change = np.abs(np.diff(values, axis=0))
-    return np.asarray(np.median(change, axis=0) * ROBUST / np.sqrt(2.0))
 
 
 def _still(
@@ -143,16 +136,12 @@ def _still(
 
 def _moving(off: FloatArray, noise: FloatArray) -> BoolArray:
     """Return in which windows a rate (n, 3) stands out, over any of `WIDTHS` of them."""
-    number = len(off)
-    moving = np.zeros(number, bool)
-    for width in (w for w in WIDTHS if number >= 2 * w):
+    moving = np.zeros(len(off), bool)
+    for width in (w for w in WIDTHS if len(off) >= 2 * w):
         # Wider ones show what is slower, beside what was seen.
-        left = np.where(moving[:, None], 0.0, off)
-        run = np.concatenate((np.zeros((1, 3)), np.cumsum(left, axis=0)))
-        mean = (run[width:] - run[:-width]) / width
+        mean = moving_mean(np.where(moving[:, None], 0.0, off), width)
         size = np.square(mean / noise).sum(axis=1) * width
-        for at in np.flatnonzero(size > STANDS_OUT**2).tolist():
-            moving[at : at + width] = True
+        spill(moving, size > STANDS_OUT**2, width)
     return moving
 
 

@@ -35,6 +35,11 @@ GAP = 2.5
 """Intervals between samples from which on some are missing, and motion may be."""
 
 
+def is_torn(recording: Recording, start: int, stop: int) -> bool:
+    """Return whether any are missing between samples ``[start, stop)``, of which there are two."""
+    return bool(np.diff(recording.time[start:stop]).max() > GAP * recording.interval)
+
+
 def under_way(recording: Recording, poses: Poses) -> IntArray:
     """Return the samples ``[start, stop)``, (k - 1, 2), in which the turns between k poses are.
 
