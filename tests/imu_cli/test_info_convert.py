@@ -136,6 +136,16 @@ def test_no_command_writes_over_its_source(
     assert (tmp_path / "a.csv").read_bytes() == (BAD / "one_pose.csv").read_bytes()
 
 
+def refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: tuple[str, ...]) -> str:
+    """Return what is said of a command that is refused, and writes nothing beside `a.csv`."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "a.csv").write_bytes((BAD / "one_pose.csv").read_bytes())
+    code, _, err = run(*words)
+    assert code == 2
+    assert os.listdir(tmp_path) == ["a.csv"]
+    return " ".join(err.replace("│", " ").split())
+
+
 @pytest.mark.parametrize(
     "words",
     [
@@ -152,12 +162,7 @@ def test_standard_output_is_no_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: tuple[str, ...]
 ) -> None:
     """A file of the name `-` was written."""
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "a.csv").write_bytes((BAD / "one_pose.csv").read_bytes())
-    code, _, err = run(*words)
-    assert code == 2
-    assert "- is no file: name one" in " ".join(err.replace("│", " ").split())
-    assert os.listdir(tmp_path) == ["a.csv"]
+    assert "- is no file: name one" in refused(tmp_path, monkeypatch, words)
 
 
 @pytest.mark.parametrize(
@@ -172,12 +177,7 @@ def test_no_command_writes_two_outputs_to_one_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: tuple[str, ...]
 ) -> None:
     """The report was written over the model that was found."""
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "a.csv").write_bytes((BAD / "one_pose.csv").read_bytes())
-    code, _, err = run(*words)
-    assert code == 2
-    assert "two files" in " ".join(err.replace("│", " ").split())
-    assert os.listdir(tmp_path) == ["a.csv"]
+    assert "two files" in refused(tmp_path, monkeypatch, words)
 
 
 def test_what_is_written_over_is_called_what_it_is(

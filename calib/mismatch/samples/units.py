@@ -107,12 +107,10 @@ def _axes(recording: Recording, closure: Closure | None) -> list[Finding]:
     made = closure.axes.T
     mistakes = [("gyro", made)]
     if np.linalg.det(made) > 0:
-        mistakes.append(("accel", min((made.T, -made.T), key=_wrong)))
-    (triad, mat), *others = sorted(mistakes, key=lambda mistake: _wrong(mistake[1]))
-    names = tuple(
-        f"{triad}.{a}" for a, row in zip("xyz", mat - np.eye(3), strict=True) if row.any()
-    )
-    found = fault_finding("axis_error", recording, names, _laid(triad, mat))
+        mirrored = min((made.T, -made.T), key=lambda mat: len(_wrong("accel", mat)))
+        mistakes.append(("accel", mirrored))
+    (triad, mat), *others = sorted(mistakes, key=lambda mistake: len(_wrong(*mistake)))
+    found = fault_finding("axis_error", recording, _wrong(triad, mat), _laid(triad, mat))
     for other, mat in others:
         words = get_effect("axis_error").in_words(_laid(other, mat))
         found = replace(
@@ -125,9 +123,10 @@ def _axes(recording: Recording, closure: Closure | None) -> list[Finding]:
     return [found]
 
 
-def _wrong(mat: FloatArray) -> int:
-    """Return how many axes a signed permutation (3, 3) changes."""
-    return int((mat - np.eye(3)).any(axis=1).sum())
+def _wrong(triad: str, mat: FloatArray) -> tuple[str, ...]:
+    """Return the channels of a triad that a signed permutation (3, 3) changes."""
+    rows = zip("xyz", mat - np.eye(3), strict=True)
+    return tuple(f"{triad}.{axis}" for axis, row in rows if row.any())
 
 
 def _laid(triad: str, mat: FloatArray) -> dict[str, float]:
@@ -143,9 +142,9 @@ def axes_beside(
     values: dict[str, float] = {}
     names: list[str] = []
     for triad, number in numbers.items():
-        values |= {triad: 1.0, f"{triad}_axes": float(number)}
-        off = signed_permutation(number) - np.eye(3)
-        names += [f"{triad}.{a}" for a, row in zip("xyz", off, strict=True) if row.any()]
+        mat = signed_permutation(number)
+        values |= _laid(triad, mat)
+        names += _wrong(triad, mat)
     whose = f"The two do not have the same axes: mend those of the recording, or of the {other}."
     found = fault_finding("axis_error", recording, tuple(names), values)
     words = get_effect("axis_error").in_words(values)

@@ -127,15 +127,15 @@ def rank(
             evidence = np.maximum(evidence, rest)
         evidence, wide, hidden = scores.with_drift_of_all(evidence, which, every, plain=plain)
         best, groups = grouped(stack, evidence)
-    known = evidence, best
-    if len(running) > 1 and not plain:
+    known, may_hide = (evidence, best), len(running) > 1 and not plain
+    if may_hide:
         evidence = scores.with_usual_drift(evidence, which)
         best, groups = grouped(stack, evidence)
     beside = {}
     for name in leading(best, {g: groups[g] for g in running}):
         tried: list[tuple[Candidate, FloatArray | None]]
         tried = [(c, None) for c in with_fullest(stack, known[0], known[1][name])]
-        usual = None if plain or len(running) < 2 else scores.usual(best[name].channels)
+        usual = scores.usual(best[name].channels) if may_hide else None
         if usual is not None:
             tried += [(c, usual) for c in with_fullest(stack, evidence, best[name])]
         if not tried[-1][0].shape and again(tried[-1][0], accepted):

@@ -183,7 +183,7 @@ class Scores:
 
         None if they drift no more than that.
         """
-        levels = foretold_levels(self.rows, self.base.values, channels)
+        levels = _foretold_levels(self.rows, self.base.values, channels)
         return levels if (self.base.values > RAISED * levels).any() else None
 
     def with_usual_drift(self, evidence: FloatArray, running: BoolArray) -> FloatArray:
@@ -262,7 +262,7 @@ class Scores:
         return (outside, cost) if value[1] + cost > value[0] else (self.contrast, 0.0)
 
 
-def foretold_levels(rows: Rows, levels: FloatArray, channels: tuple[str, ...]) -> FloatArray:
+def _foretold_levels(rows: Rows, levels: FloatArray, channels: tuple[str, ...]) -> FloatArray:
     """Return levels with the drift of some channels no higher than the others' lets one expect.
 
     That is the mean of what the prior leaves of their logarithms beside the others' [1]_.

@@ -66,13 +66,11 @@ CURVED = 0.01
 a reading."""
 
 
-ONE = "this one turn: it does"
-
-
 class OddTurn(NamedTuple):
-    """A turn that does not close: its segment, and what is said of it."""
+    """A turn that does not close: its segment, by how much in words, and what is said of it."""
 
     segment: int
+    size: str
     said: Unexplained
 
 
@@ -132,11 +130,9 @@ def _gathered(rows: Rows, odd: list[OddTurn]) -> list[OddTurn]:
     )
     worst = min(order, key=lambda turn: turn.said.p_value)
     channels = tuple(c for c in CHANNELS if any(c in turn.said.channels for turn in order))
-    follows = worst.said.follows.replace(ONE, f"these {k} turns: they do", 1).replace(
-        " by ", " by up to ", 1
-    )
+    follows = f"these {k} turns: they do not close, by up to {worst.size}, and the others do"
     said = Unexplained(channels, ((start, stop),), follows, worst.said.p_value * chance)
-    return [OddTurn(turn.segment, said) for turn in order]
+    return [turn._replace(said=said) for turn in order]
 
 
 class _Foretold(NamedTuple):
@@ -228,8 +224,8 @@ def _odd(
     turned = angle > 3.0 * float(np.linalg.norm(sigma[:2]))
     size = f"{np.degrees(angle):.2g}°" if turned else f"{speed:.2g} m/s"
     channels, interval = _at(rows, segment, index, off / sigma, sigma, turned=turned)
-    follows = f"{ONE} not close, by {size}, and the others do"
-    return OddTurn(segment, Unexplained(channels, (interval,), follows, p_value))
+    follows = f"this one turn: it does not close, by {size}, and the others do"
+    return OddTurn(segment, size, Unexplained(channels, (interval,), follows, p_value))
 
 
 def _at(
