@@ -23,6 +23,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import logsumexp, softmax
@@ -81,13 +82,25 @@ TUNES = 21
 """Periods between those of the grid, half a cycle apart, that are tried for a wave."""
 
 
-def place_window(rows: Rows, candidate: Candidate, whitener: Whitener, y: FloatArray) -> Candidate:
+class Told(NamedTuple):
+    """What rows tell under some noise, and the log-likelihood of that beside the others."""
+
+    whitener: Whitener
+    y: FloatArray
+    """Whitened projected residual (m,)."""
+    likelihood: float = 0.0
+
+
+def place_window(rows: Rows, candidate: Candidate, *told: Told) -> Candidate:
     """Return a candidate for the window that overlaps most, on average over what is probable.
 
-    It is of the kind that is most probable there. No window is longer than half of the recording:
-    the others are the rule there, and not it. A gain may have changed at a moment: beside the scale
-    factor one until then is another one from then on, and it is said of the shorter part.
+    It is of the kind that is most probable there. What is probable is what rows tell under any of
+    several levels of noise; turned axes go by the first. No window is longer than half of the
+    recording: the others are the rule there, and not it. A gain may have changed at a moment:
+    beside the scale factor one until then is another one from then on, and it is said of the
+    shorter part.
     """
+    whitener, y, _ = told[0]
     if candidate.name == SLIPPED:
         return _place_slipped(rows, candidate, whitener, y)
     if candidate.name == TURNED:
@@ -100,11 +113,18 @@ def place_window(rows: Rows, candidate: Candidate, whitener: Whitener, y: FloatA
     kinds = [] if candidate.name == FLUCTUATING else _retuned(candidate)
     kinds += [replace(candidate, name=n, shape={}) for n in _SUMS if one and n != candidate.name]
     alike = Counter(c.name for c in kinds)
-    summed = [_sums(rows, c, whitener, y, longest) - np.log(alike[c.name]) for c in kinds]
     share = _share(rows, candidate, whitener, y)
-    wander = _wanders(rows, candidate, whitener, y, longest, share)
-    first, last = np.nonzero(np.isfinite([*summed, wander]).any(axis=0))
-    value = np.stack([*summed, wander])[:, first, last]
+    under = [
+        np.stack(
+            [_sums(rows, c, t.whitener, t.y, longest) - np.log(alike[c.name]) for c in kinds]
+            + [_wanders(rows, candidate, t.whitener, t.y, longest, share)]
+        )
+        + t.likelihood
+        for t in told
+    ]
+    every = np.logaddexp.reduce(under)
+    first, last = np.nonzero(np.isfinite(every).any(axis=0))
+    value = every[:, first, last]
     stays = [*(STAYS * _may_stay(c) for c in kinds), 0.0]
     prior = np.stack([of_place(first, last, number, odds) for odds in stays])
     of_kind = softmax(logsumexp(value + prior, axis=1))
@@ -113,10 +133,10 @@ def place_window(rows: Rows, candidate: Candidate, whitener: Whitener, y: FloatA
     where = expected_overlap(rows.interval[first, 0], rows.interval[last - 1, 1], weight)
     a = int(np.searchsorted(rows.interval[:, 0], where[0]))
     b = int(np.searchsorted(rows.interval[:, 1], where[1])) + 1
-    best = int(np.argmax([wander[a, b], *(v[a, b] for v in summed)]))
-    if not best:
+    best = int(np.argmax(every[:, a, b]))
+    if best == len(kinds):
         return fluctuating(candidate, *where, segments=b - a, share=share)
-    return moved_window(kinds[best - 1], *where)
+    return moved_window(kinds[best], *where)
 
 
 def _retuned(candidate: Candidate) -> list[Candidate]:

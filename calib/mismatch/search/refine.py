@@ -10,12 +10,13 @@ import numpy as np
 from calib.effects import get_effect
 from calib.effects.base import TransformEffect
 from calib.mismatch.hypotheses.candidates import Candidate
-from calib.mismatch.hypotheses.ends import place_window, tune_wave
+from calib.mismatch.hypotheses.ends import Told, place_window, tune_wave
 from calib.mismatch.hypotheses.families import NEAR, candidate_columns, forms, neighbours
 from calib.mismatch.hypotheses.peak import close_in
 from calib.mismatch.hypotheses.slipped import angle_of, slip_columns
 from calib.mismatch.hypotheses.windows import THROUGHOUT, has_ends, window_columns
-from calib.mismatch.noise.noise import Whitener, make_whitener
+from calib.mismatch.noise.noise import Whitener, level_basis, level_likelihood, make_whitener
+from calib.mismatch.noise.usual import usual_levels
 from calib.mismatch.rows.rows import Rows
 from calib.mismatch.search.accepted import Accepted, fitted
 from calib.types import FloatArray
@@ -37,7 +38,8 @@ def refine_last(
         if last.candidate.name == THROUGHOUT:
             candidate, columns = tune_wave(rows, last.candidate, whitener, y)
         else:
-            candidate = place_window(rows, last.candidate, whitener, y)
+            told = _told(rows, accepted, levels, contrast, Told(whitener, y))
+            candidate = place_window(rows, last.candidate, *told)
             slipped = angle_of(candidate) is not None
             columns = (slip_columns if slipped else window_columns)(rows, candidate)
         number = columns.shape[1]
@@ -56,6 +58,23 @@ def refine_last(
         rows, last.candidate, last.columns, whitener, y, reference=reference
     )
     return replace(last, candidate=candidate, columns=columns)
+
+
+def _told(
+    rows: Rows, accepted: list[Accepted], levels: FloatArray, contrast: FloatArray, told: Told
+) -> list[Told]:
+    """Return what rows tell of the last accepted: with the drift that was found, and the usual.
+
+    Of a disturbance that comes and goes, the part that is fitted need not be all that raises it.
+    """
+    usual = usual_levels(rows, levels, accepted[-1].candidate.channels)
+    if usual is None:
+        return [told]
+    mean = fitted(rows, accepted[:-1])
+    basis = level_basis(rows, mean)
+    cost = level_likelihood(rows, basis, usual) - level_likelihood(rows, basis, levels)
+    whitener = make_whitener(rows, usual, contrast, mean)
+    return [told, Told(whitener, whitener.project(rows.residual), cost)]
 
 
 def refined(

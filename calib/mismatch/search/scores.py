@@ -27,22 +27,16 @@ from calib.mismatch.noise.noise import (
     Levels,
     Whitener,
     estimate_levels,
-    expected_levels,
     find_levels,
     level_basis,
     level_likelihood,
     make_whitener,
-    prior_precision,
 )
-from calib.mismatch.noise.sensornoise import DRIFT
+from calib.mismatch.noise.usual import usual_levels
 from calib.mismatch.rows.rows import Rows
 from calib.mismatch.search.accepted import Accepted, contrast_noise, fitted
 from calib.recording import CHANNELS
 from calib.types import BoolArray, FloatArray
-
-RAISED = 1.5
-"""How much higher the drift of a channel is than that of the others lets one expect, from which on
-a disturbance may be what raises it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,12 +173,8 @@ class Scores:
         return evidence, every, hidden
 
     def usual(self, channels: tuple[str, ...]) -> FloatArray | None:
-        """Return levels with the drift that others let one expect of some channels.
-
-        None if they drift no more than that.
-        """
-        levels = _foretold_levels(self.rows, self.base.values, channels)
-        return levels if (self.base.values > RAISED * levels).any() else None
+        """Return the `usual_levels` of some channels."""
+        return usual_levels(self.rows, self.base.values, channels)
 
     def with_usual_drift(self, evidence: FloatArray, running: BoolArray) -> FloatArray:
         """Return the evidence of those that are running with the `usual` drift, where it is more.
@@ -260,24 +250,6 @@ class Scores:
             whitener = self.whitener(levels, variance)
             value.append(log_bayes_factor(whitener.project(own), whitener.project(rows.residual)))
         return (outside, cost) if value[1] + cost > value[0] else (self.contrast, 0.0)
-
-
-def _foretold_levels(rows: Rows, levels: FloatArray, channels: tuple[str, ...]) -> FloatArray:
-    """Return levels with the drift of some channels no higher than the others' lets one expect.
-
-    That is the mean of what the prior leaves of their logarithms beside the others' [1]_.
-
-    References
-    ----------
-    .. [1] Rasmussen, Williams, "Gaussian Processes for Machine Learning", 2006, eq. (A.6).
-    """
-    own = np.array([c.group in DRIFT and c.name.split(" ")[0] in channels for c in rows.components])
-    precision, expected = prior_precision(rows), expected_levels(rows)
-    logs = np.log(levels / expected)
-    told = -np.linalg.solve(precision[np.ix_(own, own)], precision[np.ix_(own, ~own)] @ logs[~own])
-    out = levels.copy()
-    out[own] = np.minimum(levels[own], expected[own] * np.exp(told))
-    return out
 
 
 def _swap(rows: Rows, base: FloatArray, every: FloatArray, channels: tuple[str, ...]) -> FloatArray:

@@ -8,9 +8,15 @@ import numpy as np
 import pytest
 
 from calib.mismatch.hypotheses.candidates import Candidate
-from calib.mismatch.hypotheses.ends import expected_overlap, place_window, tune_wave
+from calib.mismatch.hypotheses.ends import Told, expected_overlap, place_window, tune_wave
 from calib.mismatch.hypotheses.windows import moved_window, segment_columns, window_columns
-from calib.mismatch.noise.noise import expected_levels, make_whitener
+from calib.mismatch.noise.noise import (
+    expected_levels,
+    level_basis,
+    level_likelihood,
+    make_whitener,
+)
+from calib.mismatch.noise.usual import usual_levels
 from calib.mismatch.search.accepted import fitted
 from calib.mismatch.search.ranking import make_stack
 
@@ -43,7 +49,7 @@ def test_a_window_is_found_from_one_that_only_touches_it(name):
     for seed in range(5):
         noise = np.random.default_rng(seed).normal(size=len(true))
         y = whitener.project(size * true) + noise - whitener.basis @ (whitener.basis.T @ noise)
-        placed = place_window(rows, candidate, whitener, y)
+        placed = place_window(rows, candidate, Told(whitener, y))
         assert placed.interval is not None
         overlaps.append(overlap(placed.interval, (start, stop)))
     assert np.median(overlaps) > 0.6
@@ -80,13 +86,50 @@ def test_what_jumps_about_is_placed_whole_though_it_was_found_as_the_bias_of_a_p
         true = whitener.project(parts @ rng.normal(size=parts.shape[1]))
         noise = rng.normal(size=len(true))
         noise -= whitener.basis @ (whitener.basis.T @ noise)
-        placed = place_window(rows, part, whitener, 15.0 * true / np.linalg.norm(true) + noise)
+        placed = place_window(
+            rows, part, Told(whitener, 15.0 * true / np.linalg.norm(true) + noise)
+        )
         assert placed.interval is not None
         overlaps.append(overlap(placed.interval, (start, stop)))
         names.add(placed.name)
     assert np.median(overlaps) > 0.7
     assert "fluctuation in a window" in names
     assert "bias in a window" not in names
+
+
+def test_what_raises_the_drift_is_placed_as_the_usual_drift_shows_it():
+    # Jumps in a window of a gyroscope raise the drift that is found of it, which hides the weaker.
+    _, made = problem()
+    rows = made.rows()
+    stack = make_stack(rows, skip=(), reference=False)
+    mean = fitted(rows, [])
+    expected = expected_levels(rows)
+    true = float(rows.interval[8, 0]), float(rows.interval[20, 1])
+    part = next(c for c in stack if c.name == "bias in a window" and c.channels == ("gyro.x",))
+    parts = segment_columns(rows, part)[:, 8:21, 0]
+    own = np.array([c.name.startswith("gyro.x") for c in rows.components])
+    raised = np.where(own, 15.0 * expected, expected)
+    alone, beside = [], []
+    for seed in range(6):
+        rng = np.random.default_rng(seed)
+        noise = make_whitener(rows, expected, rows.white_diagonal, mean)
+        jumps = parts @ rng.normal(size=parts.shape[1])
+        jumps *= 9.0 / np.linalg.norm(noise.project(jumps))
+        drift = rows.arrow.factorise(expected).dense() @ rng.normal(size=rows.n_dense)
+        rest = np.sqrt(rows.white_diagonal) * rng.normal(size=len(jumps) - rows.n_dense)
+        disturbed = rows.with_residual(jumps + np.append(drift, rest))
+        usual = usual_levels(disturbed, raised, part.channels)
+        assert usual is not None
+        basis = level_basis(disturbed, mean)
+        told = []
+        for levels in (raised, usual):
+            whitener = make_whitener(disturbed, levels, rows.white_diagonal, mean)
+            y = whitener.project(disturbed.residual)
+            told.append(Told(whitener, y, level_likelihood(disturbed, basis, levels)))
+        for some, out in ((told[:1], alone), (told, beside)):
+            out.append(overlap(place_window(disturbed, part, *some).interval or (0, 0), true))
+    assert np.mean(beside) > np.mean(alone) + 0.1
+    assert np.mean(beside) > 0.6
 
 
 class Pulses:
@@ -117,7 +160,7 @@ class Pulses:
         noise = rng.normal(size=len(true))
         noise -= self.whitener.basis @ (self.whitener.basis.T @ noise)
         y = 12.0 * true / np.linalg.norm(true) + noise
-        placed = place_window(self.rows, found, self.whitener, y)
+        placed = place_window(self.rows, found, Told(self.whitener, y))
         assert placed.interval is not None
         return placed, overlap(placed.interval, self.window)
 
@@ -176,7 +219,7 @@ def test_a_short_bias_keeps_its_window():
     for seed in range(6):
         noise = np.random.default_rng(seed).normal(size=len(true))
         noise -= whitener.basis @ (whitener.basis.T @ noise)
-        placed = place_window(rows, step, whitener, 6.0 * true / np.linalg.norm(true) + noise)
+        placed = place_window(rows, step, Told(whitener, 6.0 * true / np.linalg.norm(true) + noise))
         assert placed.interval is not None
         overlaps.append(overlap(placed.interval, (start, stop)))
     # If evidence between kinds counted for less as well, it would pass for a longer jumble: 0.52.
@@ -200,7 +243,9 @@ def test_a_gain_that_changed_for_good_is_placed_in_the_shorter_part(later):
         true = whitener.project(segment_columns(rows, found)[:, first:, 0].sum(axis=1))
         noise = rng.normal(size=len(true))
         noise -= whitener.basis @ (whitener.basis.T @ noise)
-        placed = place_window(rows, found, whitener, 12.0 * true / np.linalg.norm(true) + noise)
+        placed = place_window(
+            rows, found, Told(whitener, 12.0 * true / np.linalg.norm(true) + noise)
+        )
         assert placed.interval is not None
         begin, end = float(rows.interval[0, 0]), float(rows.interval[-1, 1])
         moment = float(rows.interval[first, 0])

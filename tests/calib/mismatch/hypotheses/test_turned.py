@@ -9,7 +9,7 @@ import pytest
 
 from calib.effects import get_effect
 from calib.mismatch import diagnose_recording
-from calib.mismatch.hypotheses.ends import place_window
+from calib.mismatch.hypotheses.ends import Told, place_window
 from calib.mismatch.hypotheses.rivals import RIVAL
 from calib.mismatch.hypotheses.turned import EARLIEST, turned_axes
 from calib.mismatch.hypotheses.windows import TURNED, window_columns
@@ -106,7 +106,7 @@ def test_an_accelerometer_that_turns_within_a_rest_is_placed_within_it():
     true = window_columns(rows, there) @ [1.0, -0.6, 0.4]
     whitener = make_whitener(rows, expected_levels(rows), rows.white_diagonal, fitted(rows, []))
     y = whitener.project(30.0 * true / np.linalg.norm(whitener.project(true)))
-    placed = place_window(rows, there, whitener, y)
+    placed = place_window(rows, there, Told(whitener, y))
     assert placed.interval == pytest.approx((moment, end), abs=1e-6)
 
 
@@ -122,6 +122,6 @@ def test_axes_that_turn_and_turn_back_are_placed_in_their_window_and_not_for_goo
     true = window_columns(rows, there) @ [1.0, -0.6, 0.4]
     whitener = make_whitener(rows, expected_levels(rows), rows.white_diagonal, fitted(rows, []))
     y = whitener.project(8.0 * true / np.linalg.norm(whitener.project(true)))
-    placed = place_window(rows, there, whitener, y)
+    placed = place_window(rows, there, Told(whitener, y))
     assert placed.interval is not None
     assert overlap(placed.interval, (start, stop)) > 0.8
