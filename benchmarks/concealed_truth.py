@@ -31,6 +31,7 @@ from concealed import (
     Case,
     Result,
     contrast_of,
+    covered,
     hidden_effects,
     named_with_noise_known,
     oracle_gain,
@@ -219,6 +220,7 @@ def run(case: Case) -> Result:
         result.unexplained.append((left.follows, left.intervals[0], left.channels))
         if interval is not None:
             result.overlap = max(result.overlap, overlap(left.intervals[0], interval))
+            result.covered = max(result.covered, covered(left.intervals[0], interval))
     if interval is not None or (term is not None and term.effect not in ALIGNED):
         own = "" if term is None else term.effect
         problem, skip = compared(case.kind, recording, truth)

@@ -18,7 +18,7 @@ STRAY = 3.0
 """Standard deviations beyond which a contrast is that of something else."""
 
 SEEN = 30
-"""Contrasts of an accelerometer from which on a lean is told from them."""
+"""Contrasts of a triad from which on a lean is told from them."""
 
 CUT = 9.0
 """Squares of normal errors that count in full."""
@@ -100,22 +100,36 @@ def _squares(
 
 
 def _swaying(rows: Rows, taken: BoolArray) -> FloatArray:
-    """Return the variance (n,) that contrasts of the accelerometer have as the sensor leans.
+    """Return the variance (n,) that contrasts have as the sensor leans.
 
-    A rest that lasts twice as long leans by more, and axes along gravity see nothing of it: no
-    factor on white noise says that. Zero unless what those that are ``taken`` hold beyond noise is
-    clearly seen, and for rows that nothing leans in.
+    A rest that lasts twice as long leans by more, axes along gravity see nothing of it, and some
+    rests lean more than others: no factor on white noise says that. Zero unless what those that are
+    ``taken`` hold beyond noise is clearly seen by the accelerometer, and for rows that nothing
+    leans in.
     """
+    out = np.zeros(len(taken))
     if rows.lean is None:
-        return np.zeros(len(taken))
+        return out
     shape = lean_in_contrasts(rows)
+    triad = rows.channel[rows.n_dense :] // 3
+    for k in (0, 1):
+        level = _level_of_lean(rows, shape, taken & (shape > 0) & (triad == k))
+        if not level:
+            break
+        out += np.where(triad == k, level * shape, 0.0)
+    return out
+
+
+def _level_of_lean(rows: Rows, shape: FloatArray, which: BoolArray) -> float:
+    """Return the level of a lean that the contrasts (n,) of a triad hold; zero if none is clear."""
     channel, white = rows.channel[rows.n_dense :], rows.white_diagonal
-    which = taken & (shape > 0)
     found = [
-        pair for c in range(3) for pair in _squares(rows, white, which & (channel == c), which)
+        pair
+        for c in np.unique(channel[which])
+        for pair in _squares(rows, white, which & (channel == c), which)
     ]
     if sum(len(own) for own, _ in found) < SEEN:
-        return np.zeros(len(shape))
+        return 0.0
     at, square = (np.concatenate(parts) for parts in zip(*found, strict=True))
     ratio = shape[at] / white[at]
 
@@ -123,12 +137,12 @@ def _swaying(rows: Rows, taken: BoolArray) -> FloatArray:
         return float(np.minimum(square / (1.0 + level * ratio), CUT).mean()) - USUAL
 
     if excess(0.0) <= 3.0 * np.sqrt(2.0 / len(at)):
-        return np.zeros(len(shape))
+        return 0.0
     low, high = 0.0, float(np.max(square / ratio))
     for _ in range(HALVINGS):
         middle = 0.5 * (low + high)
         low, high = (middle, high) if excess(middle) > 0 else (low, middle)
-    return high * shape
+    return high
 
 
 def telling(rows: Rows) -> IntArray:

@@ -108,10 +108,10 @@ def drift_in_contrasts(rows: Rows) -> FloatArray:
 
 
 def lean_in_contrasts(rows: Rows) -> FloatArray:
-    """Return the variance that a lean of one gives the contrasts of the accelerometer, (n,)."""
+    """Return the variance that a lean of one gives the contrasts, (n,)."""
     out = np.zeros(len(rows.residual) - rows.n_dense)
-    for name, drift in _all_drifts(rows).items():
-        if drift is not None and name.startswith("accel"):
+    for drift in _all_drifts(rows).values():
+        if drift is not None:
             out[drift.contrast] = np.diag(drift.own[2])
     return out
 

@@ -6,9 +6,10 @@ How much it drifts is a level that `noise` estimates; how much to expect is said
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
-from scipy import sparse
+from scipy import linalg, sparse
 
 from calib.effects.vibration import quiet_level
 from calib.mismatch.rows.grid import Grid, fast_power
@@ -227,23 +228,49 @@ def flicker_covariance(time: FloatArray, length: FloatArray) -> FloatArray:
     return np.asarray(out * np.log(3.0) / np.pi)
 
 
+class DriftKernels(NamedTuple):
+    """Covariances (k, k) of what a bias does in the segments of a recording, for levels of one.
+
+    That is its mean in each, and in some by how much it is higher in their second halves than that.
+    A mean alone may have an error of its own, a jitter.
+    """
+
+    jitter: FloatArray
+    flicker: FloatArray
+    walk: FloatArray
+
+    @classmethod
+    def of(cls, interval: FloatArray, halved: IntArray | None = None) -> DriftKernels:
+        """Return those of the means in segments (s, 2), and of the halves of those ``halved``.
+
+        Between the halves of any segment 1/f noise differs by as much.
+        """
+        length, middle = np.ptp(interval, axis=1), interval.mean(axis=1)
+        walk = np.minimum.outer(middle - middle[0], middle - middle[0]) / DRIFT_TIME
+        flicker = flicker_covariance(middle, length)
+        if halved is None:
+            return cls(np.eye(len(length)), flicker, walk)
+        one = flicker_covariance(np.array([0.25, 0.75]), np.array([0.5, 0.5]))
+        within = 0.5 * (one[0, 0] - one[0, 1])
+        means, halves = np.ones(len(length)), np.ones(len(halved))
+        return cls(
+            np.diag(np.append(means, 0.0 * halves)),
+            linalg.block_diag(flicker, np.diag(within * halves)),
+            linalg.block_diag(walk, np.diag(length[halved] / (12.0 * DRIFT_TIME))),
+        )
+
+
 def drift_components(
-    channel: str,
-    pieces: sparse.csr_matrix,
-    flicker: FloatArray,
-    walk: FloatArray,
-    drift: float,
-    spread: float,
+    channel: str, pieces: sparse.csr_matrix, kernels: DriftKernels, drift: float, spread: float
 ) -> list[Component]:
     """Return the drift of one channel's bias: jitter, flicker and random walk.
 
     Parameters
     ----------
     channel : str
-    pieces : sparse (n_dense, s) matrix
-        Response to a constant on that channel in each segment.
-    flicker, walk : (s, s) arrays
-        Covariances of the mean bias of the segments, for a level of one.
+    pieces : sparse (n_dense, k) matrix
+        Response to what `kernels` are the covariances of, on that channel.
+    kernels : DriftKernels
     drift : float
         Expected level.
     spread : float
@@ -254,10 +281,10 @@ def drift_components(
     return [
         Component(f"{channel} {label}", index, response, kernel, share * drift, spread, triad)
         for label, kernel, share in (
-            ("jitter", np.eye(len(flicker)), 0.1),
-            ("flicker", flicker, 1.0),
+            ("jitter", kernels.jitter, 0.1),
+            ("flicker", kernels.flicker, 1.0),
             # The Allan variance of a walk is a third of its own after as long.
-            ("walk", walk, 3 * FLOOR * DRIFT_TIME / RISES),
+            ("walk", kernels.walk, 3 * FLOOR * DRIFT_TIME / RISES),
         )
     ]
 

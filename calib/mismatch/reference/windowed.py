@@ -14,10 +14,9 @@ from scipy import sparse
 from calib.effects.base import State
 from calib.mismatch.noise.sensornoise import (
     DRIFT,
-    DRIFT_TIME,
     SPREAD,
+    DriftKernels,
     drift_components,
-    flicker_covariance,
 )
 from calib.mismatch.reference.captured import Felt, Known, mean_covariance, moved_by, wobble
 from calib.mismatch.reference.shapes import Shapes
@@ -156,12 +155,8 @@ def _components(
 
     ``density`` (6,) is the square of each channel's noise density.
     """
-    length = np.ptp(interval, axis=1)
-    middle = interval.mean(axis=1)
-    walk = np.minimum.outer(middle - middle[0], middle - middle[0]) / DRIFT_TIME
-    flicker = flicker_covariance(middle, length)
-    out = []
+    kernels, out = DriftKernels.of(interval), []
     for c, name in enumerate(CHANNELS):
         drift = DRIFT[name.split(".")[0]] ** 2 * density[c]
-        out += drift_components(name, pieces[c][:dense], flicker, walk, drift, SPREAD)
+        out += drift_components(name, pieces[c][:dense], kernels, drift, SPREAD)
     return tuple(out)

@@ -37,6 +37,8 @@ class Lean:
         ``begin`` counts from where the pose does.
     pose : (n,) array of int
     gravity : float, m/s²
+    size : (poses,) array
+        Of q in each pose, beside that of most.
     """
 
     up: FloatArray
@@ -44,14 +46,23 @@ class Lean:
     length: FloatArray
     pose: IntArray
     gravity: float
+    size: FloatArray
 
     @classmethod
-    def of(cls, up: FloatArray, interval: FloatArray, pose: IntArray, gravity: float) -> Lean:
+    def of(
+        cls,
+        up: FloatArray,
+        interval: FloatArray,
+        pose: IntArray,
+        gravity: float,
+        size: FloatArray | None = None,
+    ) -> Lean:
         """Return the lean in cells of poses; `up` is that of each pose, (poses, 3)."""
         first = np.full(len(up), np.inf)
         np.minimum.at(first, pose, interval[:, 0])
         begin, length = interval[:, 0] - first[pose], np.ptp(interval, axis=1)
-        return cls(up[pose], begin, length, pose, gravity)
+        size = np.ones(len(up)) if size is None else size
+        return cls(up[pose], begin, length, pose, gravity, size)
 
     def cut(self, at: Sequence[float]) -> Lean:
         """Return the same for parts of each cell, cut at these shares of its length."""
@@ -77,7 +88,7 @@ class Lean:
         alike = self._alike()
         share = alike * self.length
         about = np.eye(len(middle)) - share / share.sum(axis=1, keepdims=True)
-        angle = (walk + np.outer(middle, middle) / STEADY) * alike
+        angle = (walk + np.outer(middle, middle) / STEADY) * alike * self.size[self.pose]
         return np.asarray(about @ angle @ about.T)
 
     def of_force(self) -> FloatArray:
@@ -93,7 +104,8 @@ class Lean:
         if channel < 3:
             across = self.gravity * np.sqrt(np.maximum(1.0 - np.square(self.up[:, channel]), 0.0))
             return np.asarray(self.of_angle() * np.outer(across, across))
-        return np.asarray((np.diag(1.0 / self.length) + 1.0 / STEADY) * self._alike())
+        rates = (np.diag(1.0 / self.length) + 1.0 / STEADY) * self._alike()
+        return np.asarray(rates * self.size[self.pose])
 
     def _alike(self) -> BoolArray:
         return np.asarray(self.pose[:, None] == self.pose)
@@ -103,6 +115,6 @@ class Lean:
 
         For q of one, in rad².
         """
-        length = np.zeros(self.pose.max() + 1)
+        length = np.zeros(len(self.size))
         np.maximum.at(length, self.pose, self.begin + self.length)
-        return length / 3.0 + np.square(length) / (4.0 * STEADY)
+        return self.size * (length / 3.0 + np.square(length) / (4.0 * STEADY))

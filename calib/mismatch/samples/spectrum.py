@@ -34,6 +34,9 @@ HIDDEN = 0.5
 SPREAD = 3
 """Bins on either side that a line whose pace is not quite steady has power in."""
 
+SETTLED = 0.75
+"""s after which what lies on foam, or was let go, rings no more."""
+
 _HERE = 0.01
 """P-value below which one rest has what is known to be in the recording, a line or a burst."""
 
@@ -75,8 +78,10 @@ show for both to be one motion: about the vertical it makes none. A hand also mo
 
 def look_at_spectrum(recording: Recording, poses: Poses) -> tuple[Unexplained, ...]:
     """Return lines and bursts of the six channels at rest."""
+    settled = round(SETTLED / recording.interval) if recording.interval > 0 else 0
     starts = [
-        np.arange(a, b - LENGTH + 1, LENGTH) for a, b in zip(poses.start, poses.stop, strict=True)
+        _starts(a, b, settled)
+        for a, b in zip(poses.start.tolist(), poses.stop.tolist(), strict=True)
     ]
     pose = np.repeat(np.arange(len(poses)), [len(s) for s in starts])
     if len(pose) < 8:
@@ -122,6 +127,16 @@ def look_at_spectrum(recording: Recording, poses: Poses) -> tuple[Unexplained, .
             bursts = _changes(recording, poses, own, rest, channel) or bursts
         out += line + bursts
     return tuple(_merged(out))
+
+
+def _starts(start: int, stop: int, settled: int) -> IntArray:
+    """Return where periodograms of a rest, samples ``[start, stop)``, begin: the last at its end.
+
+    Those in which a sensor may not have settled yet are left out where most are not.
+    """
+    every = np.arange(stop - LENGTH, start - 1, -LENGTH)[::-1]
+    later = every[every >= start + settled]
+    return later if 2 * len(later) >= len(every) else every
 
 
 def coarse_at_rest(recording: Recording, poses: Poses) -> tuple[BoolArray, FloatArray]:

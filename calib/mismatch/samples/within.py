@@ -85,6 +85,9 @@ NEARBY, STRETCH = 5.0, 1.5
 """s of differences from a truth that have noise of their own: a turn and what is beside it; and
 those between which it may differ, as between rests."""
 
+STILL_LOUD = 2.0
+"""Standard errors by which the second halves of restless rests are louder."""
+
 STRETCHES = 200
 """Such parts of a recording, at most: those of a longer one are longer."""
 
@@ -125,7 +128,8 @@ def look_within(recording: Recording, poses: Poses) -> tuple[Unexplained, ...]:
         return tuple(spikes)
     tail = tails(np.concatenate([off[a : b - 2] for a, b in rests]), step)
     pulses = spikes + _pulses(looks, recording.time, tail)
-    return tuple(pulses + _stretches(looks, poses.interval, {u.channels for u in pulses}))
+    known = {u.channels for u in pulses}
+    return tuple(pulses + _stretches(looks, poses.interval, known, after_turns=True))
 
 
 def look_beside(
@@ -420,11 +424,16 @@ def _own_scale(look: _Look) -> FloatArray:
 
 
 def _stretches(
-    looks: list[_Look], intervals: FloatArray, known: set[tuple[str, ...]]
+    looks: list[_Look],
+    intervals: FloatArray,
+    known: set[tuple[str, ...]],
+    *,
+    after_turns: bool = False,
 ) -> list[Unexplained]:
     """Return stretches of rests in which a channel is restless, and neither before nor after.
 
-    The rests are those ``intervals`` (k, 2), s.
+    The rests are those ``intervals`` (k, 2), s. ``after_turns`` what has gone in their second
+    halves is what turns left: a sensor on foam rings, about an axis that others do not see.
     """
     rests = np.unique(looks[0].rest)
     some = [w for w in windows(len(rests)) if w[1] - w[0] >= 2]
@@ -444,10 +453,23 @@ def _stretches(
         others = np.delete(stirred[:, w].max(axis=0), c)
         if p >= CLAIM or (others > companion).any():
             continue
+        if after_turns and _fades(looks[k], intervals, rests, some[w], c):
+            continue
         gain = np.where(stands[k, :, c] > 0, 0.5 * np.square(stands[k, :, c]), -np.inf)
         where = expected_overlap(ends[first, 0], ends[last - 1, 1], np.exp(gain - gain.max()))
         out.append(Unexplained((channel,), (where,), RESTLESS, p))
     return out
+
+
+def _fades(
+    look: _Look, intervals: FloatArray, rests: IntArray, window: tuple[int, int], channel: int
+) -> bool:
+    """Whether rests in a window are no louder than others in their second halves."""
+    late = look.time > intervals.mean(axis=1)[look.rest]
+    halves = look._replace(rest=look.rest[late], time=look.time[late], size=look.size[late])
+    stands, _, _ = _louder(halves, rests, [window])
+    # Nothing is known of rests that are too short for that.
+    return bool(0.0 != stands[0, channel] < STILL_LOUD)
 
 
 def _louder(

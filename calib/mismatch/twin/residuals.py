@@ -14,10 +14,9 @@ from calib.effects.base import State, TransformEffect
 from calib.mismatch.noise.sampling import sampling_components
 from calib.mismatch.noise.sensornoise import (
     DRIFT,
-    DRIFT_TIME,
     SPREAD,
+    DriftKernels,
     drift_components,
-    flicker_covariance,
     lean_components,
     lean_of_turns,
 )
@@ -144,7 +143,14 @@ def _baseline(
     return out
 
 
-def build_rows(grid: Grid, twin: Twin, noise: FloatArray, *, spread: float | None = None) -> Rows:
+def build_rows(
+    grid: Grid,
+    twin: Twin,
+    noise: FloatArray,
+    *,
+    spread: float | None = None,
+    leans: FloatArray | None = None,
+) -> Rows:
     """Return recording minus twin as rows, linearised at the twin.
 
     Parameters
@@ -154,6 +160,8 @@ def build_rows(grid: Grid, twin: Twin, noise: FloatArray, *, spread: float | Non
         Variance of each point's mean on each channel, white part.
     spread : float, optional
         How uncertain the size of drift is beforehand, in place of `SPREAD`.
+    leans : (poses,) array, optional
+        How much more each pose leans than most, as `unequal_leans` has it.
     """
     linear = linearise(grid, twin, headed=True)
     closed, layout = linear.closed, linear.layout
@@ -169,7 +177,7 @@ def build_rows(grid: Grid, twin: Twin, noise: FloatArray, *, spread: float | Non
         each += f.power(2) @ noise[:, c]
     white, diagonal = np.diag(each[:dense]), each[dense:]
     white[layout.ends[:, :, None], layout.ends[:, None]] = of_turns
-    pieces = tuple(_in_segments(f, layout.segment, len(grid.first)) for f in linear.functional)
+    pieces = tuple(_in_segments(f, layout.segment, grid) for f in linear.functional)
     components = _components(
         grid,
         pieces,
@@ -181,7 +189,7 @@ def build_rows(grid: Grid, twin: Twin, noise: FloatArray, *, spread: float | Non
         SPREAD if spread is None else spread,
     )
     place = grid.before[layout.rest]
-    lean = Lean.of(twin.up, grid.interval[layout.rest], place, twin.gravity)
+    lean = Lean.of(twin.up, grid.interval[layout.rest], place, twin.gravity, leans)
     components += tuple(
         lean_components(lean, layout.rows[0], layout.rest, [p[:dense] for p in pieces])
     )
@@ -272,15 +280,23 @@ def _interval(grid: Grid) -> float:
     return float(np.median(np.diff(grid.time)[inside] / grid.count[1:][inside]))
 
 
-def _in_segments(
-    functional: sparse.csr_matrix, segment: IntArray, segments: int
-) -> sparse.csr_matrix:
-    """Return what each row feels of a constant in its segment: it feels nothing of others."""
+def _in_segments(functional: sparse.csr_matrix, segment: IntArray, grid: Grid) -> sparse.csr_matrix:
+    """Return what each row feels of a constant in its segment: it feels nothing of others.
+
+    Beside these, of each turn, of what is one in its second half and minus one in the first.
+    """
     felt = np.diff(functional.indptr) > 0
-    total = functional @ np.ones(functional.shape[1])
-    begins = np.append(0, np.cumsum(felt))
-    shape = (len(segment), segments)
-    return sparse.csr_matrix((total[felt], segment[felt], begins), shape=shape)
+    begins, whole = np.append(0, np.cumsum(felt)), len(grid.first)
+    own = segment[felt]
+    shape = (len(segment), whole)
+    total = (functional @ np.ones(functional.shape[1]))[felt]
+    constant = sparse.csr_matrix((total, own, begins), shape=shape)
+    late = np.where(grid.time < grid.interval.mean(axis=1)[grid.segment], -1.0, 1.0)
+    late[grid.pose >= 0] = 0.0
+    changing = sparse.csr_matrix(((functional @ late)[felt], own, begins), shape=shape)
+    turns = changing[:, ~grid.is_rest]
+    turns.eliminate_zeros()
+    return sparse.hstack((constant, turns), format="csr")
 
 
 def mean_over_interval(grid: Grid, state: State) -> FloatArray:
@@ -342,14 +358,12 @@ def _components(
     step = _interval(grid)
     # One-sided density squared: variance of a mean, times its length, times two.
     density = np.median(2 * noise[rest] * grid.count[rest, None] * step, axis=0)
-    middle = grid.interval.mean(axis=1)
-    walk = np.minimum.outer(middle - middle[0], middle - middle[0]) / DRIFT_TIME
-    flicker = flicker_covariance(middle, np.ptp(grid.interval, axis=1))
+    kernels = DriftKernels.of(grid.interval, np.flatnonzero(~grid.is_rest))
     cause = SAMPLING if step > TREMBLING else ""
     out = []
     for c, name in enumerate(CHANNELS):
         drift = DRIFT[name.split(".")[0]] ** 2 * density[c]
-        out += drift_components(name, pieces[c][:dense], flicker, walk, drift, spread)
+        out += drift_components(name, pieces[c][:dense], kernels, drift, spread)
     for label, which, scale in (
         ("attitude", Kind.ATTITUDE, None),
         ("attitude by angle", Kind.ATTITUDE, closed.angle),

@@ -12,9 +12,10 @@ from calib.effects import get_effect, shape_of
 from calib.effects.base import PRESENCE, State, Term
 from calib.mismatch.noise.leaning import leaning
 from calib.mismatch.noise.rounded import Rounding
-from calib.mismatch.noise.sensornoise import sample_noise
+from calib.mismatch.noise.sensornoise import LEANING, sample_noise
 from calib.mismatch.rows.grid import Grid
 from calib.mismatch.rows.rows import Kind, Rows
+from calib.mismatch.rows.unequal import unequal_leans
 from calib.mismatch.twin.residuals import build_rows
 from calib.mismatch.twin.twin import Twin
 from calib.mismatch.twin.twinfit import FEW, PART, fit_twin, start_twin
@@ -51,6 +52,7 @@ class SelfProblem:
         self.full_gyro = full_gyro
         self.noise = sample_noise(grid)
         self.spread = spread
+        self.leans = unequal_leans(grid, self.noise, least=LEANING)
         start = start_twin(grid, model, gravity=gravity, full_gyro=full_gyro)
         self.twin: Twin = fit_twin(grid, start, self.noise)
         self.given = () if model is None else model.terms
@@ -91,7 +93,7 @@ class SelfProblem:
 
     def rows(self) -> Rows:
         """Return recording minus twin; the given model's own terms are fitted along with it."""
-        rows = build_rows(self.grid, self.twin, self.noise, spread=self.spread)
+        rows = build_rows(self.grid, self.twin, self.noise, spread=self.spread, leans=self.leans)
         further = {
             f"{term.effect}.{name}": rows.column(signals)
             for term in self.given

@@ -1,0 +1,122 @@
+"""Which rests lean far more than most of a recording do.
+
+What is put down on foam, or pulled by its cable, creeps for seconds, by hundredths of a degree or
+by tenths, and one rest in three may last no longer than that. How much rests lean is learnt from
+all of them: the few that do then look like a gyroscope that fluctuates. But gravity moves as the
+rate says, which it does for no bias.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from scipy import ndimage
+
+from calib.bumps import UNSURE
+from calib.mismatch.rows.grid import Grid
+from calib.mismatch.rows.lean import STEADY
+from calib.types import FloatArray, IntArray
+
+PARTS = 3
+"""Of a rest, in which rates are compared with each other."""
+
+BESIDE = 7
+"""Rests whose median rate is taken for that of a sensor that does not turn there."""
+
+FAR = 2.0
+"""How much larger a variance is than that of most from which on it may be none of these: of nine
+squares of normal errors one in 25 is."""
+
+SURE = 5.0
+"""Standard errors by which gravity has moved as the rate says."""
+
+FEWEST = 3
+"""Rests in which gravity does, from which on those lean as well that are too brief to tell, or
+whose accelerometer is too noisy; unless these tell so together."""
+
+
+class _Pose(NamedTuple):
+    """How much a pose leans, rad²/s, and by how many standard errors gravity moved, and should."""
+
+    lean: float
+    seen: float
+    wanted: float
+
+    @property
+    def follows(self) -> bool:
+        """Whether gravity moved as the rate says."""
+        return self.seen > SURE and self.wanted / UNSURE < self.seen < self.wanted * UNSURE
+
+    @property
+    def open(self) -> bool:
+        """Whether gravity would not show what the rate says."""
+        return self.wanted < SURE
+
+
+def _together(poses: Iterable[_Pose]) -> bool:
+    """Return whether gravity moved in some poses as the rate says, taken together."""
+    some = list(poses)
+    size = float(np.sqrt(sum(p.wanted**2 for p in some)))
+    seen = sum(p.seen * p.wanted for p in some) / max(size, 1e-9)
+    return _Pose(0.0, seen, size).follows
+
+
+def unequal_leans(grid: Grid, noise: FloatArray, *, least: float) -> FloatArray:
+    """Return the variance of the angle of each pose as it leans, beside that of most, (poses,).
+
+    It is 1 but for those that lean more, as `lean.Lean` has it, and as gravity and rate agree.
+
+    Parameters
+    ----------
+    grid : Grid
+    noise : (n, 6) array
+        Variance of each point's mean on each channel.
+    least : float, rad²/s
+        What a sensor at rest leans anyway.
+    """
+    out = np.ones(grid.n_poses)
+    order = np.flatnonzero(grid.pose >= 0)
+    order = order[np.argsort(grid.pose[order], kind="stable")]
+    bounds = np.searchsorted(grid.pose[order], np.arange(grid.n_poses + 1))
+    points = [order[a:b] for a, b in pairwise(bounds.tolist())]
+    some = [k for k, own in enumerate(points) if len(own) >= PARTS]
+    if len(some) < 2:
+        return out
+    mean = np.stack([grid.gyro[points[k]].mean(axis=0) for k in some])
+    still = ndimage.median_filter(mean, size=(BESIDE, 1), mode="nearest")
+    poses = [_look(grid, noise, points[k], zero) for k, zero in zip(some, still, strict=True)]
+    usual = max(float(np.median([p.lean for p in poses])), least)
+    leans = sum(p.follows for p in poses) >= FEWEST or _together(p for p in poses if p.open)
+    for k, p in zip(some, poses, strict=True):
+        if p.lean > FAR * usual and (p.follows or (leans and p.open)):
+            out[k] = p.lean / usual
+    return out
+
+
+def _look(grid: Grid, noise: FloatArray, points: IntArray, still: FloatArray) -> _Pose:
+    """Return what some points of one pose say, whose rate would be ``still`` if nothing turned."""
+    time, force, rate = grid.time[points], grid.accel[points], grid.gyro[points]
+    length = float(np.ptp(time)) * len(points) / (len(points) - 1)
+    mean = rate.mean(axis=0)
+    parts = np.stack([part.mean(axis=0) for part in np.array_split(rate, PARTS)])
+    # Rates of a walk with a steady turn for q of one: of parts beside each other, and of them all.
+    apart = float(np.square(parts - mean).sum()) * length / PARTS
+    off = float(np.square(mean - still).sum()) / (1.0 / length + 1.0 / STEADY)
+    lean = (apart + off) / (3 * PARTS)
+    step = np.diff(time)[:, None]
+    between = 0.5 * (rate[1:] + rate[:-1]) - still
+    angle = np.concatenate((np.zeros((1, 3)), np.cumsum(step * between, axis=0)))
+    sigma = np.sqrt(noise[points, :3])
+    path = np.cross(force.mean(axis=0), angle) / sigma
+    seen = force / sigma
+    said = []
+    # Where the rate of a sensor at rest is hardly known, a steady turn is not either.
+    for order in (0, 1):
+        trend = np.vander(time - time[0], order + 1) / sigma[:, :1]
+        left, wanted = (v - trend @ np.linalg.lstsq(trend, v, rcond=None)[0] for v in (seen, path))
+        size = float(np.linalg.norm(wanted))
+        said.append(_Pose(lean, float((left * wanted).sum()) / max(size, 1e-9), size))
+    return next((p for p in said if p.follows), said[1])
