@@ -18,7 +18,7 @@ STRAY = 3.0
 """Standard deviations beyond which a contrast is that of something else."""
 
 SEEN = 30
-"""Contrasts of a triad from which on a lean is told from them."""
+"""Contrasts of an accelerometer from which on a lean is told from them."""
 
 CUT = 9.0
 """Squares of normal errors that count in full."""
@@ -105,30 +105,33 @@ def _swaying(rows: Rows, taken: BoolArray) -> FloatArray:
     A rest that lasts twice as long leans by more, axes along gravity see nothing of it, and some
     rests lean more than others: no factor on white noise says that. Zero unless what those that are
     ``taken`` hold beyond noise is clearly seen by the accelerometer, and for rows that nothing
-    leans in.
+    leans in. About each axis it may lean as it likes.
     """
     out = np.zeros(len(taken))
     if rows.lean is None:
         return out
     shape = lean_in_contrasts(rows)
-    triad = rows.channel[rows.n_dense :] // 3
-    for k in (0, 1):
-        level = _level_of_lean(rows, shape, taken & (shape > 0) & (triad == k))
-        if not level:
-            break
-        out += np.where(triad == k, level * shape, 0.0)
+    channel = rows.channel[rows.n_dense :]
+    accel = channel < 3
+    out[accel] = shape[accel] * _level_of_lean(rows, shape, taken & (shape > 0) & accel, SEEN)
+    for c in range(3, 6) if out.any() else ():
+        own = channel == c
+        out[own] = shape[own] * _level_of_lean(rows, shape, taken & (shape > 0) & own, 2 * FEW)
     return out
 
 
-def _level_of_lean(rows: Rows, shape: FloatArray, which: BoolArray) -> float:
-    """Return the level of a lean that the contrasts (n,) of a triad hold; zero if none is clear."""
+def _level_of_lean(rows: Rows, shape: FloatArray, which: BoolArray, least: int) -> float:
+    """Return the level of a lean that some contrasts (n,) hold; zero if none is clear.
+
+    Or if fewer of them than ``least`` tell.
+    """
     channel, white = rows.channel[rows.n_dense :], rows.white_diagonal
     found = [
         pair
         for c in np.unique(channel[which])
         for pair in _squares(rows, white, which & (channel == c), which)
     ]
-    if sum(len(own) for own, _ in found) < SEEN:
+    if sum(len(own) for own, _ in found) < least:
         return 0.0
     at, square = (np.concatenate(parts) for parts in zip(*found, strict=True))
     ratio = shape[at] / white[at]

@@ -7,8 +7,10 @@ as a random walk upon a steady turn, both of which begin anew with the pose::
 
     Var angle(t) = q (t + t² / STEADY),  Cov of rates = q (delta + 1 / STEADY)
 
-with q in rad²/s, one for the recording. The attitude of a pose is that of its mean, which takes up
-what the angle is on average; what is left is how its parts differ.
+with q in rad²/s, one for the recording. What is put down on foam, or let go of with its cable
+pulling, creeps besides, by ``a exp(-t / T)`` with any T of `TIMES`; the variance of a is in a ratio
+to q. The attitude of a pose is that of its mean, which takes up what the angle is on average; what
+is left is how its parts differ.
 """
 
 from __future__ import annotations
@@ -23,6 +25,9 @@ from calib.types import BoolArray, FloatArray, IntArray
 STEADY = 10.0
 """s after which the steady turn is as large as the walk: people sway in seconds, and shift their
 weight in tens of seconds."""
+
+TIMES = (0.5, 1.0, 2.0, 4.0)
+"""s in which what was put down creeps to where it stays: foam, cables and hands that let go."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,6 +44,8 @@ class Lean:
     gravity : float, m/s²
     size : (poses,) array
         Of q in each pose, beside that of most.
+    creep : float, s
+        Variance of the angle by which it creeps, for q of one.
     """
 
     up: FloatArray
@@ -47,6 +54,7 @@ class Lean:
     pose: IntArray
     gravity: float
     size: FloatArray
+    creep: float = 0.0
 
     @classmethod
     def of(
@@ -56,13 +64,14 @@ class Lean:
         pose: IntArray,
         gravity: float,
         size: FloatArray | None = None,
+        creep: float = 0.0,
     ) -> Lean:
         """Return the lean in cells of poses; `up` is that of each pose, (poses, 3)."""
         first = np.full(len(up), np.inf)
         np.minimum.at(first, pose, interval[:, 0])
         begin, length = interval[:, 0] - first[pose], np.ptp(interval, axis=1)
         size = np.ones(len(up)) if size is None else size
-        return cls(up[pose], begin, length, pose, gravity, size)
+        return cls(up[pose], begin, length, pose, gravity, size, creep)
 
     def cut(self, at: Sequence[float]) -> Lean:
         """Return the same for parts of each cell, cut at these shares of its length."""
@@ -88,7 +97,9 @@ class Lean:
         alike = self._alike()
         share = alike * self.length
         about = np.eye(len(middle)) - share / share.sum(axis=1, keepdims=True)
-        angle = (walk + np.outer(middle, middle) / STEADY) * alike * self.size[self.pose]
+        crept = self._rates() * np.array(TIMES)[:, None]
+        angle = walk + np.outer(middle, middle) / STEADY + self.creep * _product(crept)
+        angle *= alike * self.size[self.pose]
         return np.asarray(about @ angle @ about.T)
 
     def of_force(self) -> FloatArray:
@@ -104,8 +115,13 @@ class Lean:
         if channel < 3:
             across = self.gravity * np.sqrt(np.maximum(1.0 - np.square(self.up[:, channel]), 0.0))
             return np.asarray(self.of_angle() * np.outer(across, across))
-        rates = (np.diag(1.0 / self.length) + 1.0 / STEADY) * self._alike()
-        return np.asarray(rates * self.size[self.pose])
+        rates = np.diag(1.0 / self.length) + 1.0 / STEADY + self.creep * _product(self._rates())
+        return np.asarray(rates * self._alike() * self.size[self.pose])
+
+    def _rates(self) -> FloatArray:
+        """Return the mean rates of what creeps by ``exp(-t / T)``, for each T, (times, n)."""
+        time = np.array(TIMES)[:, None]
+        return np.asarray(-np.exp(-self.begin / time) * np.expm1(-self.length / time) / self.length)
 
     def _alike(self) -> BoolArray:
         return np.asarray(self.pose[:, None] == self.pose)
@@ -117,4 +133,13 @@ class Lean:
         """
         length = np.zeros(len(self.size))
         np.maximum.at(length, self.pose, self.begin + self.length)
-        return self.size * (length / 3.0 + np.square(length) / (4.0 * STEADY))
+        time = np.array(TIMES)[:, None]
+        mean = -np.expm1(-length / time) * time / np.maximum(length, 1e-9)
+        ends = np.square(1.0 - mean) + np.square(np.exp(-length / time) - mean)
+        crept = self.creep * 0.5 * ends.mean(axis=0)
+        return np.asarray(self.size * (length / 3.0 + np.square(length) / (4.0 * STEADY) + crept))
+
+
+def _product(parts: FloatArray) -> FloatArray:
+    """Return the products of (k, n) parts with each other, the mean of all k, (n, n)."""
+    return np.asarray(parts.T @ parts / len(parts))

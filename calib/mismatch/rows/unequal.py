@@ -1,9 +1,10 @@
-"""Which rests lean far more than most of a recording do.
+"""How a sensor leans in the rests of one recording: some far more than others, or as they begin.
 
 What is put down on foam, or pulled by its cable, creeps for seconds, by hundredths of a degree or
 by tenths, and one rest in three may last no longer than that. How much rests lean is learnt from
-all of them: the few that do then look like a gyroscope that fluctuates. But gravity moves as the
-rate says, which it does for no bias.
+all of them: the few that do then look like a gyroscope that fluctuates, and what all of them begin
+with like one that remembers each turn. But gravity moves as the rate says, which it does for no
+bias.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from scipy import ndimage
 
 from calib.bumps import UNSURE
 from calib.mismatch.rows.grid import Grid
-from calib.mismatch.rows.lean import STEADY
+from calib.mismatch.rows.lean import STEADY, TIMES
 from calib.types import FloatArray, IntArray
 
 PARTS = 3
@@ -36,6 +37,25 @@ SURE = 5.0
 FEWEST = 3
 """Rests in which gravity does, from which on those lean as well that are too brief to tell, or
 whose accelerometer is too noisy; unless these tell so together."""
+
+EARLY, LOUDER, TELLING = 1.5, 2.0, 6
+"""s that a rest begins with, times as large as later the square of the rate is there if it creeps,
+and rests that must tell."""
+
+MEDIAN = 0.4549
+"""Of the square of a normal error."""
+
+
+class Leans(NamedTuple):
+    """How poses lean unlike each other.
+
+    ``size`` (poses,) is the variance of the angle in each beside that in most: 1 but for those that
+    lean more. ``creep`` (s) is that of the angle by which they creep as they begin, beside that per
+    second later.
+    """
+
+    size: FloatArray | None = None
+    creep: float = 0.0
 
 
 class _Pose(NamedTuple):
@@ -56,18 +76,8 @@ class _Pose(NamedTuple):
         return self.wanted < SURE
 
 
-def _together(poses: Iterable[_Pose]) -> bool:
-    """Return whether gravity moved in some poses as the rate says, taken together."""
-    some = list(poses)
-    size = float(np.sqrt(sum(p.wanted**2 for p in some)))
-    seen = sum(p.seen * p.wanted for p in some) / max(size, 1e-9)
-    return _Pose(0.0, seen, size).follows
-
-
-def unequal_leans(grid: Grid, noise: FloatArray, *, least: float) -> FloatArray:
-    """Return the variance of the angle of each pose as it leans, beside that of most, (poses,).
-
-    It is 1 but for those that lean more, as `lean.Lean` has it, and as gravity and rate agree.
+def how_it_leans(grid: Grid, noise: FloatArray, *, least: float) -> Leans:
+    """Return how poses lean unlike each other, as far as gravity and rate agree on it.
 
     Parameters
     ----------
@@ -77,14 +87,15 @@ def unequal_leans(grid: Grid, noise: FloatArray, *, least: float) -> FloatArray:
     least : float, rad²/s
         What a sensor at rest leans anyway.
     """
-    out = np.ones(grid.n_poses)
+    size = np.ones(grid.n_poses)
     order = np.flatnonzero(grid.pose >= 0)
     order = order[np.argsort(grid.pose[order], kind="stable")]
     bounds = np.searchsorted(grid.pose[order], np.arange(grid.n_poses + 1))
     points = [order[a:b] for a, b in pairwise(bounds.tolist())]
     some = [k for k, own in enumerate(points) if len(own) >= PARTS]
     if len(some) < 2:
-        return out
+        return Leans()
+    creep = _creep(grid, noise, points, least=least)
     mean = np.stack([grid.gyro[points[k]].mean(axis=0) for k in some])
     still = ndimage.median_filter(mean, size=(BESIDE, 1), mode="nearest")
     poses = [_look(grid, noise, points[k], zero) for k, zero in zip(some, still, strict=True)]
@@ -92,8 +103,58 @@ def unequal_leans(grid: Grid, noise: FloatArray, *, least: float) -> FloatArray:
     leans = sum(p.follows for p in poses) >= FEWEST or _together(p for p in poses if p.open)
     for k, p in zip(some, poses, strict=True):
         if p.lean > FAR * usual and (p.follows or (leans and p.open)):
-            out[k] = p.lean / usual
-    return out
+            size[k] = p.lean / usual
+    return Leans(size, creep)
+
+
+def _creep(grid: Grid, noise: FloatArray, points: list[IntArray], *, least: float) -> float:
+    """Return `Leans.creep`: by how much rates are larger as poses begin, where gravity tells so."""
+    poses, lasts, early, late = [], [], [], []
+    for own in points:
+        time, rate = grid.time[own], grid.gyro[own]
+        length = float(np.ptp(time)) if len(own) else 0.0
+        since = time - time[:1]
+        parts = (
+            since < EARLY,
+            (since >= length / 2) & (since < 0.75 * length),
+            since >= 0.75 * length,
+        )
+        if length < 2 * EARLY or not all(part.any() for part in parts):
+            continue
+        first, third, last = (rate[part].mean(axis=0) for part in parts)
+        still = 0.5 * (third + last)
+        poses.append(_look(grid, noise, own, still))
+        lasts.append(length)
+        early.append(np.square(first - still))
+        late.append(np.square(third - last) * length / 8.0)
+    if len(poses) < TELLING:
+        return 0.0
+    span, squares = np.array(lasts), np.array(early)
+    per_second = float(np.median(late)) / MEDIAN
+    usual = per_second * (1.0 / EARLY + 2.0 / span)[:, None]
+    if np.median(squares / usual) <= LOUDER * MEDIAN or not _together(poses):
+        return 0.0
+    times = np.array(TIMES)[:, None]
+    begins = -np.expm1(-EARLY / times) / EARLY
+    ends = np.exp(-0.5 * span / times) * -np.expm1(-0.5 * span / times) / (0.5 * span)
+    unit = np.square(begins - ends).mean(axis=0)[:, None]
+    angle = float(np.median((squares - usual) / unit)) / MEDIAN
+    return max(angle, 0.0) / max(per_second - _white(grid, noise), least)
+
+
+def _white(grid: Grid, noise: FloatArray) -> float:
+    """Return the variance of the rate's white noise in a mean over a second, (rad/s)²."""
+    rest = grid.pose >= 0
+    step = float(np.median(np.diff(grid.time[rest])))
+    return float(np.median(noise[rest, 3:])) * step
+
+
+def _together(poses: Iterable[_Pose]) -> bool:
+    """Return whether gravity moved in some poses as the rate says, taken together."""
+    some = list(poses)
+    size = float(np.sqrt(sum(p.wanted**2 for p in some)))
+    seen = sum(p.seen * p.wanted for p in some) / max(size, 1e-9)
+    return _Pose(0.0, seen, size).follows
 
 
 def _look(grid: Grid, noise: FloatArray, points: IntArray, still: FloatArray) -> _Pose:

@@ -29,6 +29,7 @@ from calib.mismatch.rows.closure import (
 from calib.mismatch.rows.grid import Grid
 from calib.mismatch.rows.lean import Lean
 from calib.mismatch.rows.rows import SAMPLING, UNKNOWN, Component, Kind, Rows
+from calib.mismatch.rows.unequal import Leans
 from calib.mismatch.twin.layout import Layout
 from calib.mismatch.twin.twin import Twin, baseline_column, true_state
 from calib.recording import CHANNELS
@@ -149,7 +150,7 @@ def build_rows(
     noise: FloatArray,
     *,
     spread: float | None = None,
-    leans: FloatArray | None = None,
+    leans: Leans | None = None,
 ) -> Rows:
     """Return recording minus twin as rows, linearised at the twin.
 
@@ -160,8 +161,8 @@ def build_rows(
         Variance of each point's mean on each channel, white part.
     spread : float, optional
         How uncertain the size of drift is beforehand, in place of `SPREAD`.
-    leans : (poses,) array, optional
-        How much more each pose leans than most, as `unequal_leans` has it.
+    leans : Leans, optional
+        How poses lean unlike each other.
     """
     linear = linearise(grid, twin, headed=True)
     closed, layout = linear.closed, linear.layout
@@ -188,8 +189,8 @@ def build_rows(
         closed,
         SPREAD if spread is None else spread,
     )
-    place = grid.before[layout.rest]
-    lean = Lean.of(twin.up, grid.interval[layout.rest], place, twin.gravity, leans)
+    place, leans = grid.before[layout.rest], leans or Leans()
+    lean = Lean.of(twin.up, grid.interval[layout.rest], place, twin.gravity, *leans)
     components += tuple(
         lean_components(lean, layout.rows[0], layout.rest, [p[:dense] for p in pieces])
     )

@@ -15,7 +15,7 @@ from calib.mismatch.noise.rounded import Rounding
 from calib.mismatch.noise.sensornoise import LEANING, sample_noise
 from calib.mismatch.rows.grid import Grid
 from calib.mismatch.rows.rows import Kind, Rows
-from calib.mismatch.rows.unequal import unequal_leans
+from calib.mismatch.rows.unequal import how_it_leans
 from calib.mismatch.twin.residuals import build_rows
 from calib.mismatch.twin.twin import Twin
 from calib.mismatch.twin.twinfit import FEW, PART, fit_twin, start_twin
@@ -52,7 +52,7 @@ class SelfProblem:
         self.full_gyro = full_gyro
         self.noise = sample_noise(grid)
         self.spread = spread
-        self.leans = unequal_leans(grid, self.noise, least=LEANING)
+        self.leans = how_it_leans(grid, self.noise, least=LEANING)
         start = start_twin(grid, model, gravity=gravity, full_gyro=full_gyro)
         self.twin: Twin = fit_twin(grid, start, self.noise)
         self.given = () if model is None else model.terms
