@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from types import MappingProxyType
 from typing import Any, Literal
 
@@ -121,7 +122,7 @@ class Recording:
         """Time from the first to the last sample, s."""
         return float(self.time[-1] - self.time[0])
 
-    @property
+    @cached_property
     def interval(self) -> float:
         """Median time between samples, s (0 for a single sample)."""
         return float(np.median(np.diff(self.time))) if len(self) > 1 else 0.0

@@ -153,6 +153,16 @@ def _still(off: FloatArray, segments: list[tuple[int, int]], step: float) -> lis
     return [segment for segment, out in zip(segments, turns.tolist(), strict=True) if not out]
 
 
+def _medians(values: FloatArray, piece: IntArray) -> FloatArray:
+    """Return the medians (k, 3) of (n, 3) values in pieces ``[first, last)``, (k, 2)."""
+    out = np.empty((len(piece), values.shape[1]))
+    length = np.diff(piece)[:, 0]
+    for number in np.unique(length).tolist():
+        own = np.flatnonzero(length == number)
+        out[own] = np.median(values[piece[own, :1] + np.arange(number)], axis=1)
+    return out
+
+
 def _rate_at_rest(
     blocks: Blocks, segments: list[tuple[int, int]], noise: tuple[float, float], units: Units
 ) -> FloatArray:
@@ -165,16 +175,14 @@ def _rate_at_rest(
     gravity where none is seen to turn, be it in one pose.
     """
     width = max(WIDTH, round(1.0 / blocks.duration))
-    pieces, rates, forces = [], [], []
-    for a, b in segments:
-        edges = np.linspace(a, b, max(1, (b - a) // width) + 1).astype(int).tolist()
-        for first, last in pairwise(edges):
-            pieces.append((first, last))
-            rates.append(np.median(blocks.gyro[first:last], axis=0))
-            forces.append(np.median(blocks.accel[first:last], axis=0))
-    rate, piece = np.array(rates), np.array(pieces)
+    pieces = [
+        pair
+        for a, b in segments
+        for pair in pairwise(np.linspace(a, b, max(1, (b - a) // width) + 1).astype(int).tolist())
+    ]
+    piece = np.array(pieces)
+    rate, up = _medians(blocks.gyro, piece), _medians(blocks.accel, piece)
     at = 0.5 * (piece[:, 0] + piece[:, 1] - 1)
-    up = np.array(forces)
     up /= np.maximum(np.linalg.norm(up, axis=1), 1e-300)[:, None]
     near = NORM * noise[0]
     reach = near if units.rate is None else max(near, DRIFT / units.rate)

@@ -53,8 +53,10 @@ def silent(values: FloatArray, interval: float) -> BoolArray:
     beside others with noise is stuck.
     """
     least = least_noise(interval)
-    step = count_of(values)
-    quiet = (faults.noise_at_rest(values) < least) & (step < least)
+    quiet = faults.noise_at_rest(values) < least
+    if not quiet.any():
+        return quiet
+    quiet &= count_of(values) < least
     moves = np.ptp(values, axis=0) > 0
     return np.asarray(quiet & (moves | (quiet.all() and moves.any())))
 

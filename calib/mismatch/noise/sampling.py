@@ -58,7 +58,12 @@ def unforetold(values: FloatArray, spans: Spans, reach: int = REACH) -> FloatArr
     place, turn = np.arange(len(values)), spans.turn
     for k in range(-reach, reach + 1):
         near = np.clip(place + k, spans.start[turn], spans.last[turn])
-        out += (-1) ** k * comb(2 * reach, reach + k) / comb(2 * reach, reach) * values[near]
+        out += (
+            (-1) ** k
+            * comb(2 * reach, reach + k)
+            / comb(2 * reach, reach)
+            * values.take(near, axis=0)
+        )
     return out
 
 
