@@ -61,9 +61,10 @@ def history(rows: Rows) -> Iterator[tuple[str, FloatArray]]:
     ):
         # Nothing was before the first rest.
         yield name, np.vstack((np.zeros(3), what))[pose]
-    for memory in MEMORIES * float(np.median(np.diff(rows.interval[rests].mean(axis=1)))):
-        up = state.gravity_direction
-        yield "the pose before", up - lately(rows, up, memory)
+    direction = state.gravity_direction
+    apart = float(np.median(np.diff(rows.interval[rests].mean(axis=1))))
+    for known in lately(rows, direction, MEMORIES * apart):
+        yield "the pose before", direction - known
 
 
 def _means(rows: Rows, signal: FloatArray) -> FloatArray:
@@ -79,22 +80,25 @@ def poses_at(rows: Rows) -> IntArray:
     return np.searchsorted(0.5 * (stop[:-1] + start[1:]), rows.state.time, side="right")
 
 
-def lately(rows: Rows, signal: FloatArray, memory: float) -> FloatArray:
-    """Return a signal (n, k) as what creeps still knows it, with a `memory` in seconds.
+def lately(rows: Rows, signal: FloatArray, memory: FloatArray) -> FloatArray:
+    """Return a signal (n, k) as what creeps still knows it, with r memories in seconds, (r, n, k).
 
     A low-pass of first order, exact where the signal stays: ``memory dx/dt = signal - x``.
     """
-    time, out = rows.state.time, np.empty_like(signal)
+    time, many = rows.state.time, len(memory)
+    out = np.empty((many, *signal.shape))
     ends = np.searchsorted(rows.point_segment, np.arange(len(rows.interval) + 1)).tolist()
-    known, before = signal[0], float(time[0])
+    known, before = np.repeat(signal[None, :1], many, axis=0), float(time[0])
     for a, b in pairwise(ends):
         if a == b:
             continue
         # Of what was so long ago nothing is known.
-        grown = np.exp(np.minimum((time[a:b] - before) / memory, FORGOTTEN))[:, None]
-        felt = np.cumsum(np.diff(grown, axis=0, prepend=1.0) * signal[a:b], axis=0)
-        out[a:b] = (known + felt) / grown
-        known, before = out[b - 1], float(time[b - 1])
+        since = np.minimum((time[a:b] - before) / memory[:, None], FORGOTTEN)
+        grown = np.ones((many, b - a + 1, 1))
+        grown[:, 1:, 0] = np.exp(since)
+        felt = np.cumsum((grown[:, 1:] - grown[:, :-1]) * signal[a:b], axis=1)
+        out[:, a:b] = (known + felt) / grown[:, 1:]
+        known, before = out[:, b - 1 : b], float(time[b - 1])
     return out
 
 
@@ -171,8 +175,8 @@ def after_turns(rows: Rows, c: int) -> Iterator[tuple[str, FloatArray]]:
     own[state.turning] = 0.0
     for memory in FORGETS.tolist():
         yield "time since the last turn", np.exp(-state.since_turn / memory)[:, None] * own
-    for memory in PASSES.tolist():
-        yield "time since the last turn", lately(rows, rate[:, None], memory)
+    for known in lately(rows, rate[:, None], PASSES):
+        yield "time since the last turn", known
 
 
 def lagging(rows: Rows) -> Iterator[tuple[str, FloatArray]]:
@@ -180,8 +184,8 @@ def lagging(rows: Rows) -> Iterator[tuple[str, FloatArray]]:
     warmth = rows.state.warmth
     if warmth is None or not np.ptp(warmth) > 0:
         return
-    for memory in LATE.tolist():
-        yield "temperature", lately(rows, warmth[:, None], memory) / np.ptp(warmth)
+    for known in lately(rows, warmth[:, None], LATE):
+        yield "temperature", known / np.ptp(warmth)
 
 
 def of_use(rows: Rows) -> Iterator[tuple[str, FloatArray]]:
@@ -189,5 +193,5 @@ def of_use(rows: Rows) -> Iterator[tuple[str, FloatArray]]:
     if not rows.is_rest.any() or rows.is_rest.all():
         return
     speed = np.linalg.norm(scaled_rates(rows.state), axis=1, keepdims=True)
-    for memory in PASSES.tolist():
-        yield "time since the last turn", lately(rows, speed, memory)
+    for known in lately(rows, speed, PASSES):
+        yield "time since the last turn", known

@@ -10,6 +10,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from functools import lru_cache
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -173,17 +174,17 @@ def add_rivals(stack: Stack, rows: Rows, *, skip: tuple[str, ...] = ()) -> None:
 
 def _add_columns(stack: Stack, rows: Rows, slots: Slots) -> _Layout:
     """Add the columns of all rivals: those in windows, then smooth functions of something."""
-    state, follow = rows.state, []
-    for c, name in enumerate(CHANNELS):
-        size = typical_size(name.split(".")[0])
+    state, follow = rows.state, list[tuple[str, int, int, int]]()
+    touched = [rows.touched([c]) for c in range(len(CHANNELS))]
+    sizes = [typical_size(name.split(".")[0]) for name in CHANNELS]
+    for c, size in enumerate(sizes):
         in_slots = (rows.functional[c] @ slots.member).toarray()
-        stack.columns.add(size * in_slots, rows.touched([c]))
+        stack.columns.add(size * in_slots, touched[c])
         signal = in_segments(rows, c, own_signal(state, c))
-        stack.columns.add(size * signal, rows.touched([c]))
+        stack.columns.add(size * signal, touched[c])
     width = in_slots.shape[1] + signal.shape[1]
     followed = [*smooth(state), *history(rows), *of_use(rows), *lagging(rows)]
-    for c, name in enumerate(CHANNELS):
-        size = typical_size(name.split(".")[0])
+    for c, size in enumerate(sizes):
         own = [("its own rate", own_rate(state, c))]
         own += [("rate about the other axes", f(state, c)) for f in (other_rates, paired_rates)]
         own += [
@@ -193,9 +194,11 @@ def _add_columns(stack: Stack, rows: Rows, slots: Slots) -> _Layout:
             *past_levels(rows, c),
         ]
         own += after_turns(rows, c) if c >= 3 else ()
-        for label, values in [*followed, *own]:
-            index = stack.columns.add(size * rows.columns(c, values), rows.touched([c]))
-            follow.append((label, c, int(index[0]), int(index[-1]) + 1))
+        found = [(label, rows.columns(c, values)) for label, values in [*followed, *own]]
+        index = stack.columns.add(size * np.hstack([columns for _, columns in found]), touched[c])
+        ends = index[0] + np.cumsum([0, *(columns.shape[1] for _, columns in found)])
+        for (label, _), (first, last) in zip(found, pairwise(ends.tolist()), strict=True):
+            follow.append((label, c, first, last))
     return _Layout(in_slots.shape[1], width, tuple(follow))
 
 

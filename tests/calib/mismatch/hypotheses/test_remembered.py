@@ -118,15 +118,15 @@ def late(real: Recording, signal: FloatArray, memory: float) -> FloatArray:
     return np.array(out)
 
 
-@pytest.mark.parametrize("memory", [0.7, 5.0, 60.0])
-def test_what_is_known_of_late_is_a_low_pass_sample_by_sample(memory: float) -> None:
-    rows = problem()[1].rows()
+def test_what_is_known_of_late_is_a_low_pass_sample_by_sample() -> None:
+    rows, memories = problem()[1].rows(), np.array([0.7, 5.0, 60.0])
     time, signal = rows.state.time, rows.state.gravity_direction
-    known = [signal[0]]
+    known = [np.repeat(signal[None, 0], len(memories), axis=0)]
     for k in range(1, len(time)):
-        kept = np.exp(-(time[k] - time[k - 1]) / memory)
+        kept = np.exp(-(time[k] - time[k - 1]) / memories)[:, None]
         known.append(signal[k] + kept * (known[-1] - signal[k]))
-    assert lately(rows, signal, memory) == pytest.approx(np.array(known), abs=1e-9)
+    found = lately(rows, signal, memories)
+    assert found == pytest.approx(np.stack(known, axis=1), abs=1e-9)
 
 
 def test_a_turn_belongs_by_halves_to_the_rests_beside_it() -> None:
