@@ -46,11 +46,9 @@ SHORTEST = 3
 
 _TRIADS = ((TURNED, CHANNELS[:3]), (TURNED, CHANNELS[3:]))
 
-FOR_GOOD = np.eye(3)
 AND_BACK = np.repeat(np.eye(3), 2, axis=0) * np.tile([[1.0], [-1.0]], (3, 1))
-AT_A_PACE = np.eye(6)
-"""What is made of the sums from moments on, about each axis: of the first, of both, of a constant
-and a ramp."""
+"""What is made of the sums from two moments on, about each axis. What is turned for good has the
+sums from one on as they are, and at a pace those of a ramp beside them."""
 
 
 def turned_axes(stack: Stack, rows: Rows, weight: float) -> Iterator[Candidate]:
@@ -73,10 +71,10 @@ def turned_axes(stack: Stack, rows: Rows, weight: float) -> Iterator[Candidate]:
         ]
         earliest = 0.0 if rows.aligned else EARLIEST
         for k in range(max(int(earliest * number), 1), number):
-            found.append((0, (float(start[k]), end), plain[:, [k]], FOR_GOOD))
+            found.append((0, (float(start[k]), end), plain[:, [k]], None))
             if k in slots.first:
                 both = np.stack((plain[:, k], paced[:, k]), axis=1)
-                found.append((-1, (float(start[k]), end), both, AT_A_PACE))
+                found.append((-1, (float(start[k]), end), both, None))
         parts = Counter(part for part, *_ in found)
         for part, interval, index, mixing in found:
             yield Candidate(
