@@ -6,7 +6,8 @@ orthonormal basis of what is fitted, to which y is orthogonal, and ``z = w - B B
     (y'z)² / z'z = (y_R'w)² / w'(I - B_R B_R')w <= y_R'(I - B_R B_R')^-1 y_R,
 
 whatever w is, and the logarithm of a Bayes factor is at most half of that. Where an effect explains
-far more, such rivals change nothing.
+far more, such rivals change nothing. Where that is not enough, what the columns Z of rivals explain
+together, ``y'Z inv(Z'Z) Z'y``, bounds all that combine them in windows.
 """
 
 from __future__ import annotations
@@ -52,8 +53,9 @@ def factors_that_count(
         if least > 0 and most_explained(rows, whitener, y, channels) < least:
             rivals &= ~stack.of_channels(channels, physical=False)
     if rivals.any():
-        factors = np.maximum(factors, stack.log_bayes_factors(whitener, y, which=rivals))
-    return factors, which | rivals
+        own = stack.log_bayes_factors(whitener, y, which=rivals, least=least)
+        factors = np.maximum(factors, own)
+    return factors, factors > -np.inf
 
 
 def most_explained(

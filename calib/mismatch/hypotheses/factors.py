@@ -54,6 +54,9 @@ FAINT = 0.1
 NOTHING = 1e-290
 """Square of a length that rounding leaves of none, and that has no inverse."""
 
+ROUNDED = 1e-12
+"""Share of its power that rounding may leave of a column that others make up."""
+
 ALL_AT_ONCE = 12
 """Columns of candidates up to which these are reduced side by side, unless they are few; of more,
 one by one."""
@@ -88,6 +91,20 @@ def log_bayes_factor(columns: FloatArray, y: FloatArray) -> float:
     """Return log B of one rival, its whitened projected columns given."""
     gram, match = columns.T @ columns, y @ columns
     return float(log_bayes_factors(gram[None], match[None], np.zeros(1, bool))[0])
+
+
+def most_told(gram: FloatArray, match: FloatArray) -> float:
+    """Return the log-likelihood that any combination of columns can gain at most.
+
+    Log B is no more, whatever combines them. It is not known, and infinite, where rounding leaves
+    no positive Gram matrix.
+    """
+    known = gram + np.diag(ROUNDED * np.diag(gram) + np.finfo(float).tiny)
+    root, failed = lapack.dpotrf(known, lower=1)
+    if failed:
+        return np.inf
+    told, _ = lapack.dtrtrs(root, match, lower=1)
+    return 0.5 * float(told @ told)
 
 
 def present_factors(power: FloatArray, along: FloatArray) -> FloatArray:

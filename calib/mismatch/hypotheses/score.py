@@ -11,6 +11,7 @@ from calib.mismatch.hypotheses.candidates import Alike, Bank, Candidate, Sums
 from calib.mismatch.hypotheses.columns import LOST, Columns, Seen
 from calib.mismatch.hypotheses.factors import (
     log_bayes_factors,
+    most_told,
     present_factors,
     single_factors,
 )
@@ -18,7 +19,7 @@ from calib.mismatch.hypotheses.shared import with_shared
 from calib.mismatch.noise.noise import Whitener
 from calib.types import BoolArray, FloatArray, IntArray
 
-FEW = 4
+FEW = 10
 """Candidates of the same columns up to which each takes its own Gram matrix, all at once."""
 
 
@@ -124,7 +125,12 @@ class Stack:
         return own.sum(axis=1, keepdims=True) if candidate.summed else own
 
     def log_bayes_factors(
-        self, whitener: Whitener, y: FloatArray, *, which: BoolArray | None = None
+        self,
+        whitener: Whitener,
+        y: FloatArray,
+        *,
+        which: BoolArray | None = None,
+        least: float = -np.inf,
     ) -> FloatArray:
         """Return log B of every candidate, averaged over `SCALES`.
 
@@ -137,6 +143,8 @@ class Stack:
             Whitened projected residual.
         which : array of bool, optional
             The candidates to score; the others get -inf.
+        least : float, optional
+            Log B that counts: those that combine columns with which none can reach it get -inf.
         """
         which = np.ones(len(self), bool) if which is None else which
         out = np.full(len(which), -np.inf)
@@ -148,7 +156,7 @@ class Stack:
         place = np.zeros(len(self.columns), np.int64)
         place[used] = np.arange(len(used))
         seen = self.columns.project(whitener, y, used)
-        grams: dict[bytes, FloatArray] = {}
+        grams, vain = dict[bytes, FloatArray](), set[bytes]()
         # By the number of coefficients, many at once: a few cost as much in calls as in numbers.
         plain: dict[int, list[tuple[IntArray, IntArray, BoolArray]]] = {}
         joint: dict[int, list[tuple[IntArray, FloatArray, FloatArray]]] = {}
@@ -161,6 +169,10 @@ class Stack:
                 continue
             if (key := columns.tobytes()) not in grams:
                 grams[key] = seen.gram(columns)
+                if least > 0 and most_told(grams[key], seen.match[columns]) < least:
+                    vain.add(key)
+            if key in vain:
+                continue
             if isinstance(make, Sums):
                 out[own] = _sums(make, grams[key], seen, columns)
                 continue

@@ -5,6 +5,7 @@ import pytest
 from scipy.special import logsumexp
 
 from calib.mismatch.hypotheses.bound import TOGETHER, factors_that_count, most_explained
+from calib.mismatch.hypotheses.factors import log_bayes_factor, most_told
 from calib.mismatch.noise.noise import expected_levels, make_whitener
 from calib.mismatch.search.accepted import contrast_noise, fitted
 from calib.mismatch.search.ranking import make_stack
@@ -42,6 +43,21 @@ def test_no_rival_explains_more_than_its_bound(scored, size):
     assert sum(stack.of_channels(c, physical=False).sum() for c in TOGETHER) == (
         len(stack) - stack.physical.sum()
     )
+
+
+def test_no_combination_of_columns_explains_more_than_all_of_them():
+    rng = np.random.default_rng(4)
+    columns, y = 30.0 * rng.normal(size=(80, 9)), 3.0 * rng.normal(size=80)
+    columns[:, 8] = columns[:, 0] - columns[:, 1]
+    most = most_told(columns.T @ columns, y @ columns)
+    # At last all that is along them, whatever it takes.
+    along = columns @ np.linalg.lstsq(columns, y, rcond=None)[0]
+    assert most == pytest.approx(0.5 * float(along @ along), rel=1e-6)
+    for k in (1, 3, 9):
+        for _ in range(20):
+            assert log_bayes_factor(columns @ rng.normal(size=(9, k)), y) < most
+    assert log_bayes_factor(along[:, None], y) < most
+    assert most_told(-np.eye(2), np.ones(2)) == np.inf
 
 
 def test_what_is_left_out_changes_no_digit(scored):
