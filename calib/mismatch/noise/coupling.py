@@ -167,15 +167,16 @@ def _drifts(rows: Rows, c: int) -> _Drifts | None:
         (np.ones(len(still)), (still, slot[still])), shape=(len(at), kernels.shape[1])
     )
     felt = rows.functional[c] @ member
-    of_means, of_contrasts = felt[mean].toarray(), felt[start + contrast].toarray()
-    response = of_contrasts @ kernels
+    # Each feels the parts of its own rest alone.
+    of_means, of_contrasts = felt[mean], felt[start + contrast]
+    means, contrasts = ([own @ k for k in kernels] for own in (of_means, of_contrasts))
     return _Drifts(
         contrast,
         mean,
         rows.white[np.ix_(mean, mean)],
-        of_means @ kernels @ of_means.T,
-        response @ of_means.T,
-        response @ of_contrasts.T,
+        np.stack([(of_means @ k.T).T for k in means]),
+        np.stack([(of_means @ k.T).T for k in contrasts]),
+        np.stack([(of_contrasts @ k.T).T for k in contrasts]),
         rows.white_diagonal[contrast],
     )
 

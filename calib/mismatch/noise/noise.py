@@ -18,6 +18,7 @@ References
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy import linalg
@@ -67,7 +68,7 @@ ROUNDING = 1e-12
 """Products of unit vectors up to which these are orthogonal."""
 
 RANK = 1e-9
-"""Share of the largest column up to which what the others leave of one is rounding."""
+"""Share of a column up to which what the others leave of it is rounding."""
 
 KNOWN = 30.0
 """Times better than the prior, from which on the rows alone tell a parameter."""
@@ -121,7 +122,9 @@ def prior_precision(rows: Rows) -> FloatArray:
     return np.asarray(np.linalg.inv(alike * common + np.diag(own)))
 
 
-def estimate_levels(rows: Rows, mean: FloatArray, start: FloatArray) -> Levels:
+def estimate_levels(
+    rows: Rows, mean: FloatArray, start: FloatArray, *, beside: FloatArray | None = None
+) -> Levels:
     """Estimate the levels by penalised average-information REML.
 
     Parameters
@@ -131,15 +134,17 @@ def estimate_levels(rows: Rows, mean: FloatArray, start: FloatArray) -> Levels:
         Columns of the mean; any rank. Only rows that tell of levels count (`level_basis`).
     start : (c,) array
         Levels to start from.
+    beside : (n, q) array, optional
+        The `level_basis` of what else is in the mean.
     """
-    return _climbed(rows, level_basis(rows, mean), start)
+    return _climbed(rows, level_basis(rows, mean, beside), start)
 
 
 def _climbed(rows: Rows, basis: FloatArray, start: FloatArray) -> Levels:
     """Return the levels at the maximum above some, ``basis`` being that of the mean."""
     centre = np.log(expected_levels(rows))
     precision = prior_precision(rows)
-    both = np.column_stack((basis, rows.residual[rows_of_levels(rows)]))
+    both = _beneath(rows, basis)
     logs = np.log(start)
     best: tuple[float, FloatArray] | None = None
     halved, caution, gain, information = 0, 0.1, np.inf, precision
@@ -180,6 +185,48 @@ def _climbed(rows: Rows, basis: FloatArray, start: FloatArray) -> Levels:
     return Levels(np.exp(best[1]), best[0], log_share)
 
 
+class Felt(NamedTuple):
+    """Columns on the rows that tell of levels: the dense ones, and contrasts.
+
+    ``dense`` is (n, p), and ``contrast`` (k, q): contrasts feel the last q columns only, of which
+    there is one at least. Of attitudes, which are most of what is fitted, they know nothing.
+    """
+
+    dense: FloatArray
+    contrast: FloatArray
+
+    @classmethod
+    def of(cls, columns: FloatArray, dense: int) -> Felt:
+        """Return columns (n + k, p) of which the first n rows are the dense ones."""
+        felt = columns[dense:].any(axis=0)
+        first = int(np.argmax(felt)) if felt.any() else max(columns.shape[1] - 1, 0)
+        return cls(columns[:dense], columns[dense:, first:])
+
+    @property
+    def whole(self) -> FloatArray:
+        """The columns on all rows, (n + k, p)."""
+        out = np.zeros((len(self.dense) + len(self.contrast), self.dense.shape[1]))
+        out[: len(self.dense)] = self.dense
+        out[len(self.dense) :, self.first :] = self.contrast
+        return out
+
+    @property
+    def first(self) -> int:
+        """The first column that contrasts feel."""
+        return int(self.dense.shape[1] - self.contrast.shape[1])
+
+    def times(self, other: Felt) -> FloatArray:
+        """Return the products of its columns with all others, (p, r)."""
+        out = self.dense.T @ other.dense
+        out[self.first :, other.first :] += self.contrast.T @ other.contrast
+        return np.asarray(out)
+
+    def times_inverse(self, lower: FloatArray) -> Felt:
+        """Return the columns times ``L'^-1``, of a lower triangle L."""
+        k = self.first
+        return Felt(times_inverse(self.dense, lower), times_inverse(self.contrast, lower[k:, k:]))
+
+
 @dataclass(frozen=True, eq=False)
 class Weighing:
     """What whitens the rows that tell of levels, at some: dense ones, and independent contrasts.
@@ -207,11 +254,9 @@ class Weighing:
         variance = rows.white_diagonal[contrasts] + levels @ drift
         return cls(rows.arrow.factorise(levels), np.sqrt(variance), drift)
 
-    def solve(self, values: FloatArray) -> FloatArray:
-        """Return whitened (n, ...) values of the rows that tell of levels."""
-        dense = len(values) - len(self.scale)
-        rest = values[dense:] / (self.scale if values.ndim == 1 else self.scale[:, None])
-        return np.concatenate((self.factor.solve(values[:dense]), rest))
+    def solve(self, values: Felt) -> Felt:
+        """Return whitened columns."""
+        return Felt(self.factor.solve(values.dense), values.contrast / self.scale[:, None])
 
     @property
     def log_det(self) -> float:
@@ -219,12 +264,12 @@ class Weighing:
         return self.factor.log_det + 2.0 * float(np.log(self.scale).sum())
 
     def slopes(
-        self, rows: Rows, mean: FloatArray, left: FloatArray
+        self, rows: Rows, mean: Felt, left: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return what the restricted likelihood needs to climb, as `Arrow.slopes` does."""
         dense = rows.n_dense
-        py, trace, vpy = rows.arrow.slopes(self.factor, mean[:dense], left[:dense])
-        free = 1.0 - np.einsum("np,np->n", mean[dense:], mean[dense:])
+        py, trace, vpy = rows.arrow.slopes(self.factor, mean.dense, left[:dense])
+        free = 1.0 - np.einsum("np,np->n", mean.contrast, mean.contrast)
         trace = trace + self.drift @ (free / np.square(self.scale))
         rest = left[dense:] / self.scale
         return np.append(py, rest), trace, np.concatenate((vpy, (self.drift * rest).T))
@@ -249,11 +294,11 @@ def rows_of_levels(rows: Rows) -> IntArray:
     return np.append(np.arange(rows.n_dense), rows.n_dense + _contrasts(rows)[0])
 
 
-def _information(weighing: Weighing, white: FloatArray, vpy: FloatArray) -> FloatArray:
+def _information(weighing: Weighing, white: Felt, vpy: FloatArray) -> FloatArray:
     """Return the average information ``(V_i P y)' P (V_j P y) / 2``, (c, c)."""
-    pulled = weighing.solve(vpy)
-    kept = white.T @ pulled
-    return np.asarray(0.5 * (pulled.T @ pulled - kept.T @ kept))
+    pulled = weighing.solve(Felt(*np.split(vpy, [len(white.dense)])))
+    kept = white.times(pulled)
+    return np.asarray(0.5 * (pulled.times(pulled) - kept.T @ kept))
 
 
 def spread_of_variance(
@@ -288,7 +333,8 @@ def spread_of_variance(
     """
     weighing = Weighing.of(rows, levels)
     told = rows_of_levels(rows)
-    _, white, left = _restricted(weighing, level_basis(rows, mean), rows.residual[told])
+    _, white, root = _factored(weighing, _beneath(rows, level_basis(rows, mean)))
+    white, left = _parted(white, root)
     vpy = weighing.slopes(rows, white, left)[2] * levels
     precision = _information(weighing, white, vpy) + prior_precision(rows)
     slopes = np.empty((len(levels), influence.shape[1]))
@@ -302,15 +348,19 @@ def spread_of_variance(
     return np.asarray(np.sqrt(np.maximum(spread, 0.0)))
 
 
-def find_levels(rows: Rows, mean: FloatArray, start: FloatArray) -> Levels:
+def find_levels(
+    rows: Rows, mean: FloatArray, start: FloatArray, *, beside: FloatArray | None = None
+) -> Levels:
     """Estimate the levels from `start` and from closures that explain themselves; keep the better.
+
+    Parameters are those of `estimate_levels`.
 
     The likelihood has two maxima where turns close badly (shocks, a coarse clock): closures with
     errors of their own, or drift that is far too large for the rests. From levels that expect good
     closures only the second is reached. Where white noise is most of what closures err, there is
     one. And a sensor that leans in its rests looks like one with far too much drift.
     """
-    basis = level_basis(rows, mean)
+    basis = level_basis(rows, mean, beside)
     found = [_climbed(rows, basis, start)]
     above = expected_levels(rows)
     square = np.square(rows.residual[: rows.n_dense])
@@ -335,22 +385,40 @@ def find_levels(rows: Rows, mean: FloatArray, start: FloatArray) -> Levels:
     return best
 
 
-def level_basis(rows: Rows, mean: FloatArray) -> FloatArray:
-    """Return the `range_basis` of (m, p) columns on the rows that tell of levels."""
-    return range_basis(mean[rows_of_levels(rows)])
+def level_basis(rows: Rows, mean: FloatArray, beside: FloatArray | None = None) -> FloatArray:
+    """Return the `range_basis` of (m, p) columns on the rows that tell of levels.
+
+    Of columns that are clearly independent it begins with what contrasts do not feel.
+    """
+    told = mean[rows_of_levels(rows)]
+    order = np.argsort(told[rows.n_dense :].any(axis=0), kind="stable")
+    return range_basis(told[:, order], beside)
 
 
-def range_basis(mean: FloatArray) -> FloatArray:
-    """Return independent columns with the span of `mean`, scaled to unit length."""
-    size = np.linalg.norm(mean, axis=0)
-    scaled = mean[:, size > 0] / size[size > 0]
+def range_basis(mean: FloatArray, beside: FloatArray | None = None) -> FloatArray:
+    """Return independent columns with the span of `mean`, scaled to unit length.
+
+    After those of another basis ``beside`` it, whose span is in theirs then.
+    """
+    size = np.sqrt(np.einsum("np,np->p", mean, mean))
+    some = size > 0
+    scaled = (mean if some.all() else mean[:, some]) / size[some]
+    if beside is None:
+        return _independent(scaled)
+    for _ in range(2):  # what rounding leaves in the first time goes in the second
+        scaled = scaled - beside @ (beside.T @ scaled)
+    return np.hstack((beside, _independent(scaled)))
+
+
+def _independent(scaled: FloatArray) -> FloatArray:
+    """Return an orthonormal basis of columns, of which short ones are rounding."""
     if not scaled.size:
         return np.asarray(scaled)
     plain = _orthonormal(scaled)
     if plain is not None:
         return plain
     q, r, _ = linalg.qr(scaled, mode="economic", pivoting=True)
-    rank = int((np.abs(np.diag(r)) > RANK * abs(r[0, 0])).sum())
+    rank = int((np.abs(np.diag(r)) > RANK).sum())
     return np.asarray(q[:, :rank])
 
 
@@ -386,27 +454,25 @@ def _orthonormal(scaled: FloatArray) -> FloatArray | None:
     return q
 
 
-def _restricted(
-    weighing: Weighing, basis: FloatArray, y: FloatArray
-) -> tuple[float, FloatArray, FloatArray]:
-    """Return the restricted log-likelihood, the whitened mean (orthonormal), and what it leaves."""
-    likelihood, white, root = _factored(weighing, np.column_stack((basis, y)))
-    return likelihood, *_parted(white, root)
+def _beneath(rows: Rows, basis: FloatArray) -> Felt:
+    """Return the `level_basis` of a mean, and the residual after it."""
+    return Felt.of(np.column_stack((basis, rows.residual[rows_of_levels(rows)])), rows.n_dense)
 
 
-def _factored(weighing: Weighing, both: FloatArray) -> tuple[float, FloatArray, FloatArray]:
+def _factored(weighing: Weighing, both: Felt) -> tuple[float, Felt, FloatArray]:
     """Return the restricted log-likelihood, and what `_parted` makes the rest of.
 
     That is mean and y whitened, and a root of their products: a lower triangle, of which the last
-    element is the length of what the mean leaves of y. The columns of ``both``, (n, p + 1), are
-    those of the mean, and y.
+    element is the length of what the mean leaves of y. The columns of ``both``, p + 1, are those of
+    the mean, and y.
     """
     white = weighing.solve(both)
-    root = _root(white.T @ white)
+    root = _root(white.times(white))
     if root is None:
-        white, upper = np.linalg.qr(white)
+        found, upper = np.linalg.qr(white.whole)
         root, size = np.eye(len(upper)), np.diag(upper)
-        white[:, -1] *= size[-1]
+        found[:, -1] *= size[-1]
+        white = Felt.of(found, len(white.dense))
     else:
         size = np.diag(root)
     log_det = weighing.log_det + 2 * np.log(np.abs(size[:-1])).sum()
@@ -426,10 +492,11 @@ def _root(products: FloatArray) -> FloatArray | None:
     return None if root[-1, -1] < COARSE * np.sqrt(products[-1, -1]) else np.asarray(root)
 
 
-def _parted(white: FloatArray, root: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _parted(white: Felt, root: FloatArray) -> tuple[Felt, FloatArray]:
     """Return the whitened mean, orthonormal, and what it leaves of y, as `_factored` has them."""
-    found = times_inverse(white, root)
-    return found[:, :-1], found[:, -1] * root[-1, -1]
+    found = white.times_inverse(root)
+    left = np.concatenate((found.dense[:, -1], found.contrast[:, -1])) * root[-1, -1]
+    return Felt(found.dense[:, :-1], found.contrast[:, :-1]), left
 
 
 @dataclass(frozen=True, eq=False)
@@ -520,9 +587,9 @@ def _basis_beside(white: FloatArray, spread: FloatArray) -> FloatArray:
     column that shows next to nothing must not take what it would have to be impossible for.
     """
     uncertain = np.flatnonzero(np.isfinite(spread))
-    others = range_basis(np.delete(white, uncertain, axis=1))
     if not len(uncertain):
-        return others
+        return range_basis(white)
+    others = range_basis(np.delete(white, uncertain, axis=1))
     own = white[:, uncertain] * spread[uncertain]
     own -= others @ (others.T @ own)
     along, known, _ = np.linalg.svd(own, full_matrices=False)
@@ -535,8 +602,7 @@ def level_likelihood(rows: Rows, basis: FloatArray, levels: FloatArray) -> float
 
     ``basis`` is the `level_basis` of the mean.
     """
-    both = np.column_stack((basis, rows.residual[rows_of_levels(rows)]))
-    likelihood, _, _ = _factored(Weighing.of(rows, levels), both)
+    likelihood, _, _ = _factored(Weighing.of(rows, levels), _beneath(rows, basis))
     return likelihood - level_penalty(rows, levels)
 
 

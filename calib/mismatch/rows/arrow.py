@@ -367,6 +367,8 @@ def times_inverse(values: FloatArray, lower: FloatArray) -> FloatArray:
 
     Where n is many times k, a product with the inverse is twice as fast as solving.
     """
+    if not values.size:
+        return values
     return np.asarray(linalg.blas.dtrmm(1.0, _inverse(lower), values.T, lower=1).T)
 
 

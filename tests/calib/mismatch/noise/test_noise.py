@@ -15,9 +15,12 @@ from calib.mismatch.noise.noise import (
     NEAR,
     PACKAGE,
     WITHIN,
+    Felt,
     Weighing,
     _basis_beside,
-    _restricted,
+    _beneath,
+    _factored,
+    _parted,
     covariance,
     estimate_levels,
     expected_levels,
@@ -114,7 +117,8 @@ def test_the_likelihood_of_levels_is_that_of_all_rows_and_so_is_its_slope():
 
     one = usual * np.exp(np.random.default_rng(12).normal(size=len(usual)))
     weighing = Weighing.of(rows, one)
-    likelihood, white, left = _restricted(weighing, basis, measured)
+    likelihood, *found = _factored(weighing, _beneath(rows, basis))
+    white, left = _parted(*found)
     assert likelihood == pytest.approx(brute(one), abs=1e-6)
     py, trace, vpy = weighing.slopes(rows, white, left)
     slope = 0.5 * (vpy.T @ py - trace) * one
@@ -319,11 +323,13 @@ def test_columns_that_noise_makes_alike_have_a_likelihood():
         log_det = 0.0
 
         def solve(self, values):
-            return values * np.array([1.0, 1e-10, 1.0]).reshape(-1, *[1] * (values.ndim - 1))
+            return Felt(values.dense * np.array([[1.0], [1e-10], [1.0]]), values.contrast)
 
     basis = np.array([[1.0, 1.0], [1.0, -1.0], [0.0, 0.0]]) / np.sqrt(2.0)
-    likelihood, mean, left = _restricted(Drowned(), basis, np.array([3.0, 0.0, 2.0]))
-    assert np.allclose(mean.T @ mean, np.eye(2))
+    both = Felt.of(np.column_stack((basis, [3.0, 0.0, 2.0])), 3)
+    likelihood, *found = _factored(Drowned(), both)
+    mean, left = _parted(*found)
+    assert np.allclose(mean.times(mean), np.eye(2))
     assert np.allclose(left, [0.0, 0.0, 2.0])
     # The determinant of the whitened columns is 1e-10.
     assert likelihood == pytest.approx(-0.5 * (2 * np.log(1e-10) + 4.0))
@@ -332,12 +338,14 @@ def test_columns_that_noise_makes_alike_have_a_likelihood():
 def test_no_residual_has_a_likelihood():
     _, self_mode = problem()
     rows = self_mode.rows()
+    rows = rows.with_residual(np.zeros(len(rows.residual)))
     basis = level_basis(rows, np.hstack((rows.baseline, rows.nuisance)))
     weighing = Weighing.of(rows, expected_levels(rows))
-    likelihood, _, left = _restricted(weighing, basis, np.zeros(len(basis)))
-    _, log_det = np.linalg.slogdet(weighing.solve(basis).T @ weighing.solve(basis))
+    likelihood, *found = _factored(weighing, _beneath(rows, basis))
+    white = weighing.solve(Felt.of(basis, rows.n_dense))
+    _, log_det = np.linalg.slogdet(white.times(white))
     assert likelihood == pytest.approx(-0.5 * (weighing.log_det + log_det))
-    assert not left.any()
+    assert not _parted(*found)[1].any()
 
 
 def test_a_walk_is_told_less_by_flicker_than_flicker_of_another_axis():
@@ -402,3 +410,33 @@ def test_what_is_known_of_a_part_is_integrated_out_where_rows_do_not_tell():
     for known in (np.full(3, 1e6), np.full(3, np.inf), np.zeros(0)):
         plain, beside = range_basis(white), _basis_beside(white, known)
         np.testing.assert_allclose(beside @ beside.T, plain @ plain.T, atol=1e-10)
+
+
+def test_a_basis_beside_another_one_has_what_is_new_and_no_rounding():
+    rng = np.random.default_rng(12)
+    first, more = rng.normal(size=(60, 7)), rng.normal(size=(60, 4))
+    known = range_basis(first)
+    again = np.hstack((more, 1e9 * first @ rng.normal(size=(7, 3)), np.zeros((60, 1))))
+    found = range_basis(again, known)
+    assert found.shape == (60, 11)
+    assert (found[:, :7] == known).all()
+    np.testing.assert_allclose(found.T @ found, np.eye(11), atol=1e-12)
+    whole = range_basis(np.hstack((first, more)))
+    np.testing.assert_allclose(found @ found.T, whole @ whole.T, atol=1e-10)
+    assert range_basis(more[:, :0], known).shape == known.shape
+
+
+def test_products_leave_out_what_contrasts_do_not_feel():
+    rng = np.random.default_rng(13)
+    columns = rng.normal(size=(50, 6))
+    columns[30:, :4] = 0.0
+    felt = Felt.of(columns, 30)
+    assert felt.first == 4
+    assert (felt.whole == columns).all()
+    np.testing.assert_allclose(felt.times(felt), columns.T @ columns)
+    lower = np.linalg.cholesky(columns.T @ columns)
+    found = felt.times_inverse(lower)
+    assert found.first == 4
+    np.testing.assert_allclose(found.times(found), np.eye(6), atol=1e-12)
+    # A residual is the last, though it be nothing.
+    assert Felt.of(np.zeros((50, 3)), 30).contrast.shape == (20, 1)
