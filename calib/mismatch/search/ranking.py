@@ -133,19 +133,20 @@ def rank(
         best, groups = grouped(stack, evidence)
     beside = {}
     for name in leading(best, {g: groups[g] for g in running}):
-        tried: list[tuple[Candidate, FloatArray | None]]
-        tried = [(c, None) for c in with_fullest(stack, known[0], known[1][name])]
+        tried = {c: [base.values] for c in with_fullest(stack, known[0], known[1][name])}
+        last = [*tried][-1]
         usual = scores.usual(best[name].channels) if may_hide else None
         if usual is not None:
-            tried += [(c, usual) for c in with_fullest(stack, evidence, best[name])]
-        if not tried[-1][0].shape and again(tried[-1][0], accepted):
+            for last in with_fullest(stack, evidence, best[name]):
+                tried.setdefault(last, []).append(usual)
+        if not last.shape and again(last, accepted):
             continue  # all of it is fitted: no drift makes it show
         most = -np.inf
-        for leader, near in tried:
-            scored, levels = scores.with_own_drift(leader, wide or base, near)
-            evidence = np.maximum(evidence, scored)
-            if scored.max() > most:
-                most, beside[name] = float(scored.max()), levels
+        for leader, near in tried.items():
+            for scored, levels in scores.with_own_drift(leader, wide or base, near):
+                evidence = np.maximum(evidence, scored)
+                if scored.max() > most:
+                    most, beside[name] = float(scored.max()), levels
     best, groups = grouped(stack, evidence)
     whitener = scores.whitener(base.values, scores.contrast)
     ranking = Ranking(

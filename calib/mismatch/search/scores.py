@@ -6,6 +6,7 @@ of a candidate of its own.
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -73,16 +74,19 @@ class Scores:
         base: Levels | None = None,
     ) -> Scores:
         mean = fitted(rows, accepted)
-        # Beside what was accepted they start from what was found with it.
-        find = estimate_levels if accepted else find_levels
+        basis = level_basis(rows, mean)
+        if base is None:
+            # Beside what was accepted they start from what was found with it.
+            find = estimate_levels if accepted else find_levels
+            base = find(rows, mean[:, :0], start, beside=basis)
         return cls(
             rows=rows,
             stack=stack,
             accepted=accepted,
             mean=mean,
             contrast=contrast_noise(rows, accepted),
-            base=find(rows, mean, start) if base is None else base,
-            basis=level_basis(rows, mean),
+            base=base,
+            basis=basis,
             weight=stack.weight,
         )
 
@@ -136,14 +140,15 @@ class Scores:
         accepted since was in the mean already.
         """
         rows, stack, base = self.rows, self.stack, self.base
-        wide = np.hstack((self.mean, physics(stack)))
+        wide, basis = physics(stack), self.basis
         if known is None:
-            every = find_levels(rows, wide, base.values)
+            every = find_levels(rows, wide, base.values, beside=basis)
         else:
-            every = estimate_levels(rows, wide, known)
+            every = estimate_levels(rows, wide, known, beside=basis)
         rivals = strongest_rivals(stack, evidence - self.weight)
         alone = [stack.of(c) for c in rivals.values() if len(c.channels) == 1]
-        free = estimate_levels(rows, np.hstack((self.mean, *alone)), every.values)
+        none = self.mean[:, :0]
+        free = estimate_levels(rows, np.hstack((none, *alone)), every.values, beside=basis)
         hidden: list[Hidden] = []
         # Of channels whose drift nothing takes up the levels are the same: they are scored at once.
         alike: dict[bytes, tuple[FloatArray, list[BoolArray]]] = {}
@@ -193,31 +198,53 @@ class Scores:
         return evidence
 
     def with_own_drift(
-        self, leader: Candidate, every: Levels, usual: FloatArray | None = None
-    ) -> tuple[FloatArray, FloatArray]:
-        """Return the evidence for a candidate's group with levels of its own, and these levels.
+        self, leader: Candidate, every: Levels, near: Sequence[FloatArray]
+    ) -> Iterator[tuple[FloatArray, FloatArray]]:
+        """Yield the evidence for a candidate's group with levels of its own, and these levels.
 
-        Near its place, too: they are those of where it shows best, with what is known or with the
-        ``usual`` drift.
+        Near its place, too: they are those of where it shows best under each of the levels ``near``
+        (with what is known, or with the `usual` drift). What shows best under several is yielded
+        once.
         """
-        rows, stack, base = self.rows, self.stack, self.base
-        here, moved = leader, nearby(rows, leader)
-        own, between = stack.of(leader), []
-        if len(moved):
-            whitener = self.whitener(base.values if usual is None else usual, self.contrast)
+        rows, moved = self.rows, nearby(self.rows, leader)
+        if not len(moved):
+            yield self._beside(leader, every, moved, leader, self.stack.of(leader), [])
+            return
+        known = set[tuple[bytes, ...]]()
+        for levels in near:
+            whitener = self.whitener(levels, self.contrast)
             y = whitener.project(rows.residual)
             factors = moved.log_bayes_factors(whitener, y)
             order = np.argsort(-factors)
             here = moved[int(order[0])]
-            own = moved.of(here)
+            own, between = moved.of(here), list[FloatArray]()
             if here.may_be_shared:
                 own = likely_course(own, whitener.project(own), y)
             if here.physical and factors[order[0]] > STRONG:
                 # What a shape that is a little off leaves of a strong effect is no drift.
                 between = [moved.of(moved[i]) for i in order[1:3].tolist()]
-        with_own = np.hstack((self.mean, own, *between))
+            key = tuple(columns.tobytes() for columns in (own, *between))
+            if key not in known:
+                known.add(key)
+                yield self._beside(leader, every, moved, here, own, between)
+
+    def _beside(
+        self,
+        leader: Candidate,
+        every: Levels,
+        moved: Stack,
+        here: Candidate,
+        own: FloatArray,
+        between: list[FloatArray],
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return what `with_own_drift` yields: with the columns of one place in the mean.
+
+        ``moved`` has all places of the leader, ``here`` is the one, ``own`` its columns, and
+        ``between`` are those of its neighbours.
+        """
+        rows, stack, base = self.rows, self.stack, self.base
         start = _swap(rows, base.values, every.values, leader.channels)
-        found = estimate_levels(rows, with_own, start)
+        found = estimate_levels(rows, np.hstack((own, *between)), start, beside=self.basis)
         outside, cost = self._suited(found.values, here, own)
         null = self._null(found.values) + cost
         null += found.log_share - base.log_share
