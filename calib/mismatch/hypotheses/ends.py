@@ -193,13 +193,19 @@ def of_windows(white: FloatArray, y: FloatArray, first: IntArray, last: IntArray
     """
     m, number, k = white.shape
     white = white.reshape(m, -1)
-    gram = (white.T @ white).reshape(number, k, number, k).transpose(0, 2, 1, 3)
+    gram, match = (white.T @ white).reshape(number, k, number, k), (y @ white).reshape(number, k)
+    return of_parts(gram, match, first, last)
+
+
+def of_parts(gram: FloatArray, match: FloatArray, first: IntArray, last: IntArray) -> FloatArray:
+    """Return what `of_windows` does, from products (n, k, n, k) of columns, and with y (n, k)."""
+    number, k = match.shape
     total = np.zeros((number + 1, number + 1, k, k))
-    total[1:, 1:] = gram.cumsum(axis=0).cumsum(axis=1)
-    match = np.zeros((number + 1, k))
-    match[1:] = (y @ white).reshape(number, k).cumsum(axis=0)
+    total[1:, 1:] = gram.transpose(0, 2, 1, 3).cumsum(axis=0).cumsum(axis=1)
+    along = np.zeros((number + 1, k))
+    along[1:] = match.cumsum(axis=0)
     inner = total[last, last] - total[first, last] - total[last, first] + total[first, first]
-    return log_bayes_factors(inner, match[last] - match[first], np.zeros(len(inner), bool))
+    return log_bayes_factors(inner, along[last] - along[first], np.zeros(len(inner), bool))
 
 
 def _place_turned(rows: Rows, candidate: Candidate, whitener: Whitener, y: FloatArray) -> Candidate:

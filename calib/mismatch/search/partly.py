@@ -16,11 +16,11 @@ from scipy.special import logsumexp, softmax
 
 from calib.effects import get_effect
 from calib.mismatch.findings.diagnosis import Interval
-from calib.mismatch.hypotheses.ends import expected_overlap, of_place, of_windows
+from calib.mismatch.hypotheses.ends import expected_overlap, of_parts, of_place
 from calib.mismatch.noise.noise import make_whitener
 from calib.mismatch.rows.rows import Rows
 from calib.mismatch.search.accepted import Accepted, fitted, lasting
-from calib.types import FloatArray
+from calib.types import FloatArray, IntArray
 
 SELDOM = 0.05
 """How probable it is that what looks like a term acts in a part only, rather than throughout."""
@@ -31,6 +31,9 @@ SURE = 20.0
 OUTSIDE = 0.25
 """Share of what it would do throughout that a part leaves out, at least: without one turn that
 closes badly anything fits better."""
+
+ROUNDED = 1e-12
+"""Size of a direction, of the largest, that rounding leaves of none."""
 
 STAYS = 1.0
 """How probable it is that it began, or ended, for good, to that it did both."""
@@ -69,16 +72,15 @@ def acting_part(
     whitener = make_whitener(rows, levels, contrast, fitted(rows, others))
     y = whitener.project(rows.residual)
     number = len(rows.interval)
-    here = rows.segment[:, None] == np.arange(number)
-    parts = own.columns[:, None, :] * here[:, :, None]
-    white = whitener.project(parts.reshape(len(y), -1)).reshape(parts.shape)
-    share = np.append(0.0, np.cumsum(np.square(white).sum(axis=(0, 2))))
+    directions, mixing = _few(own.columns, rows.segment, number)
+    gram, match = _products(whitener.project(directions), y, mixing)
+    share = np.append(0.0, np.cumsum(np.einsum("ikik->i", gram)))
     first, last = np.triu_indices(number + 1, 1)
     some = share[-1] - (share[last] - share[first]) >= OUTSIDE * share[-1]
     whole = (first == 0) & (last == number)
     if not some.any():
         return None
-    value = of_windows(white, y, first[some | whole], last[some | whole])
+    value = of_parts(gram, match, first[some | whole], last[some | whole])
     all_of_it = float(value[whole[some | whole]][0])
     first, last, value = first[some], last[some], value[some[some | whole]]
     weight = value + of_place(first, last, number, STAYS)
@@ -87,3 +89,32 @@ def acting_part(
         return None
     where = expected_overlap(rows.interval[first, 0], rows.interval[last - 1, 1], softmax(weight))
     return Part(where, float(np.exp(min(ahead, 700.0))))
+
+
+def _few(columns: FloatArray, segment: IntArray, number: int) -> tuple[FloatArray, FloatArray]:
+    """Return (m, k) columns in each of so many segments by r directions of the rows there.
+
+    That is (m, number * r) directions and (number, r, k) combinations of them. A segment has few
+    rows, and a rest knows one direction of gravity: the more parameters, the fewer are these.
+    """
+    order = np.argsort(segment, kind="stable")
+    count = np.bincount(segment, minlength=number)
+    place = np.arange(len(order)) - np.repeat(np.cumsum(count) - count, count)
+    own = np.zeros((number, int(count.max()), columns.shape[1]))
+    own[segment[order], place] = columns[order]
+    left, size, right = np.linalg.svd(own, full_matrices=False)
+    r = int((size > ROUNDED * size[:, :1]).sum(axis=1).max())
+    directions = np.zeros((len(order), number, r))
+    directions[order, segment[order]] = left[segment[order], place, :r]
+    return directions.reshape(len(order), -1), size[:, :r, None] * right[:, :r]
+
+
+def _products(
+    white: FloatArray, y: FloatArray, mixing: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the products (n, k, n, k) of (n, r, k) combinations of columns, and with y (n, k)."""
+    n, r, k = mixing.shape
+    half = np.swapaxes(mixing, 1, 2) @ (white.T @ white).reshape(n, r, n * r)
+    gram = half.reshape(n * k, n, r).transpose(1, 0, 2) @ mixing
+    match = np.einsum("nrk,nr->nk", mixing, (y @ white).reshape(n, r))
+    return gram.reshape(n, n, k, k).transpose(1, 2, 0, 3), match

@@ -13,7 +13,7 @@ from calib.mismatch import diagnose_recording
 from calib.mismatch.noise.contrast import contrast_variance
 from calib.mismatch.noise.noise import expected_levels, make_whitener
 from calib.mismatch.search.accepted import accept, fitted
-from calib.mismatch.search.partly import IN_A_PART, acting_part
+from calib.mismatch.search.partly import IN_A_PART, _few, _products, acting_part
 from calib.mismatch.search.ranking import make_stack
 from calib.statics import find_poses
 
@@ -104,3 +104,19 @@ def test_a_term_of_the_sensor_acts_throughout_however_strong_it_is(slug: str) ->
     found = diagnose_recording(recording(Term(slug, sizes[slug]), poses=20), gravity=GRAVITY)
     assert [f.effect for f in found.findings] == [slug]
     assert not any(IN_A_PART in left.follows for left in found.unexplained)
+
+
+def test_columns_in_each_segment_have_the_products_of_their_few_directions() -> None:
+    rng = np.random.default_rng(7)
+    segment = rng.permutation(np.repeat(np.arange(6), [3, 1, 4, 2, 5, 3]))
+    columns, y = rng.normal(size=(len(segment), 8)), rng.normal(size=len(segment))
+    columns[segment == 4] = rng.normal(size=(5, 1)) * rng.normal(size=8)
+    columns[segment == 5] = 0.0
+    square = rng.normal(size=(len(segment), len(segment)))
+    directions, mixing = _few(columns, segment, 6)
+    assert mixing.shape == (6, 4, 8)
+    gram, match = _products(square @ directions, y, mixing)
+    parts = columns[:, None] * (segment[:, None] == np.arange(6))[:, :, None]
+    white = np.einsum("mn,nsk->msk", square, parts)
+    np.testing.assert_allclose(gram, np.einsum("mik,mjl->ikjl", white, white), atol=1e-12)
+    np.testing.assert_allclose(match, np.einsum("m,mik->ik", y, white), atol=1e-12)
