@@ -260,27 +260,45 @@ def _blocks(
     What other blocks foretell of the rows B is normal, with the precision ``P_BB`` of all rows
     beneath the fit, and misses them by ``P_BB^-1 (P y)_B``.
     """
-    fold, dense = fold_of(rows), rows.n_dense
-    half = rows.arrow.factorise(levels).solve_transposed(np.eye(dense))
-    each = np.append(np.einsum("ij,ij->i", half, half), 1.0 / contrast)
     whitener = make_whitener(rows, levels, contrast, mean, coupled=False)
     hidden = whitener.unwhiten_transposed(whitener.basis)
     pull = whitener.unwhiten_transposed(whitener.project(residual)[:, None])[:, 0]
     out = []
-    for k in range(FOLDS):
-        own = np.flatnonzero(fold == k)
-        if not len(own):
-            continue
-        scale = np.sqrt(each[own])
-        precision = np.diag(each[own])
-        first = half[own[own < dense]]
-        precision[: len(first), : len(first)] = first @ first.T
-        precision -= hidden[own] @ hidden[own].T
-        values, vectors = np.linalg.eigh(precision / np.outer(scale, scale))
+    for own, scale, alone in _unfitted(rows, levels, contrast):
+        felt = hidden[own] / scale[:, None]
+        values, vectors = np.linalg.eigh(alone - felt @ felt.T)
         # Directions that only this block determines have no power left.
         good = values > TOLD
         out.append((values[good], vectors[:, good], pull[own] / scale))
     return out
+
+
+def _unfitted(
+    rows: Rows, levels: FloatArray, contrast: FloatArray
+) -> list[tuple[IntArray, FloatArray, FloatArray]]:
+    """Return the rows of each block, and their precision where nothing is fitted.
+
+    That is the root of each row's own, and the matrix in units of these. The last is kept: it is
+    the same with and without every finding.
+    """
+    key = levels.tobytes(), contrast.tobytes()
+    known, blocks = rows.kept.get("unfitted", (None, []))
+    if known == key:
+        return list(blocks)
+    fold, dense = fold_of(rows), rows.n_dense
+    half = rows.arrow.factorise(levels).solve_transposed(np.eye(dense))
+    root = np.sqrt(np.append(np.einsum("ij,ij->i", half, half), 1.0 / contrast))
+    blocks = []
+    for k in range(FOLDS):
+        own = np.flatnonzero(fold == k)
+        if not len(own):
+            continue
+        precision = np.eye(len(own))
+        first = half[own[own < dense]] / root[own[own < dense], None]
+        precision[: len(first), : len(first)] = first @ first.T
+        blocks.append((own, root[own], precision))
+    rows.kept["unfitted"] = key, blocks
+    return blocks
 
 
 def _told_by_both(before: FloatArray, after: FloatArray) -> FloatArray:

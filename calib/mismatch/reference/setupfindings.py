@@ -157,7 +157,7 @@ def _setup(
             contrast=outcome.contrast,
             channels=CHANNELS,
         )
-        step, _ = solved(without, outcome.accepted, outcome.levels, outcome.contrast)
+        step, *_ = solved(without, outcome.accepted, outcome.levels, outcome.contrast)
         evidence = gather(
             rows,
             effect.follows,

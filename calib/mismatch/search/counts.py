@@ -45,7 +45,7 @@ def parts_of_samples(
     out: list[Accepted] = []
     if not any(a.candidate.counted for a in accepted):
         return out
-    step, covariance = solved(rows, tuple(accepted), levels, contrast_noise(rows, accepted))
+    step, covariance, _ = solved(rows, tuple(accepted), levels, contrast_noise(rows, accepted))
     at = rows.baseline.shape[1] + rows.nuisance.shape[1]
     for a in accepted:
         own = slice(at, at + a.columns.shape[1])

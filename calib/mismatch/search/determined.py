@@ -14,7 +14,7 @@ import numpy as np
 from calib.effects import get_effect
 from calib.mismatch.rows.rows import Rows
 from calib.mismatch.search.accepted import Accepted, with_parameters
-from calib.mismatch.search.estimate import Estimate, solved, told
+from calib.mismatch.search.estimate import Estimate, solved
 from calib.types import FloatArray
 
 LOOSE = 3.0
@@ -40,10 +40,8 @@ def determined(
     accepted = list(accepted)
     gone: list[str] = []
     while True:
-        step, covariance = solved(rows, tuple(accepted), levels, contrast)
-        sigma = np.sqrt(np.diag(covariance))
-        if accepted:
-            sigma[~told(rows, tuple(accepted), levels, contrast)] = np.inf
+        step, covariance, unique = solved(rows, tuple(accepted), levels, contrast)
+        sigma = np.where(unique, np.sqrt(np.diag(covariance)), np.inf)
         at = rows.baseline.shape[1] + rows.nuisance.shape[1]
         worst: tuple[float, int, int] = (LOOSE, 0, 0)
         for i, a in enumerate(accepted):

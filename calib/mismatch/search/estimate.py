@@ -22,6 +22,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.polynomial.hermite_e import hermegauss
@@ -38,7 +39,7 @@ from calib.mismatch.hypotheses.families import (
 from calib.mismatch.noise.noise import make_whitener, spread_of_variance
 from calib.mismatch.rows.rows import Rows
 from calib.mismatch.search.accepted import Accepted, fitted
-from calib.mismatch.search.joint import cut, prior_rows, scaled
+from calib.mismatch.search.joint import cut, prior_rows, scaled, triangle
 from calib.mismatch.search.refine import likelihood_gain
 from calib.types import BoolArray, FloatArray
 
@@ -160,7 +161,7 @@ def estimate(
     reference: bool,
 ) -> Estimate:
     """Fit baseline, nuisances and all findings jointly, over all shapes that the rows allow."""
-    best, covariance = solved(rows, accepted, levels, contrast)
+    best, covariance, determined = solved(rows, accepted, levels, contrast)
     total, shapes, of_form = covariance.copy(), {}, {}
     beside: dict[tuple[int, str], FloatArray] = {}
     reach = 3.0 * np.sqrt(np.diag(covariance))
@@ -191,7 +192,7 @@ def estimate(
                 if other is None:
                     continue
                 there = (*accepted[:i], other, *accepted[i + 1 :])
-                step, own = solved(rows, there, levels, contrast)
+                step, own, _ = solved(rows, there, levels, contrast)
                 shift = step - best
                 total += weight * (own - covariance + np.outer(shift, shift))
                 along += weight * apart * shift
@@ -224,18 +225,7 @@ def estimate(
             beside[i, name] *= wide * longer
     left = rows.residual - fitted(rows, accepted) @ best
     first = tuple(int(k) for k in at)
-    unique_ones = told(rows, accepted, levels, contrast)
-    return Estimate(best, total, first, shapes, beside, of_form, left, unique_ones, windows)
-
-
-def told(
-    rows: Rows, accepted: tuple[Accepted, ...], levels: FloatArray, contrast: FloatArray
-) -> BoolArray:
-    """Return which coefficients do not go with others in what nobody can tell apart."""
-    design, _, _ = _weighed(rows, accepted, levels, contrast)
-    design = np.asarray(np.linalg.qr(design, mode="r"))
-    inverse = _inverse(design, cut(rows, accepted))
-    return unique(inverse, design)
+    return Estimate(best, total, first, shapes, beside, of_form, left, determined, windows)
 
 
 def unique(inverse: FloatArray, design: FloatArray) -> BoolArray:
@@ -307,14 +297,23 @@ def wider(spread: FloatArray) -> FloatArray:
     return 0.5 * (low + high)
 
 
+class Solved(NamedTuple):
+    """A least-squares step, its covariance, and which of it is the same in all fits as good.
+
+    What is not determined goes with others in what nobody can tell apart.
+    """
+
+    step: FloatArray
+    covariance: FloatArray
+    determined: BoolArray
+
+
 def solved(
     rows: Rows, accepted: tuple[Accepted, ...], levels: FloatArray, contrast: FloatArray
-) -> tuple[FloatArray, FloatArray]:
+) -> Solved:
     """Return the least-squares step of all columns, of any rank, and its covariance."""
     design, scale, y = _weighed(rows, accepted, levels, contrast)
-    # A triangle has all products of these columns, in fewer rows.
-    triangle = np.asarray(np.linalg.qr(np.column_stack((design, y)), mode="r"))
-    design, y = triangle[:, :-1], triangle[:, -1]
+    design, y = triangle(design, y)
     aside = cut(rows, accepted)
     inverse = _inverse(design, aside)
     step = inverse @ y
@@ -326,7 +325,8 @@ def solved(
         size = step[aside] / scale[aside]
         hidden = inverse[~aside] @ design[:, aside] * scale[aside]
         covariance[np.ix_(~aside, ~aside)] += np.mean(size**2) * hidden @ hidden.T
-    return step / scale, covariance / np.outer(scale, scale)
+    determined = unique(inverse, design)
+    return Solved(step / scale, covariance / np.outer(scale, scale), determined)
 
 
 def _weighed(

@@ -31,9 +31,15 @@ def solve(
     prior, value = prior_rows(rows, accepted, whole=True)
     design, scale = scaled(np.vstack((whitener.whiten(mean), prior[:, kept])))
     y = np.append(whitener.whiten(rows.residual), value)
-    found = np.linalg.lstsq(design, y, rcond=1e-9)[0]
+    found = np.linalg.lstsq(*triangle(design, y), rcond=1e-9)[0]
     step[kept] = found / scale
     return step
+
+
+def triangle(design: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return rows with all products of columns (m, p) and y (m,): p + 1, where m is more."""
+    both = np.asarray(np.linalg.qr(np.column_stack((design, y)), mode="r"))
+    return both[:, :-1], both[:, -1]
 
 
 def prior_rows(

@@ -19,7 +19,7 @@ from calib.mismatch.findings.heldout import (
 from calib.mismatch.noise.noise import make_whitener
 from calib.mismatch.rows.rows import Kind, Rows
 from calib.mismatch.search.accepted import Accepted, fitted
-from calib.mismatch.search.estimate import Estimate, solved, told
+from calib.mismatch.search.estimate import Estimate, solved
 from calib.mismatch.search.search import Outcome
 from calib.types import BoolArray, FloatArray
 
@@ -94,8 +94,7 @@ def fit_without(outcome: Outcome, which: int) -> tuple[FloatArray, FloatArray, B
     """Return what is left without one finding, the coefficients, and which are determined."""
     rows = judging(outcome, which)
     others = tuple(_others(outcome, which))
-    without, _ = solved(rows, others, outcome.levels, outcome.contrast)
-    determined = told(rows, others, outcome.levels, outcome.contrast)
+    without, _, determined = solved(rows, others, outcome.levels, outcome.contrast)
     return rows.residual - fitted(rows, others) @ without, without, determined
 
 
@@ -117,10 +116,10 @@ def changes(outcome: Outcome) -> tuple[tuple[Change, ...], tuple[float, float]]:
     still = with_drift_as_jitter(rows, levels)
     for fit, accepted in ((plain, ()), (rows, outcome.accepted)):
         mean = fitted(fit, accepted)
-        step, _ = solved(fit, accepted, levels, contrast)
+        step, *_ = solved(fit, accepted, levels, contrast)
         white = whitener.whiten(rows.residual - mean @ step)
         likelihood.append(-0.5 * float(np.square(white).sum()))
-        step, covariance = solved(fit, accepted, still, contrast)
+        step, covariance, _ = solved(fit, accepted, still, contrast)
         left.append(rows.residual - mean @ step)
     # What was fitted takes its part of the noise.
     taken = np.einsum("mp,mp->m", mean @ covariance, mean)

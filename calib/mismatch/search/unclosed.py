@@ -158,7 +158,13 @@ class _Foretold(NamedTuple):
     ) -> _Foretold:
         """Return this of turns with the ``columns`` (m, k, 5); their own scales, if not given."""
         whitener = make_whitener(rows, levels, contrast, mean)
-        white = whitener.project(columns.reshape(len(columns), -1)).reshape(columns.shape)
+        # They are on rows of turns alone, and so they are once they are whitened.
+        turns = rows.touched(())
+        here = whitener.restricted(turns)
+        own = here.whiten(columns[turns].reshape(len(turns), -1))
+        white = -whitener.basis @ (here.basis.T @ own)
+        white[turns] += own
+        white = white.reshape(columns.shape)
         covariance = np.linalg.pinv(np.einsum("mki,mkj->kij", white, white), hermitian=True)
         match = np.einsum("mki,m->ki", white, whitener.project(rows.residual))
         off = np.einsum("kij,kj->ki", covariance, match)

@@ -209,7 +209,7 @@ def test_what_errs_together_in_a_segment_is_in_the_errors(apart, together):
     for _ in range(60):
         common = together * rng.normal(size=segments)[rows.segment] * along
         drawn_rows = rows.with_residual(back @ (rng.normal(size=len(along)) + common))
-        step, covariance = module.solved(drawn_rows, (found,), *noise)
+        step, covariance, _ = module.solved(drawn_rows, (found,), *noise)
         windows = module._together(drawn_rows, (found,), *noise)
         wide, count = windows.wider, windows.count
         squares.append(step[-1] ** 2)
@@ -259,8 +259,8 @@ def test_what_is_put_aside_is_no_noise_of_segments(apart):
     )
     real = rows.with_residual(back @ (rng.normal(size=len(along)) + 100.0 * shape))
     noise = expected_levels(rows), rows.white_diagonal
-    _, covariance = module.solved(real, (found, smooth), *noise)
-    _, alone = module.solved(real, (found,), *noise)
+    _, covariance, _ = module.solved(real, (found, smooth), *noise)
+    _, alone, _ = module.solved(real, (found,), *noise)
     assert covariance[start, start] > 100.0 * alone[start, start]
     assert module._together(real, (found, smooth), *noise).wider[start] < 1.5
 
