@@ -243,19 +243,18 @@ class DriftKernels(NamedTuple):
     def of(cls, interval: FloatArray, halved: IntArray | None = None) -> DriftKernels:
         """Return those of the means in segments (s, 2), and of the halves of those ``halved``.
 
-        Between the halves of any segment 1/f noise differs by as much.
+        By the Allan variance, which 1/f noise has over any time alike, half the difference of two
+        halves has half of it.
         """
         length, middle = np.ptp(interval, axis=1), interval.mean(axis=1)
         walk = np.minimum.outer(middle - middle[0], middle - middle[0]) / DRIFT_TIME
         flicker = flicker_covariance(middle, length)
         if halved is None:
             return cls(np.eye(len(length)), flicker, walk)
-        one = flicker_covariance(np.array([0.25, 0.75]), np.array([0.5, 0.5]))
-        within = 0.5 * (one[0, 0] - one[0, 1])
         means, halves = np.ones(len(length)), np.ones(len(halved))
         return cls(
             np.diag(np.append(means, 0.0 * halves)),
-            linalg.block_diag(flicker, np.diag(within * halves)),
+            linalg.block_diag(flicker, np.diag(0.5 * FLOOR * halves)),
             linalg.block_diag(walk, np.diag(length[halved] / (12.0 * DRIFT_TIME))),
         )
 

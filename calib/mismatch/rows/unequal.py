@@ -132,7 +132,7 @@ def _creep(grid: Grid, noise: FloatArray, points: list[IntArray], *, least: floa
     span, squares = np.array(lasts), np.array(early)
     per_second = float(np.median(late)) / MEDIAN
     usual = per_second * (1.0 / EARLY + 2.0 / span)[:, None]
-    if np.median(squares / usual) <= LOUDER * MEDIAN or not _together(poses):
+    if (squares <= LOUDER * MEDIAN * usual).mean() >= 0.5 or not _together(poses):
         return 0.0
     times = np.array(TIMES)[:, None]
     begins = -np.expm1(-EARLY / times) / EARLY

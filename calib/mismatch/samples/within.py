@@ -25,7 +25,7 @@ from calib.mismatch.findings.diagnosis import Interval, Unexplained
 from calib.mismatch.hypotheses.ends import expected_overlap
 from calib.mismatch.hypotheses.windows import windows
 from calib.mismatch.samples.found import RESTLESS
-from calib.mismatch.samples.spectrum import CLAIM, SHARE
+from calib.mismatch.samples.spectrum import CLAIM, SETTLED, SHARE
 from calib.mismatch.samples.tails import beyond, tails, usual_of
 from calib.poses import Poses
 from calib.recording import CHANNELS, Recording
@@ -465,7 +465,8 @@ def _fades(
     look: _Look, intervals: FloatArray, rests: IntArray, window: tuple[int, int], channel: int
 ) -> bool:
     """Whether rests in a window are no louder than others in their second halves."""
-    late = look.time > intervals.mean(axis=1)[look.rest]
+    begin = np.maximum(intervals.mean(axis=1), intervals[:, 0] + SETTLED)
+    late = look.time > begin[look.rest]
     halves = look._replace(rest=look.rest[late], time=look.time[late], size=look.size[late])
     stands, _, _ = _louder(halves, rests, [window])
     # Nothing is known of rests that are too short for that.

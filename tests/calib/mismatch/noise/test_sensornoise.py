@@ -9,7 +9,12 @@ from scipy.signal import lfilter
 
 from calib.effects.vibration import quiet_level
 from calib.mismatch import diagnose_recording
-from calib.mismatch.noise.sensornoise import flicker_covariance, sample_noise
+from calib.mismatch.noise.sensornoise import (
+    DRIFT_TIME,
+    DriftKernels,
+    flicker_covariance,
+    sample_noise,
+)
 from calib.mismatch.rows.grid import make_grid
 from calib.model import SensorModel
 from calib.recording import Recording
@@ -152,3 +157,32 @@ def test_flicker_of_means_is_that_of_their_moments() -> None:
     every = linalg.toeplitz(density)
     np.testing.assert_allclose(found, inside @ every @ inside.T, rtol=2e-2, atol=1e-4)
     assert np.linalg.eigvalsh(found).min() > 0
+
+
+def test_halves_of_a_turn_differ_as_drift_does() -> None:
+    """Draws of 1/f noise and of a walk, sampled finely: half of what their halves differ by."""
+    interval = np.array([[0.0, 2.0], [2.0, 10.0], [10.0, 13.0]])
+    kernels = DriftKernels.of(interval, np.array([1]))
+    assert [k.shape for k in kernels] == [(4, 4)] * 3
+    plain = DriftKernels.of(interval)
+    for with_halves, without in zip(kernels, plain, strict=True):
+        np.testing.assert_array_equal(with_halves[:3, :3], without)
+        assert not with_halves[3, :3].any()
+    assert kernels.jitter[3, 3] == 0.0
+    rng, number, step = np.random.default_rng(4), 400, 0.01
+    n = round(8.0 / step)
+    # By its spectrum, 1 / (pi f) one-sided per square of a bias instability of one.
+    length = 64 * n
+    f = np.fft.rfftfreq(length, step)[1:]
+    size = np.sqrt(1.0 / (np.pi * f) * length / (4.0 * step))
+    flicker, walk = [], []
+    for _ in range(number):
+        z = np.append(0.0, size * (rng.normal(size=len(f)) + 1j * rng.normal(size=len(f))))
+        pieces = np.fft.irfft(z, length)[: 8 * n].reshape(8, n)
+        flicker += (
+            0.5 * (pieces[:, n // 2 :].mean(axis=1) - pieces[:, : n // 2].mean(axis=1))
+        ).tolist()
+        path = np.cumsum(rng.normal(0.0, np.sqrt(step / DRIFT_TIME), n))
+        walk.append(0.5 * (path[n // 2 :].mean() - path[: n // 2].mean()))
+    assert kernels.flicker[3, 3] == pytest.approx(np.var(flicker), rel=0.1)
+    assert kernels.walk[3, 3] == pytest.approx(np.var(walk), rel=0.25)

@@ -5,17 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.mismatch.rows.lean import STEADY, Lean
+from calib.mismatch.rows.lean import STEADY, TIMES, Lean
 
 GRAVITY = 9.80665
 CUTS = (1 / 6, 1 / 2)
 
 
-def two_poses() -> Lean:
+def two_poses(size: tuple[float, float] = (1.0, 1.0), creep: float = 0.0) -> Lean:
     """Return three cells of two poses."""
     up = np.array([[0.0, 0.0, 1.0], [0.6, 0.0, 0.8]])
     interval = np.array([[10.0, 13.0], [13.0, 16.0], [20.0, 26.0]])
-    return Lean.of(up, interval, np.array([0, 0, 1]), GRAVITY)
+    return Lean.of(up, interval, np.array([0, 0, 1]), GRAVITY, np.array(size), creep)
 
 
 def draws(lean: Lean, number: int, step: float = 0.05) -> tuple[np.ndarray, np.ndarray]:
@@ -29,6 +29,10 @@ def draws(lean: Lean, number: int, step: float = 0.05) -> tuple[np.ndarray, np.n
         steps = rng.normal(0.0, np.sqrt(step), (number, len(time)))
         walk = np.cumsum(steps, axis=1) - steps[:, :1]
         path = walk + rng.normal(0.0, STEADY**-0.5, (number, 1)) * time
+        # One of the times, or another, with the variance of them all.
+        decay = np.exp(-time / rng.choice(TIMES, number)[:, None])
+        path -= np.sqrt(lean.creep) * rng.normal(size=(number, 1)) * decay
+        path *= np.sqrt(lean.size[p])
         for k in own:
             a, b = np.searchsorted(time, [lean.begin[k], lean.begin[k] + lean.length[k]])
             angle[:, k] = 0.5 * (path[:, a:b] + path[:, a + 1 : b + 1]).mean(axis=1)
@@ -37,8 +41,10 @@ def draws(lean: Lean, number: int, step: float = 0.05) -> tuple[np.ndarray, np.n
 
 
 @pytest.mark.parametrize("cut", [False, True])
-def test_covariance_is_that_of_draws(cut: bool) -> None:
-    lean = two_poses().cut(CUTS) if cut else two_poses()
+@pytest.mark.parametrize(("size", "creep"), [((1.0, 1.0), 0.0), ((1.0, 5.0), 30.0)])
+def test_covariance_is_that_of_draws(cut: bool, size: tuple[float, float], creep: float) -> None:
+    lean = two_poses(size, creep)
+    lean = lean.cut(CUTS) if cut else lean
     angle, rate = draws(lean, 20_000)
     for p in np.unique(lean.pose):
         own = lean.pose == p

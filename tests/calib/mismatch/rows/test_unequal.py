@@ -57,12 +57,13 @@ def on_foam(recording: Recording, angle: FloatArray) -> Recording:
     return replace(recording, accel=accel, gyro=gyro)
 
 
-def leans(recording: Recording) -> tuple[FloatArray, FloatArray]:
-    """Return how much more each pose leans, and when it is."""
+def leans(recording: Recording) -> tuple[FloatArray, FloatArray, float]:
+    """Return how much more each pose leans, when it is, and how much all creep as they begin."""
     grid = make_grid(recording, find_poses(recording))
-    found = how_it_leans(grid, sample_noise(grid), least=LEANING).size
+    size, creep = how_it_leans(grid, sample_noise(grid), least=LEANING)
+    assert size is not None
     middle = [grid.time[grid.pose == k].mean() for k in range(grid.n_poses)]
-    return found, np.array(middle)
+    return size, np.array(middle), creep
 
 
 def test_those_that_creep_far_lean_by_more() -> None:
@@ -70,7 +71,7 @@ def test_those_that_creep_far_lean_by_more() -> None:
     rests = [s for s in motion.segments if s.kind != "turn"]
     far = np.array([k % 6 == 3 for k in range(len(rests))])
     degrees = np.where(far, 0.25, 0.02)
-    found, middle = leans(on_foam(recording, creep(motion, recording.time, degrees, 5)))
+    found, middle, _ = leans(on_foam(recording, creep(motion, recording.time, degrees, 5)))
     which = np.searchsorted([s.stop for s in rests], middle)
     assert (found[~far[which]] < 3.0).all()
     assert (found[far[which]] > 4.0).sum() >= 2
@@ -79,7 +80,8 @@ def test_those_that_creep_far_lean_by_more() -> None:
 
 @pytest.mark.parametrize("seed", [1, 4])
 def test_none_does_on_a_table(seed: int) -> None:
-    found, _ = leans(made(seed)[1])
+    found, _, crept = leans(made(seed)[1])
+    assert crept == 0.0
     assert (found < 4.0).all()
     assert (found == 1.0).mean() > 0.85
 
@@ -90,8 +92,20 @@ def test_what_the_gyroscope_alone_shows_is_no_lean() -> None:
     degrees = np.where([k % 6 == 3 for k in range(len(rests))], 0.25, 0.0)
     angle = creep(motion, recording.time, degrees, 5)
     rate = np.gradient(angle, recording.time, axis=0)
-    found, _ = leans(replace(recording, gyro=recording.gyro + rate))
+    found, _, crept = leans(replace(recording, gyro=recording.gyro + rate))
     assert (found < 4.0).all()
+    assert crept == 0.0
+
+
+@pytest.mark.parametrize("seed", [2, 3])
+def test_what_all_rests_begin_with_is_creep_where_gravity_moves(seed: int) -> None:
+    motion, recording = made(seed)
+    rests = sum(s.kind != "turn" for s in motion.segments)
+    angle = creep(motion, recording.time, np.full(rests, 0.17), seed)
+    assert leans(on_foam(recording, angle))[2] > 10.0
+    # Of the gyroscope alone it is something that it remembers of turns.
+    rate = np.gradient(angle, recording.time, axis=0)
+    assert leans(replace(recording, gyro=recording.gyro + rate))[2] == 0.0
 
 
 @pytest.mark.long
