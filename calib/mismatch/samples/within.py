@@ -127,7 +127,10 @@ def look_within(recording: Recording, poses: Poses) -> tuple[Unexplained, ...]:
     if not looks:
         return tuple(spikes)
     tail = tails(np.concatenate([off[a : b - 2] for a, b in rests]), step)
-    pulses = spikes + _pulses(looks, recording.time, tail)
+    # What was put down rings at first.
+    calm = poses.interval[:, 0] + SETTLED
+    later = [own for look in looks if len((own := _after(look, calm)).rest)]
+    pulses = spikes + (_pulses(later, recording.time, tail) if later else [])
     known = {u.channels for u in pulses}
     return tuple(pulses + _stretches(looks, poses.interval, known, after_turns=True))
 
@@ -461,14 +464,18 @@ def _stretches(
     return out
 
 
+def _after(look: _Look, begin: FloatArray) -> _Look:
+    """Return what is seen in each rest after some moment (rests,), s."""
+    late = look.time > begin[look.rest]
+    return look._replace(rest=look.rest[late], time=look.time[late], size=look.size[late])
+
+
 def _fades(
     look: _Look, intervals: FloatArray, rests: IntArray, window: tuple[int, int], channel: int
 ) -> bool:
     """Whether rests in a window are no louder than others in their second halves."""
     begin = np.maximum(intervals.mean(axis=1), intervals[:, 0] + SETTLED)
-    late = look.time > begin[look.rest]
-    halves = look._replace(rest=look.rest[late], time=look.time[late], size=look.size[late])
-    stands, _, _ = _louder(halves, rests, [window])
+    stands, _, _ = _louder(_after(look, begin), rests, [window])
     # Nothing is known of rests that are too short for that.
     return bool(0.0 != stands[0, channel] < STILL_LOUD)
 

@@ -290,3 +290,16 @@ def test_noise_that_goes_with_the_pose_is_said_and_rests_that_differ_by_chance_a
     assert found.channels == ("gyro.z",)
     assert found.follows == "gravity along y, either way: the level of noise follows it"
     assert look_at_spectrum(replace(recording, gyro=random), poses) == ()
+
+
+@pytest.mark.parametrize("fades", [True, False])
+def test_what_rings_after_a_turn_is_no_power_at_one_frequency(fades: bool) -> None:
+    real, poses = rests(3, np.ones(POSES))
+    gyro = real.gyro.copy()
+    sigma = np.std(np.diff(gyro[poses.start[0] : poses.stop[0], 1])) / np.sqrt(2.0)
+    for a, b in zip(poses.start[5:7], poses.stop[5:7], strict=True):
+        since = real.time[a:b] - real.time[a]
+        size = 40.0 * np.exp(-since / 0.25) if fades else 1.5
+        gyro[a:b, 1] += sigma * size * np.sin(2 * np.pi * 6.25 * since)
+    found = look_at_spectrum(replace(real, gyro=gyro), poses)
+    assert [u.channels for u in found] == ([] if fades else [("gyro.y",)])

@@ -402,3 +402,18 @@ def test_a_clock_that_is_set_between_takes_no_memory_for_what_was_not_recorded(j
         late = replace(recording, time=recording.time + jump * after)
         plain, far = (look_within(one, find_poses(one)) for one in (recording, late))
         assert [(u.follows, u.channels) for u in far] == [(u.follows, u.channels) for u in plain]
+
+
+@pytest.mark.parametrize("fades", [True, False])
+def test_what_rings_after_turns_about_one_axis_is_no_restless_output(fades: bool) -> None:
+    real = simulated(seed=4, poses=20, rate=100.0)
+    poses = find_poses(real)
+    gyro, rng = real.gyro.copy(), np.random.default_rng(1)
+    sigma = CONSUMER.gyro_noise_density * np.sqrt(50.0)
+    for a, b in zip(poses.start[7:12], poses.stop[7:12], strict=True):
+        since = real.time[a:b] - real.time[a]
+        size = 12.0 * np.exp(-since / 0.25) if fades else 4.0
+        tone = np.sin(2 * np.pi * 5.5 * since + rng.uniform(0, 6))
+        gyro[a:b, 2] += sigma * size * tone
+    found = look_within(replace(real, gyro=gyro), poses)
+    assert [u.channels for u in found] == ([] if fades else [("gyro.z",)])
