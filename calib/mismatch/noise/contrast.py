@@ -103,9 +103,9 @@ def _swaying(rows: Rows, taken: BoolArray) -> FloatArray:
     """Return the variance (n,) that contrasts have as the sensor leans.
 
     A rest that lasts twice as long leans by more, axes along gravity see nothing of it, and some
-    rests lean more than others: no factor on white noise says that. Zero unless what those that are
-    ``taken`` hold beyond noise is clearly seen by the accelerometer, and for rows that nothing
-    leans in. About each axis it may lean as it likes.
+    rests lean more than others: no factor on white noise says that. Zero for rows that nothing
+    leans in, and unless what those that are ``taken`` hold beyond noise is clearly seen: by the
+    accelerometer first, where gravity has not told so already. It may lean about each axis apart.
     """
     out = np.zeros(len(taken))
     if rows.lean is None:
@@ -114,7 +114,7 @@ def _swaying(rows: Rows, taken: BoolArray) -> FloatArray:
     channel = rows.channel[rows.n_dense :]
     accel = channel < 3
     out[accel] = shape[accel] * _level_of_lean(rows, shape, taken & (shape > 0) & accel, SEEN)
-    for c in range(3, 6) if out.any() else ():
+    for c in range(3, 6) if out.any() or rows.lean.told else ():
         own = channel == c
         out[own] = shape[own] * _level_of_lean(rows, shape, taken & (shape > 0) & own, 2 * FEW)
     return out

@@ -73,6 +73,11 @@ class Lean:
         size = np.ones(len(up)) if size is None else size
         return cls(up[pose], begin, length, pose, gravity, size, creep)
 
+    @property
+    def told(self) -> bool:
+        """Whether gravity has told, and not only the rates, that something leans."""
+        return self.creep > 0 or bool((self.size > 1.0).any())
+
     def cut(self, at: Sequence[float]) -> Lean:
         """Return the same for parts of each cell, cut at these shares of its length."""
         edges = np.array([0.0, *at, 1.0])
