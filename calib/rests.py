@@ -15,6 +15,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from calib.pushed import without_pushes
 from calib.stillness import (
     TREMOR_RATE,
     WIDTH,
@@ -125,7 +126,10 @@ def refine(
             segments = _split(segments, partial(_rate_moved, off, scale=scale, level=level))
         segments = _join(blocks, off, segments, (n_force, n_rate), units)
         found += [(*segment, ONSET * n_rate) for segment in segments]
-    return _still(off, _trim(blocks.gyro, off, found, least, units), steps[1])
+    spans = _trim(blocks.gyro, off, found, least, units)
+    if len(scales) > 1:  # with none that take long, time means nothing
+        spans = without_pushes(blocks, off, spans, least=least, step=steps[0], units=units)
+    return _still(off, spans, steps[1])
 
 
 def _still(off: FloatArray, segments: list[tuple[int, int]], step: float) -> list[tuple[int, int]]:
