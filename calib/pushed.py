@@ -76,18 +76,18 @@ def without_pushes(
     shaken = blocks.accel_power / (3 * max(blocks.size - 1, 1))
     floor = max(step * np.sqrt(1.5 / 12.0), ROUNDING * units.gravity)
     for scale in SCALES:
-        signals = [_signals(blocks, off, a, b, units.rate) for a, b in segments]
-        contrasts = [_contrasts(own, scale) for own in signals]
-        known = [_levels(own, floor) for own in contrasts if len(own)]
+        signals = [turned_back(blocks, off, a, b, units.rate) for a, b in segments]
+        moves = [contrasts(own, scale) for own in signals]
+        known = [_levels(own, floor) for own in moves if len(own)]
         if not known:
             break
         usual = np.median(known, axis=0)
         # Of a hand the shortest means tell, of which a push has the fewest.
-        short = np.array([_levels(_contrasts(own, SCALES[0]), floor) for own in signals])
+        short = np.array([_levels(contrasts(own, SCALES[0]), floor) for own in signals])
         sways = np.fmax(short / np.nanmedian(short, axis=0), 1.0)
         carried = LEAST * units.gravity / STANDARD_GRAVITY / (scale * blocks.duration) ** 2
         left: list[tuple[int, int]] = []
-        for (a, b), signal, own, times in zip(segments, signals, contrasts, sways, strict=True):
+        for (a, b), signal, own, times in zip(segments, signals, moves, sways, strict=True):
             moved = np.zeros(b - a, bool)
             level = usual * times
             if len(own):
@@ -95,23 +95,24 @@ def without_pushes(
                 level = np.maximum(level, np.sqrt(inside)[:, None])
                 out = np.all(own > np.maximum(STANDS_OUT * level, (0.0, carried)), axis=1)
                 also = np.all(own > ALSO * level, axis=1)
-                for p, q in _spans(also):
+                for p, q in spans_of(also):
                     also[p:q] = out[p:q].any()
                 spill(moved[scale:], also, scale)
             noise = float(np.median(level[..., 1])) * np.sqrt(scale / 1.5)
-            for p, q in _spans(moved):
+            for p, q in spans_of(moved):
                 moved[p:q] = _is_push(signal[:, 1], p, q, scale, noise, blocks.duration)
-            parts = [(a + p, a + q) for p, q in _spans(~moved)]
+            parts = [(a + p, a + q) for p, q in spans_of(~moved)]
             left += [(p, q) for p, q in parts if q - p >= least] if len(parts) > 1 else parts
         segments = left
     return segments
 
 
-def _spans(mask: BoolArray) -> list[tuple[int, int]]:
+def spans_of(mask: BoolArray) -> list[tuple[int, int]]:
+    """Return the runs of True, as ``[start, stop)``."""
     return list(zip(*(edge.tolist() for edge in runs(mask)), strict=True))
 
 
-def _signals(blocks: Blocks, off: FloatArray, a: int, b: int, rate: float) -> FloatArray:
+def turned_back(blocks: Blocks, off: FloatArray, a: int, b: int, rate: float) -> FloatArray:
     """Return the specific force of a rest, and the same turned back by the rate, (n, 2, 3)."""
     force = blocks.accel[a:b]
     own = off[a:b] - np.median(off[a:b], axis=0)
@@ -119,7 +120,7 @@ def _signals(blocks: Blocks, off: FloatArray, a: int, b: int, rate: float) -> Fl
     return np.stack((force, force - (np.cumsum(turned, axis=0) - 0.5 * turned)), axis=1)
 
 
-def _contrasts(signals: FloatArray, scale: int) -> FloatArray:
+def contrasts(signals: FloatArray, scale: int) -> FloatArray:
     """Return by how much means over `scale` rows of signals (n, 2, 3) differ from those beside.
 
     The k-th is the length of that of the rows from k + scale on, (n - 3 scale + 1, 2).
@@ -131,11 +132,11 @@ def _contrasts(signals: FloatArray, scale: int) -> FloatArray:
     return np.asarray(np.linalg.norm(apart, axis=2))
 
 
-def _levels(contrasts: FloatArray, floor: float) -> FloatArray:
+def _levels(moves: FloatArray, floor: float) -> FloatArray:
     """Return the standard deviations of contrasts (n, 2) on one axis, (2,); NaN of none."""
-    if not len(contrasts):
+    if not len(moves):
         return np.full(2, np.nan)
-    square = np.quantile(np.square(contrasts), QUARTILE, axis=0)
+    square = np.quantile(np.square(moves), QUARTILE, axis=0)
     return np.asarray(np.maximum(np.sqrt(square / CHI_SQUARED), floor))
 
 

@@ -26,6 +26,7 @@ from calib.stillness import (
     runs,
     spill,
 )
+from calib.swung import without_swings
 from calib.types import BoolArray, FloatArray, IntArray
 
 NORM = 7.0
@@ -128,6 +129,7 @@ def refine(
         found += [(*segment, ONSET * n_rate) for segment in segments]
     spans = _trim(blocks.gyro, off, found, least, units)
     if len(scales) > 1:  # with none that take long, time means nothing
+        spans = without_swings(blocks, off, spans, least=least, units=units)
         spans = without_pushes(blocks, off, spans, least=least, step=steps[0], units=units)
     return _still(off, spans, steps[1])
 
