@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import ndtr, pdtrc
 
+from calib.decimals import counts_at
 from calib.errors import RecordingError
 from calib.recording import CHANNELS, Recording
 from calib.stillness import runs
@@ -330,7 +331,7 @@ def find_stuck(
     out = []
     step, noise = resolution(values), noise_at_rest(values)
     turns = _turning(values, np.stack(runs(moving), axis=1), 2 * step + MOVED * noise)
-    counts = noise_in_counts(values, moving, step)
+    counts, held = noise_in_counts(values, moving, step), counts_at(values, step)
     rests = block_sums(moving[1:, None])[:, 0] == 0
     for c in range(values.shape[1]):
         equal = values[1:, c] == values[:-1, c]
@@ -345,25 +346,28 @@ def find_stuck(
             _longest(share[own], n) for own in (~constant, ~constant & rests) if own.any()
         )
         longest = max(longest, 8)
-        if BETWEEN <= counts[c] < 1.0:
-            # In the middle of a count neighbours are equal unless either reaches another one. The
-            # noise may be less by a third: at the edge of a count it seems that much larger.
-            stays = 1.0 - 2.0 * float(ndtr(-0.75 / counts[c]))
-            longest = max(longest, float(np.log(FALSE_ALARM / n) / np.log(stays**2)))
         start, stop = runs(equal)
         long = stop + 1 - start >= longest
         start, stop = start[long], stop[long] + 1
-        coarse = _mostly_constant(constant, moving) or counts[c] < BETWEEN
+        # In counts that hold where the run is.
+        level = counts[c] * step[c] / np.where(step[c] > 0, held[start, c], 1.0)
+        # In the middle of a count neighbours are equal unless either reaches another one. The
+        # noise may be less by a third: at the edge of a count it seems that much larger.
+        stays = 1.0 - 2.0 * ndtr(-0.75 / np.clip(level, BETWEEN, 1.0))
+        some = (level >= BETWEEN) & (level < 1.0)
+        long = ~some | (stop - start >= np.log(FALSE_ALARM / n) / np.log(np.square(stays)))
+        start, stop, level = start[long], stop[long], level[long]
+        coarse = _mostly_constant(constant, moving) | (level < BETWEEN)
         around = _around(turns, start, stop)
         for k, (begin, end) in enumerate(zip(start.tolist(), stop.tolist(), strict=True)):
             if clipped[begin:end, c].all():
                 continue
             elsewhere = np.delete(constant, np.s_[begin // BLOCK : -(-end // BLOCK)])
             moved = moving[begin:end].sum() * interval >= 0.2
-            if coarse:
+            if coarse[k]:
                 others = ((around >= 0) & (around != k)).sum()
                 moved = (around == k).any() and others < OFTEN * len(turns)
-            noisy = counts[c] >= BETWEEN and elsewhere.size > 4 and elsewhere.mean() < 0.02
+            noisy = level[k] >= BETWEEN and elsewhere.size > 4 and elsewhere.mean() < 0.02
             if moved or noisy:
                 out.append((c, begin, end))
     return out
@@ -446,6 +450,7 @@ def find_spikes(values: FloatArray, *, lsb: FloatArray) -> list[tuple[int, int, 
     """
     if len(values) < 2 * BLOCK:
         return []
+    held = np.ascontiguousarray(counts_at(values, lsb).T)
     noise = noise_at_rest(values)
     floor = np.maximum(noise, lsb)[:, None]
     # What moves is off by more than noise, which short rests of few samples show in few.
@@ -458,9 +463,10 @@ def find_spikes(values: FloatArray, *, lsb: FloatArray) -> list[tuple[int, int, 
     tail = np.zeros(len(rows))
     for begin in range(0, len(values), SPIKES_PART):
         first = max(begin - 2 * NEARBY, 0)
-        part = rows[:, first : begin + SPIKES_PART + 2 * NEARBY]
+        here = slice(first, begin + SPIKES_PART + 2 * NEARBY)
+        part, count = rows[:, here], held[:, here]
         for length in range(1, LONGEST_SPIKE + 1):
-            some, beyond = _spikes(part, length, floor, lsb[:, None], unit)
+            some, beyond = _spikes(part, length, floor, count, unit)
             for start, stop, c, ratio in some:
                 if begin <= first + start < begin + SPIKES_PART:
                     found.append((first + start, first + stop, c))
@@ -476,9 +482,9 @@ def find_spikes(values: FloatArray, *, lsb: FloatArray) -> list[tuple[int, int, 
 
 
 def _spikes(
-    values: FloatArray, length: int, floor: FloatArray, lsb: FloatArray, unit: FloatArray
+    values: FloatArray, length: int, floor: FloatArray, count: FloatArray, unit: FloatArray
 ) -> tuple[list[tuple[int, int, int, float]], FloatArray]:
-    """Return the spikes of so many samples of (6, n) values, beside noise of `floor` (6, 1).
+    """Return the spikes of so many samples of (6, n) values, with such counts and `floor` (6, 1).
 
     The last of each is its ratio to the local scatter. In units of `unit` (6,), other channels show
     none of one. Beside them is how many samples of each channel are in the tail of its noise, (6,).
@@ -497,7 +503,7 @@ def _spikes(
         rest = np.where(off[0] * other > 0, np.minimum(rest, size), 0.0)
         most = np.maximum(most, size)
     rest, most = (np.pad(x, ((0, 0), (2, length + 1))) for x in (rest, most))
-    scale = np.maximum(ROBUST * level_nearby(most), lsb)
+    scale = np.maximum(ROBUST * level_nearby(most), count)
     ratio = rest / np.where(scale > 0, scale, np.inf)
     still = scale < STILL * floor
     tail = ((ratio > TAIL) & (ratio <= SPIKE) & still).sum(axis=1).astype(np.float64)
@@ -512,7 +518,8 @@ def _spikes(
         others = np.delete(np.arange(len(values)), c)
         alone = (ratio[others, max(0, k - 1) : k + 2] < OTHERS).all()
         # Of the others all of it counts: what moves is not off its course to one side.
-        alone &= (most[:, k] / unit)[others].max() < max(OTHERS, SHARED * rest[c, k] / unit[c])
+        fine = np.maximum(unit, count[:, k])
+        alone &= (most[:, k] / fine)[others].max() < max(OTHERS, SHARED * rest[c, k] / fine[c])
         back = leaves * returns > 0 and min(abs(leaves), abs(returns)) > 0.5 * rest[c, k]
         # What moves has begun to a sample earlier, and has not ended yet a sample later.
         begins = values[c, k - 1] - values[c, k - 2]

@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.special import pdtrc, stdtr
 
+from calib.decimals import counts_at
 from calib.faults import FALSE_ALARM, noise_at_rest, resolution
 from calib.stillness import runs
 from calib.types import BoolArray, FloatArray, IntArray
@@ -58,7 +59,8 @@ def find_frozen(
     """
     out: list[tuple[int, int, int]] = []
     rest = ~(moving[1:] | moving[:-1])
-    floor = np.maximum(np.sqrt(6.0) * noise_at_rest(values), resolution(values))
+    step = resolution(values)
+    floor, held = np.maximum(np.sqrt(6.0) * noise_at_rest(values), step), counts_at(values, step)
     told = np.append(0, np.cumsum(known))
     for c in range(values.shape[1]):
         own = values[:, c]
@@ -69,6 +71,8 @@ def find_frozen(
         some = (stop - start >= SHORTEST) & (told[stop] == told[start])
         # What is at its range's end is clipped, however short it was there.
         some &= (own[start] < own.max()) & (own[start] > own.min()) & ~clipped[start, c]
+        if rest.any():  # where counts are coarser than at rest, chance makes more
+            some &= held[start, c] <= np.median(held[1:][rest, c])
         start, stop = start[some], stop[some]
         length = stop - start
         often = moving.sum() / np.sqrt(length) * chance ** (length - 1)

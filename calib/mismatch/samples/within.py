@@ -20,6 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import bdtrc, ndtr, ndtri, pdtrc, stdtr
 
+from calib.decimals import counts_at
 from calib.faults import OTHERS, ROBUST, level_nearby, resolution, values_of
 from calib.mismatch.findings.diagnosis import Interval, Unexplained
 from calib.mismatch.hypotheses.ends import expected_overlap
@@ -203,7 +204,7 @@ def _off_course(values: FloatArray, poses: Poses) -> tuple[FloatArray, BoolArray
         own = slice(max(a - 1, 0), b - 1)
         if b - a > 4:
             level[own] = np.maximum(level[own], ROBUST * np.median(off[own], axis=0))
-    step, about = _step(values), level_nearby(off.T).T
+    step, about = counts_at(values, _step(values))[1:-1], level_nearby(off.T).T
     level = np.maximum(level, ROBUST * np.where(about > step, about, 0.0))
     # To the next count and back is what noise does where counts are coarse: off by halves of one,
     # which the decimals of a file know but roughly.
