@@ -66,6 +66,7 @@ from calib.mismatch.reference.slips import find_slips
 from calib.mismatch.reference.steadied import steadied
 from calib.mismatch.reference.step import robust_step
 from calib.mismatch.reference.stilled import gradient_in, resting, stilled
+from calib.mismatch.reference.struck import struck
 from calib.mismatch.reference.truths import RecordingTruth
 from calib.mismatch.reference.visible import catalogue_shapes
 from calib.mismatch.reference.windowed import make_rows
@@ -184,10 +185,11 @@ class ComparisonProblem:
         self.noisy = raw is not None
         shaken = real if raw is None else raw
         self.thin = max(1, round(real.interval / shaken.interval))
-        self.still = ALWAYS_MOVING
+        self.still, self.struck = ALWAYS_MOVING, None
         if raw is not None:
-            heard = truth.quat is not None and white is None
-            self.still = find_stillness(raw, self.time, band=band if heard else 0.0)
+            captured = band > 0 and truth.quat is not None and white is None
+            self.still = find_stillness(raw, self.time, band=band if captured else 0.0)
+            self.struck = struck(raw, self.time, band) if captured else None
         if not truth.placed:
             self.judged = resting(self.time, shaken, felt=FELT / band if band else 0.0)
         self.blur = self._judging(
@@ -335,6 +337,7 @@ class ComparisonProblem:
                     blur=self.blur,
                     resolved=not self.unresolved,
                     folded=self.folded,
+                    struck=self.struck,
                 )
             elif self.unknown is not None:
                 rough = silenced(self.unknown)

@@ -63,12 +63,20 @@ def unfollowed(recording: Recording, noise: FloatArray, own: FloatArray | None =
     return np.asarray(np.any([_differences(x) > limit for x, limit in each], axis=0))
 
 
-def _differences(signals: FloatArray) -> FloatArray:
+def fast_power(signals: FloatArray, order: int) -> FloatArray:
+    """Return the power of the differences of (n, 3) signals about each sample, (n,).
+
+    It is relative to what such an order leaves of white noise: of that it is the variance.
+    """
+    return np.asarray(_differences(signals, order) * 4.0**order / binom(2 * order, order))
+
+
+def _differences(signals: FloatArray, order: int = ORDER) -> FloatArray:
     """Return the power of the differences of (n, 3) signals about each sample, (n,)."""
-    kernel = binom(ORDER, np.arange(ORDER + 1)) * np.resize([1.0, -1.0], ORDER + 1) / 2.0**ORDER
+    kernel = binom(order, np.arange(order + 1)) * np.resize([1.0, -1.0], order + 1) / 2.0**order
     square = np.zeros(len(signals))
-    if len(signals) > ORDER:
-        inner = slice(ORDER // 2, -(ORDER // 2))
+    if len(signals) > order:
+        inner = slice(order // 2, -(order // 2))
         for own in signals.T:
             square[inner] += np.square(np.convolve(own, kernel, mode="valid"))
     return np.convolve(square, np.full(SPREAD, 1.0 / SPREAD), mode="same")

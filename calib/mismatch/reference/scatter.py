@@ -67,6 +67,7 @@ def scatter(
     blur: Blur,
     resolved: bool,
     folded: FloatArray | None = None,
+    struck: FloatArray | None = None,
 ) -> Scatter:
     """Return how far points scatter.
 
@@ -84,6 +85,9 @@ def scatter(
         Whether the samples resolve the motion.
     folded : (n, k) array, optional
         Power of what is beyond the band of the differences, and partly folded into it.
+    struck : (n, 2) array, optional
+        Variance that knocks have on both triads. It is not fitted: knocks are few, each folds
+        another share, and effects that come and go with turns would take it.
     """
     parts = _parts(state, resolved=resolved)
     if folded is not None:
@@ -103,12 +107,18 @@ def scatter(
         if not counts.any():
             variance[:, c] = 1.0
             continue
-        share = _of_parts(seen[counts], y[counts], design[counts], blur.power)
-        known = seen @ share
-        share[1:] /= blur.white[c // 3]
-        variance[:, c] = heard @ share
+        knock, white = np.zeros(len(parts)), blur.white[c // 3]
+        if struck is not None:
+            knock = _spread(struck[:, c // 3], blur.heard[c // 3])
+        knocks = knock[blur.seen] if blur.whitens else matrix.power(2) @ knock
+        share = _of_parts(
+            seen[counts], y[counts], design[counts], blur.power, white * knocks[counts]
+        )
+        known = seen @ share + white * knocks
+        share[1:] /= white
+        variance[:, c] = heard @ share + knock
         # A point through which nothing is seen shows no share of anything.
-        whole = seen @ share
+        whole = seen @ share + knocks
         shown[:, c] = np.divide(known, whole, out=np.ones(len(whole)), where=whole > 0)
     return Scatter(variance, shown)
 
@@ -157,19 +167,24 @@ def _bend(values: FloatArray) -> FloatArray:
     return np.pad(np.diff(values, n=2, axis=0), ((1, 1), (0, 0)), mode="edge")
 
 
-def _of_parts(parts: FloatArray, y: FloatArray, design: FloatArray, power: float) -> FloatArray:
-    """Return how much of each part is in the variance of y, beside what the design explains."""
+def _of_parts(
+    parts: FloatArray, y: FloatArray, design: FloatArray, power: float, known: FloatArray
+) -> FloatArray:
+    """Return how much of each part is in the variance of y, beside what the design explains.
+
+    Of that variance some is ``known``.
+    """
     from scipy.optimize import nnls  # a fifth of a second to import
 
     least = 1e-12 + 1e-6 * float(np.mean(np.square(y)))
     share, left = np.zeros(parts.shape[1]), y
     # Half of a normal variable's squares are below 0.455 of their mean.
-    variance = np.full(len(y), max(float(np.median(np.square(y))) / 0.455, least))
+    variance = max(float(np.median(np.square(y))) / 0.455, least) + known
     ridge = np.eye(design.shape[1]) / LOOSE**2
     for _ in range(PASSES):
         square = np.minimum(np.square(left), KNOCK * variance)
-        share = nnls(parts / variance[:, None], square / variance)[0]
-        before, variance = variance, np.maximum(parts @ share, least)
+        share = nnls(parts / variance[:, None], np.maximum(square - known, 0.0) / variance)[0]
+        before, variance = variance, np.maximum(parts @ share + known, least)
         if np.abs(variance / before - 1.0).max() < SETTLED:
             break
         # Neighbours are alike by the blur: so many of them are worth one.

@@ -244,7 +244,7 @@ def test_no_sample_is_without_noise():
     moves = (np.arange(600) > 200).astype(float)
     errs = 3.0 * moves * np.random.default_rng(5).normal(size=600)
     parts = np.stack((np.ones(600), moves), axis=1)
-    share = _of_parts(parts, errs, np.zeros((600, 1)), 1.0)
+    share = _of_parts(parts, errs, np.zeros((600, 1)), 1.0, np.zeros(600))
     assert share[0] > 0
     assert share[1] == pytest.approx(9.0, rel=0.2)
 
