@@ -16,6 +16,7 @@ from calib.mismatch.hypotheses.answers import evidence_near, grouped, leading, n
 from calib.mismatch.hypotheses.bound import factors_that_count
 from calib.mismatch.hypotheses.candidates import Candidate
 from calib.mismatch.hypotheses.score import Stack
+from calib.mismatch.hypotheses.windows import has_ends
 from calib.mismatch.noise.noise import (
     Levels,
     Whitener,
@@ -421,6 +422,18 @@ def _as_it_is(rows: Rows, a: Accepted, whitener: Whitener, y: FloatArray) -> flo
     return float(own.log_bayes_factors(whitener, y)[0]) + float(np.log(a.candidate.weight))
 
 
+def _is_there(candidate: Candidate, placed: Candidate) -> bool:
+    """Whether a candidate is another kind of what was placed in a window, on the same channels.
+
+    All kinds were weighed where that is, over all windows: what one of them has in its best window
+    was said already, of the window that overlaps most.
+    """
+    own, other = placed.interval, candidate.interval
+    if own is None or other is None or candidate.channels != placed.channels:
+        return False
+    return has_ends(candidate) and has_ends(placed) and own[0] < other[1] and other[0] < own[1]
+
+
 def _posterior(
     rows: Rows,
     stack: Stack,
@@ -460,7 +473,8 @@ def _posterior(
     if own.candidate.interval is not None and own.candidate.group in groups:
         # Its window lies between those of the grid.
         value = _as_it_is(rows, own, whitener, y)
-        groups[own.candidate.group] = max(groups[own.candidate.group], value)
+        there = (groups[g] for g in groups if _is_there(best[g], own.candidate))
+        groups[own.candidate.group] = max(groups[own.candidate.group], value, *there)
     likely = {g: possible(stack, best[g], whitener, y) for g in groups}
     groups = {
         g: v + max(likely[g], LEAST if g == own.candidate.group else -np.inf)

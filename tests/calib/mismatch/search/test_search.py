@@ -77,6 +77,33 @@ def test_what_would_be_of_an_impossible_size_is_no_rival(size, rival):
     assert (odds.get("reference_smoothing", 0.0) > 0.5) is rival
 
 
+@pytest.mark.parametrize("there", [True, False])
+def test_another_kind_is_no_rival_of_what_was_placed_in_its_window(there):
+    """It was 1000 times as probable in the window that fits it best, of many that are as good."""
+    _, self_mode = problem()
+    rows = self_mode.rows()
+    stack = make_stack(rows, skip=(), reference=False)
+    every = [stack[i] for i in range(len(stack))]
+    bias, *_ = (c for c in every if c.group == "bias in a window accel.y")
+    assert bias.interval is not None
+    middle = 0.5 * sum(bias.interval)
+    gain = next(
+        c
+        for c in every
+        if c.group == "gain in a window accel.y"
+        and c.interval is not None
+        and (c.interval[0] < middle < c.interval[1]) is there
+        and (there or c.interval[0] > bias.interval[1])
+    )
+    size = 30.0 / np.sqrt(np.square(stack.of(bias)).max())
+    residual = rows.residual + size * rows.white[1, 1] ** 0.5 * stack.of(bias).sum(axis=1)
+    found = accept(stack, gain, 100.0)
+    rows = replace(rows, residual=residual)
+    odds = _posterior(rows, stack, [found], 0, expected_levels(rows), reference=False)
+    assert odds[bias.group] > 0.4
+    assert (odds.get(gain.group, 0.0) > 0.4) is there
+
+
 @pytest.mark.long
 def test_a_step_that_bends_the_rows_has_its_name():
     # 0.3 m/s² in a turn: what is in proportion to it leaves more than a fluctuation would.
