@@ -691,7 +691,7 @@ def report(results: list[Result]) -> int:
             f"would be if the noise were known; {also} more were placed"
         )
         missed += named / len(outside) > 0.05
-        missed += half / max(len(able), 1) < 0.9
+        missed += placed / max(len(able), 1) < 0.9
     seconds = [r.seconds for r in results]
     print(f"\nCPU per diagnosis: median {np.median(seconds):.1f} s, most {max(seconds):.1f} s")
     return 1 if missed else 0

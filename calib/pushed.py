@@ -15,8 +15,8 @@ from __future__ import annotations
 import numpy as np
 
 from calib.gravity import STANDARD_GRAVITY
-from calib.stillness import Blocks, Units, moving_mean, runs, spill
-from calib.types import BoolArray, FloatArray
+from calib.stillness import Blocks, Units, moving_mean, spans_of, spill
+from calib.types import FloatArray
 
 SCALES = (2, 5, 10, 20)
 """Blocks in such a mean: half of a push, of 0.2 to 2 s."""
@@ -105,11 +105,6 @@ def without_pushes(
             left += [(p, q) for p, q in parts if q - p >= least] if len(parts) > 1 else parts
         segments = left
     return segments
-
-
-def spans_of(mask: BoolArray) -> list[tuple[int, int]]:
-    """Return the runs of True, as ``[start, stop)``."""
-    return list(zip(*(edge.tolist() for edge in runs(mask)), strict=True))
 
 
 def turned_back(blocks: Blocks, off: FloatArray, a: int, b: int, rate: float) -> FloatArray:

@@ -195,6 +195,11 @@ def runs(mask: BoolArray) -> tuple[IntArray, IntArray]:
     return np.flatnonzero(edge == 1), np.flatnonzero(edge == -1)
 
 
+def spans_of(mask: BoolArray) -> list[tuple[int, int]]:
+    """Return the `runs` of True as ``[start, stop)``, one after another."""
+    return list(zip(*(edge.tolist() for edge in runs(mask)), strict=True))
+
+
 def spill(mask: BoolArray, windows: BoolArray, width: int) -> None:
     """Set in `mask`, in place, every block that lies in one of the windows."""
     for k in range(width):

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.pushed import contrasts, spans_of, turned_back
-from calib.stillness import TREMOR_RATE, Blocks, Units, moving_mean, spill
+from calib.pushed import contrasts, turned_back
+from calib.stillness import TREMOR_RATE, Blocks, Units, moving_mean, spans_of, spill
 from calib.types import FloatArray
 
 WINDOW = 20
@@ -42,16 +42,7 @@ def without_swings(
 ) -> list[tuple[int, int]]:
     """Return what is left of rests when the swings in them are taken out.
 
-    Parameters
-    ----------
-    blocks : Blocks
-    off : (n, 3) array
-        Rates of the blocks without the gyroscope's bias, in the recording's units.
-    segments : list of (int, int)
-        Blocks ``[a, b)`` of the rests.
-    least : int
-        Blocks of what is left of one, at least.
-    units : Units
+    Parameters are those of `pushed.without_pushes`.
     """
     if units.rate is None or not segments:
         return segments

@@ -12,7 +12,7 @@ from __future__ import annotations
 import numpy as np
 
 from calib.faults import noise_at_rest, resolution
-from calib.stillness import runs
+from calib.stillness import spans_of
 from calib.types import BoolArray, FloatArray
 
 WINDOWS, FEWEST = (0.5, 2.0), 8
@@ -102,8 +102,7 @@ def _alone(
 
 
 def _long_runs(flags: BoolArray, least: int) -> list[tuple[int, int]]:
-    start, stop = runs(flags)
-    return [(a, b) for a, b in zip(start.tolist(), stop.tolist(), strict=True) if b - a >= least]
+    return [(a, b) for a, b in spans_of(flags) if b - a >= least]
 
 
 def _is_no_turn(
