@@ -19,6 +19,7 @@ from scipy import ndimage
 from calib.bumps import UNSURE
 from calib.mismatch.rows.grid import Grid
 from calib.mismatch.rows.lean import STEADY, TIMES
+from calib.mismatch.rows.nudged import SURE
 from calib.types import FloatArray, IntArray
 
 PARTS = 3
@@ -30,9 +31,6 @@ BESIDE = 7
 FAR = 2.0
 """How much larger a variance is than that of most from which on it may be none of these: of nine
 squares of normal errors one in 25 is."""
-
-SURE = 5.0
-"""Standard errors by which gravity has moved as the rate says."""
 
 FEWEST = 3
 """Rests in which gravity does, from which on those lean as well that are too brief to tell, or
