@@ -7,13 +7,16 @@ rests do: velocity closes only with what an accelerometer felt on the way.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 
+from calib.effects.base import State
+from calib.effects.observed import observed
 from calib.mismatch.hypotheses.followed import scaled_rates
 from calib.mismatch.rows.rows import Rows
-from calib.types import FloatArray, IntArray
+from calib.types import BoolArray, FloatArray, IntArray
 
 MEMORIES = np.array([0.5, 2.0, 8.0])
 """How long what creeps remembers poses, in times from one to the next."""
@@ -40,20 +43,70 @@ PASSES = np.geomspace(2.0, 128.0, 7)
 """Time constants of high-passes, s."""
 
 
-def history(rows: Rows) -> Iterator[tuple[str, FloatArray]]:
+@dataclass(frozen=True, eq=False)
+class Stretches:
+    """Rests and turns of a recording, in their order.
+
+    Parameters
+    ----------
+    state : State
+        At the points, with ``since_turn`` and ``turning``, if there are any turns.
+    number : (n,) array of int
+        The stretch of each point.
+    still : (s,) array of bool
+        Which stretches are rests.
+    interval : (s, 2) array, s
+    """
+
+    state: State
+    number: IntArray
+    still: BoolArray
+    interval: FloatArray
+
+    @classmethod
+    def of(cls, rows: Rows) -> Stretches:
+        """Return those of the rows; beside a truth, whose windows are neither, those it shows."""
+        if rows.is_rest.any():
+            return cls(rows.state, rows.point_segment, rows.is_rest, rows.interval)
+        state = observed(rows.state, ("turning",))
+        turning, time = state.turning, state.time
+        assert turning is not None
+        first = np.flatnonzero(np.diff(turning, prepend=not turning[0]))
+        number = np.repeat(np.arange(len(first)), np.diff(first, append=len(time)))
+        last = np.append(first[1:], len(time)) - 1
+        return cls(state, number, ~turning[first], np.stack((time[first], time[last]), axis=1))
+
+    @property
+    def rests(self) -> IntArray:
+        """The numbers of the rests."""
+        return np.flatnonzero(self.still)
+
+    def means(self, signal: FloatArray) -> FloatArray:
+        """Return the mean of a signal (n, k) over each stretch, (s, k)."""
+        many = len(self.still)
+        count = np.maximum(np.bincount(self.number, minlength=many), 1)[:, None]
+        return np.stack([np.bincount(self.number, v, many) for v in signal.T], axis=1) / count
+
+    def pose(self) -> IntArray:
+        """Return the rest that each point is in, or nearest to, counted: turns have halves."""
+        start, stop = self.interval[self.still].T
+        middle = 0.5 * (stop[:-1] + start[1:])
+        return np.searchsorted(middle, self.state.time, side="right")
+
+
+def history(rows: Rows, stretches: Stretches) -> Iterator[tuple[str, FloatArray]]:
     """Yield what came before: the direction of gravity in the last poses, and the last turn.
 
     What sticks remembers the last one, or which way its turn was; what creeps forgets it slowly,
     and has followed by so much less.
     """
-    rests = np.flatnonzero(rows.is_rest)
+    rests, state = stretches.rests, stretches.state
     if len(rests) < 2:
         return
-    state = rows.state
-    up, rate = (_means(rows, signal) for signal in (state.gravity_direction, state.rate))
-    turn = rate * np.ptp(rows.interval, axis=1)[:, None]
+    up, rate = (stretches.means(signal) for signal in (state.gravity_direction, state.rate))
+    turn = rate * np.ptp(stretches.interval, axis=1)[:, None]
     turn /= np.maximum(np.linalg.norm(turn, axis=1, keepdims=True), 1.0)
-    pose = poses_at(rows)
+    pose = stretches.pose()
     for name, what in (
         ("the pose before", up[rests[:-1]]),
         ("the turn before", turn[rests[1:] - 1]),
@@ -62,22 +115,9 @@ def history(rows: Rows) -> Iterator[tuple[str, FloatArray]]:
         # Nothing was before the first rest.
         yield name, np.vstack((np.zeros(3), what))[pose]
     direction = state.gravity_direction
-    apart = float(np.median(np.diff(rows.interval[rests].mean(axis=1))))
+    apart = float(np.median(np.diff(stretches.interval[rests].mean(axis=1))))
     for known in lately(rows, direction, MEMORIES * apart):
         yield "the pose before", direction - known
-
-
-def _means(rows: Rows, signal: FloatArray) -> FloatArray:
-    """Return the mean of a signal (n, k) over each segment, (s, k)."""
-    segment, number = rows.point_segment, len(rows.interval)
-    count = np.maximum(np.bincount(segment, minlength=number), 1)[:, None]
-    return np.stack([np.bincount(segment, v, number) for v in signal.T], axis=1) / count
-
-
-def poses_at(rows: Rows) -> IntArray:
-    """Return the number of the rest that each point is in, or nearest to: turns have halves."""
-    start, stop = rows.interval[rows.is_rest].T
-    return np.searchsorted(0.5 * (stop[:-1] + start[1:]), rows.state.time, side="right")
 
 
 def lately(rows: Rows, signal: FloatArray, memory: FloatArray) -> FloatArray:
@@ -102,23 +142,23 @@ def lately(rows: Rows, signal: FloatArray, memory: FloatArray) -> FloatArray:
     return out
 
 
-def remembered(rows: Rows, c: int) -> Iterator[tuple[str, FloatArray]]:
+def remembered(stretches: Stretches, c: int) -> Iterator[tuple[str, FloatArray]]:
     """Yield what a channel may remember of how its axis was loaded before, (n, 1).
 
     What has play lies on the side that it was last loaded to, if by enough; where it sticks in a
     turn, on that of the pose before. What is elastic, with friction, lags behind its load, or goes
     by the way that it came. A turn tells as much of it as the rests.
     """
-    if np.count_nonzero(rows.is_rest) < 2:
+    if len(stretches.rests) < 2:
         return
-    load = rows.state.force[:, c % 3] / rows.state.gravity
+    load = stretches.state.force[:, c % 3] / stretches.state.gravity
     for least in PLAY:
         yield LOADED, side_of(load, least)[:, None]
     for most in LAGS:
         yield LOADED, lag_of(load, most)[:, None] / most
-    mean = _means(rows, load[:, None])[rows.is_rest, 0]
+    mean = stretches.means(load[:, None])[stretches.still, 0]
     for side in (mean[:-1], np.diff(mean)):
-        yield LOADED, np.append(0.0, np.sign(side))[poses_at(rows)][:, None]
+        yield LOADED, np.append(0.0, np.sign(side))[stretches.pose()][:, None]
 
 
 def side_of(load: FloatArray, least: float) -> FloatArray:
@@ -150,17 +190,16 @@ def lag_of(load: FloatArray, most: float) -> FloatArray:
     return np.asarray(np.clip(np.array(lag)[piece] + load - load[ends][piece], -most, most))
 
 
-def after_turns(rows: Rows, c: int) -> Iterator[tuple[str, FloatArray]]:
+def after_turns(rows: Rows, stretches: Stretches, c: int) -> Iterator[tuple[str, FloatArray]]:
     """Yield what a channel may have after each turn, while it fades, (n, k).
 
     Once the same after all of them, and once as the turn was about its axis, either way or not. And
     what a high-pass takes away: turns go through it while they last, and what it let go comes back.
     """
-    state = rows.state
-    rests = np.flatnonzero(rows.is_rest)
+    state, rests = stretches.state, stretches.rests
     if state.since_turn is None or state.turning is None or len(rests) < 2:
         return
-    segment, number = rows.point_segment, len(rows.interval)
+    segment, number = stretches.number, len(stretches.still)
     rate = scaled_rates(state)[:, c % 3]
     most, least = np.zeros((2, number))
     np.maximum.at(most, segment, rate)
@@ -188,9 +227,9 @@ def lagging(rows: Rows) -> Iterator[tuple[str, FloatArray]]:
         yield "temperature", known / np.ptp(warmth)
 
 
-def of_use(rows: Rows) -> Iterator[tuple[str, FloatArray]]:
+def of_use(rows: Rows, stretches: Stretches) -> Iterator[tuple[str, FloatArray]]:
     """Yield what any channel may have of how much the sensor was turned of late, (n, 1)."""
-    if not rows.is_rest.any() or rows.is_rest.all():
+    if not stretches.still.any() or stretches.still.all():
         return
     speed = np.linalg.norm(scaled_rates(rows.state), axis=1, keepdims=True)
     for known in lately(rows, speed, PASSES):

@@ -41,6 +41,7 @@ from calib.mismatch.hypotheses.followed import (
 )
 from calib.mismatch.hypotheses.remembered import (
     LOADED,
+    Stretches,
     after_turns,
     history,
     lagging,
@@ -183,17 +184,19 @@ def _add_columns(stack: Stack, rows: Rows, slots: Slots) -> _Layout:
         signal = in_segments(rows, c, own_signal(state, c))
         stack.columns.add(size * signal, touched[c])
     width = in_slots.shape[1] + signal.shape[1]
-    followed = [*smooth(state), *history(rows), *of_use(rows), *lagging(rows)]
+    stretches = Stretches.of(rows)
+    before = [*history(rows, stretches), *of_use(rows, stretches), *lagging(rows)]
+    followed = [*smooth(state), *before]
     for c, size in enumerate(sizes):
         own = [("its own rate", own_rate(state, c))]
         own += [("rate about the other axes", f(state, c)) for f in (other_rates, paired_rates)]
         own += [
             (SIGN, sign_of(rows, c)),
             *warmed(state, c),
-            *remembered(rows, c),
+            *remembered(stretches, c),
             *past_levels(rows, c),
         ]
-        own += after_turns(rows, c) if c >= 3 else ()
+        own += after_turns(rows, stretches, c) if c >= 3 else ()
         found = [(label, rows.columns(c, values)) for label, values in [*followed, *own]]
         index = stack.columns.add(size * np.hstack([columns for _, columns in found]), touched[c])
         ends = index[0] + np.cumsum([0, *(columns.shape[1] for _, columns in found)])

@@ -12,10 +12,10 @@ from calib.mismatch.hypotheses.remembered import (
     FORGETS,
     LOADED,
     PASSES,
+    Stretches,
     after_turns,
     lag_of,
     lately,
-    poses_at,
     side_of,
 )
 from calib.recording import Recording
@@ -51,7 +51,7 @@ def test_a_gyroscope_that_forgets_turns_slowly_has_no_asymmetry(signed: bool) ->
 def test_after_turns_nothing_is_left_before_the_first_and_while_it_turns() -> None:
     grid, made = problem()
     rows = made.rows()
-    found = list(after_turns(rows, 4))
+    found = list(after_turns(rows, Stretches.of(rows), 4))
     assert len(found) == len(FORGETS) + len(PASSES)
     for _, values in found[: len(FORGETS)]:
         assert not values[grid.turning].any()
@@ -132,7 +132,7 @@ def test_what_is_known_of_late_is_a_low_pass_sample_by_sample() -> None:
 def test_a_turn_belongs_by_halves_to_the_rests_beside_it() -> None:
     rows = problem()[1].rows()
     start, stop = rows.interval[rows.is_rest].T
-    pose = poses_at(rows)
+    pose = Stretches.of(rows).pose()
     for k in range(1, len(start)):
         inside = (rows.state.time > stop[k - 1]) & (rows.state.time < start[k])
         early = rows.state.time < 0.5 * (stop[k - 1] + start[k])
