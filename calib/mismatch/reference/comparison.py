@@ -310,7 +310,7 @@ class ComparisonProblem:
         """Return recording minus model of the truth."""
         state = self.state()
         left = self.residual(state)
-        rate = state.rate
+        rate, mat = state.rate, state.mat_ns
         if self.known is not None:
             gain = np.maximum(self._gain(), LEAST_GAIN)
             state = witnessed(state, left / gain, self.known)
@@ -353,6 +353,7 @@ class ComparisonProblem:
                 self.time,
                 rate,
                 self.still.settled,
+                mat,
                 angle=known.angle,
                 interval=self.interval,
                 band=self.band,

@@ -10,6 +10,9 @@ where together they turn by more than their noise: less than that is left to the
 gyroscope, as in a recording by itself. The rest errs by these coefficients only. Where a body
 sways by more than noise, as one that is held does, its rest is seen as it is; what is less is
 beside the lines, and counts as noise.
+
+A force goes with an angle as it was captured, a rate with what rates add up to: noise turns about
+itself as it comes and goes, and of that a sum keeps all that ever was.
 """
 
 from __future__ import annotations
@@ -19,6 +22,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import sparse
 
+from calib.rotation import nearest_rotation, rotvec_from_mat
 from calib.types import BoolArray, FloatArray, IntArray
 
 LONGEST = 30.0
@@ -55,8 +59,8 @@ class Steady(NamedTuple):
         Orthonormal: the constant of each, and slopes.
     noise, sway : float, rad/√Hz
         Density of the noise of each angle there, and of what of it is left beside the lines.
-    moved : (n, 3) array, rad
-        From what was seen to the lines.
+    moved, tilted : (n, 3) arrays, rad
+        From what was seen to the lines: what rates feel, and what forces do.
     """
 
     inside: BoolArray
@@ -64,12 +68,14 @@ class Steady(NamedTuple):
     noise: float
     sway: float
     moved: FloatArray
+    tilted: FloatArray
 
 
 def steadied(
     time: FloatArray,
     rate: FloatArray,
     rests: IntArray,
+    mat: FloatArray | None = None,
     *,
     angle: float,
     interval: float,
@@ -84,6 +90,8 @@ def steadied(
         By what was captured, through a low-pass.
     rests : (k, 2) array of int
         Points ``[first, last)`` that feel nothing of any turn.
+    mat : (n, 3, 3) array, optional
+        Orientations as they were captured, in the frame of the rates: ``mat_ns``.
     angle : float, rad/√Hz
         Density of the noise of each angle, as its spectrum shows it.
     interval : float, s
@@ -92,15 +100,16 @@ def steadied(
         Cut-off of that low-pass.
     """
     each = max(2, round(BLOCK / (band * interval)))
-    seen = np.zeros((len(time), 3))
+    seen = np.zeros((2, len(time), 3))
     expected = UNSURE * angle**2 / (2.0 * interval * each)
     parts, bases, slopes, squares = [], [], [], []
     for part in _parts(time, rests, interval):
         many = len(part) // each
         if many < FEWEST:
             continue
-        turned = np.cumsum(0.5 * (rate[part] + rate[part - 1]), axis=0) * interval
-        turned -= turned.mean(axis=0)
+        summed = np.cumsum(0.5 * (rate[part] + rate[part - 1]), axis=0) * interval
+        summed -= summed.mean(axis=0)
+        turned = summed if mat is None else _about_mean(mat[part])
         line = _slope(len(part))
         along = line @ turned
         means = turned[: many * each].reshape(many, each, 3).mean(axis=1)
@@ -110,7 +119,7 @@ def steadied(
         steps = 0.5 * float(np.square(np.diff(means, axis=0)).sum())
         if not 0.0 < left < free * expected * _limit(free):
             continue
-        seen[part] = turned
+        seen[:, part] = summed, turned
         parts.append(part)
         bases.append(np.stack((np.full(len(part), 1.0 / np.sqrt(len(part))), line), axis=1))
         slopes.append(along @ along)
@@ -129,7 +138,7 @@ def steadied(
     moved, inside = np.zeros_like(seen), np.zeros(len(time), bool)
     bases = [basis[:, : 1 + turned] for basis, turned in zip(bases, turns, strict=True)]
     for part, basis in zip(parts, bases, strict=True):
-        moved[part] = basis @ (basis.T @ seen[part]) - seen[part]
+        moved[:, part] = basis @ (basis.T @ seen[:, part]) - seen[:, part]
         inside[part] = True
     index = np.concatenate(parts)
     placed = sparse.csr_matrix(
@@ -137,7 +146,13 @@ def steadied(
     )
     lines = (placed @ sparse.block_diag(bases)).tocsr()
     noise = float(np.sqrt(2.0 * interval * variance))
-    return Steady(inside, lines, noise, noise * float(np.sqrt(beyond)), moved)
+    return Steady(inside, lines, noise, noise * float(np.sqrt(beyond)), *moved)
+
+
+def _about_mean(mat: FloatArray) -> FloatArray:
+    """Return the small angles of (k, 3, 3) orientations about their mean, (k, 3) rad."""
+    turned = rotvec_from_mat(nearest_rotation(mat.mean(axis=0)).T @ mat)
+    return np.asarray(turned - turned.mean(axis=0))
 
 
 def _slope(n: int) -> FloatArray:

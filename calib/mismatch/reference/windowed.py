@@ -99,7 +99,8 @@ def make_rows(
         nodes = np.append(interval[:, 0], interval[-1, 1])
         slow = (wobble(felt, state.time, known, nodes, steady),)
         if steady is not None:
-            residual[:dense] -= moved_by(felt, steady.moved)
+            force, rate = (moved_by(felt, angle) for angle in (steady.tilted, steady.moved))
+            residual[:dense] -= np.where(channel[:dense] < 3, force, rate)
         density = np.square(np.repeat(known[:2], 3))
     rows = Rows(
         residual=residual,

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from calib.mismatch.reference.steadied import LONGEST, steadied
+from calib.rotation import mat_from_rotvec, rotvec_from_mat
 
 STEP, BAND = 0.02, 8.0
 DENSITY = 3e-4
@@ -41,6 +42,29 @@ def test_a_rest_takes_the_noise_of_angles_away():
     np.testing.assert_allclose((found.lines.T @ found.lines).toarray(), np.eye(30), atol=1e-12)
     blocks = (angle + found.moved)[at[0, 0] : at[0, 1]].reshape(-1, 20, 3).mean(axis=1)
     assert blocks.std(axis=0).max() < 0.3 * angle.std() / np.sqrt(20)
+
+
+def test_forces_feel_angles_as_they_were_captured_and_rates_what_they_add_up_to():
+    """Noise turns about itself as it comes and goes, which a sum of rates keeps."""
+    at, large = rests(12), 30.0
+    angle = large * white(26 * REST)
+    mat = mat_from_rotvec(angle)
+    step = rotvec_from_mat(np.swapaxes(mat[:-1], 1, 2) @ mat[1:]) / STEP
+    rate = np.zeros_like(angle)
+    rate[1:-1] = 0.5 * (step[:-1] + step[1:])
+    time = STEP * np.arange(len(angle))
+    found = steadied(time, rate, at, mat, angle=large * DENSITY, interval=STEP, band=BAND)
+    summed = np.cumsum(0.5 * (rate[1:] + rate[:-1]), axis=0) * STEP
+    drift = np.zeros((len(at), 2))
+    for k, (a, b) in enumerate(at):
+        own = angle[a:b] - angle[a:b].mean(axis=0)
+        left = own + found.tilted[a:b]
+        assert np.abs(left).max() < 0.02 * np.abs(own).max()
+        added = summed[a - 1 : b - 1] - summed[a - 1 : b - 1].mean(axis=0)
+        np.testing.assert_allclose(added, -found.moved[a:b], atol=1e-12)
+        ends = (x[-80:].mean(axis=0) - x[:80].mean(axis=0) for x in (own, added))
+        drift[k] = [end @ end for end in ends]
+    assert drift[:, 1].mean() > 4.0 * drift[:, 0].mean()
 
 
 def test_short_rests_sway_no_more_than_long_ones():
