@@ -11,7 +11,8 @@ evidence for where a disturbance of one kind is counts for as much less as it sc
 normal errors would let it.
 
 Nor is the evidence that of one kind alone. A part of what jumps about looks like a bias, or like a
-wave, whose window is too short: in each window all kinds are weighed against each other.
+wave, whose window is too short: in each window all kinds are weighed against each other. And a bias
+that is found may be the largest pulse of many.
 
 References
 ----------
@@ -114,10 +115,11 @@ def place_window(rows: Rows, candidate: Candidate, *told: Told) -> Candidate:
     kinds += [replace(candidate, name=n, shape={}) for n in _SUMS if one and n != candidate.name]
     alike = Counter(c.name for c in kinds)
     share = _share(rows, candidate, whitener, y)
+    comes = [_wanders, _recurs] if _may_recur(rows, candidate, longest) else [_wanders]
     under = [
         np.stack(
             [_sums(rows, c, t.whitener, t.y, longest) - np.log(alike[c.name]) for c in kinds]
-            + [_wanders(rows, candidate, t.whitener, t.y, longest, share)]
+            + [f(rows, candidate, t.whitener, t.y, longest, share) for f in comes]
         )
         + t.likelihood
         for t in told
@@ -125,16 +127,16 @@ def place_window(rows: Rows, candidate: Candidate, *told: Told) -> Candidate:
     every = np.logaddexp.reduce(under)
     first, last = np.nonzero(np.isfinite(every).any(axis=0))
     value = every[:, first, last]
-    stays = [*(STAYS * _may_stay(c) for c in kinds), 0.0]
+    stays = [*(STAYS * _may_stay(c) for c in kinds), *[0.0] * len(comes)]
     prior = np.stack([of_place(first, last, number, odds) for odds in stays])
     of_kind = softmax(logsumexp(value + prior, axis=1))
-    power = np.array([HEAVY] * len(kinds) + [FAILING])
+    power = np.array([HEAVY] * len(kinds) + [FAILING] * len(comes))
     weight = of_kind @ softmax(power[:, None] * value + prior, axis=1)
     where = expected_overlap(rows.interval[first, 0], rows.interval[last - 1, 1], weight)
     a = int(np.searchsorted(rows.interval[:, 0], where[0]))
     b = int(np.searchsorted(rows.interval[:, 1], where[1])) + 1
     best = int(np.argmax(every[:, a, b]))
-    if best == len(kinds):
+    if best >= len(kinds):
         return fluctuating(candidate, *where, segments=b - a, share=share)
     return moved_window(kinds[best], *where)
 
@@ -293,6 +295,40 @@ def _wanders(
     value = np.logaddexp.reduce(found) - np.log(len(found))
     first, last = np.indices(value.shape)
     return np.where(last - first < min(FLUCTUATION, longest), -np.inf, value)
+
+
+def _may_recur(rows: Rows, candidate: Candidate, longest: int) -> bool:
+    """Whether what was found may be one of many pulses: a bias, with room for more around it."""
+    start, stop = candidate.interval or (-np.inf, np.inf)
+    inside = int(((rows.interval[:, 0] < stop) & (rows.interval[:, 1] > start)).sum())
+    plain = candidate.name == "bias in a window" and not candidate.shape
+    return plain and max(inside, FLUCTUATION) <= longest
+
+
+def _recurs(
+    rows: Rows,
+    candidate: Candidate,
+    whitener: Whitener,
+    y: FloatArray,
+    longest: int,
+    share: FloatArray | None,
+) -> FloatArray:
+    """Return log B in each window [a, b) of what was found as the largest of many pulses in it.
+
+    A few of these are as large as all others together, and what is found is one of them. Beside it,
+    as large as it likes, the others are what wanders.
+    """
+    assert candidate.interval is not None
+    own = whitener.project(window_columns(rows, candidate))
+    along = np.linalg.qr(own)[0]
+    beside = replace(whitener, basis=np.hstack((whitener.basis, along)))
+    left = y - along @ (along.T @ y)
+    value = _wanders(rows, candidate, beside, left, longest, share) + log_bayes_factor(own, y)
+    start, stop = candidate.interval
+    first, last = np.indices(value.shape)
+    early = np.append(rows.interval[:, 0], np.inf)[first] <= start
+    late = np.append(-np.inf, rows.interval[:, 1])[last] >= stop
+    return np.where(early & late, value, -np.inf)
 
 
 def tune_wave(

@@ -189,6 +189,29 @@ def test_pulses_in_every_other_segment_are_placed_whole(pulses):
     assert sum(o >= 0.5 for o in overlaps) > 17
 
 
+def test_the_largest_pulse_of_many_is_placed_with_the_others(pulses):
+    """It was found as a bias of its own segment, and is as large as all others together."""
+    own = [c for c in pulses.stack if c.name == "bias in a window" and c.channels == ("gyro.x",)]
+    parts = pulses.parts(("gyro.x",))[:, :, 0]
+    rows, overlaps = pulses.rows, []
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        heights = rng.exponential(size=13) * (rng.random(13) < 0.75)
+        heights[(most := int(rng.integers(13)))] = 4.0
+        start, stop = rows.interval[8 + most]
+        found = max(own, key=lambda c: overlap(c.interval or (0.0, 0.0), (start, stop)))
+        true = pulses.whitener.project(parts @ heights)
+        noise = rng.normal(size=len(true))
+        noise -= pulses.whitener.basis @ (pulses.whitener.basis.T @ noise)
+        y = 10.0 * true / np.linalg.norm(true) + noise
+        placed = place_window(rows, found, Told(pulses.whitener, y))
+        assert placed.interval is not None
+        overlaps.append(overlap(placed.interval, pulses.window))
+    # Three of 12 would be placed as a bias of one segment otherwise.
+    assert min(overlaps) > 0.3
+    assert np.mean(overlaps) > 0.6
+
+
 def test_pulses_that_two_axes_share_are_one_disturbance(pulses):
     """They are placed with one course, of which each axis has its share."""
     own = [c for c in pulses.stack if c.may_be_shared and c.channels[0] == "gyro.x"]
