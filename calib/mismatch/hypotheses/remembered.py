@@ -219,12 +219,17 @@ def after_turns(rows: Rows, stretches: Stretches, c: int) -> Iterator[tuple[str,
 
 
 def lagging(rows: Rows) -> Iterator[tuple[str, FloatArray]]:
-    """Yield what follows a temperature late, (n, 1): its thermometer is not where the sensor is."""
+    """Yield what follows a temperature late, (n, 1): its thermometer is not where the sensor is.
+
+    And what is warmer in one place than in another, the second of which follows the first.
+    """
     warmth = rows.state.warmth
     if warmth is None or not np.ptp(warmth) > 0:
         return
-    for known in lately(rows, warmth[:, None], LATE):
-        yield "temperature", known / np.ptp(warmth)
+    warmth = warmth[:, None] / np.ptp(warmth)
+    for known in lately(rows, warmth, LATE):
+        yield "temperature", known
+        yield "temperature", warmth - known
 
 
 def of_use(rows: Rows, stretches: Stretches) -> Iterator[tuple[str, FloatArray]]:

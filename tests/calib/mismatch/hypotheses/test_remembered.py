@@ -179,3 +179,13 @@ def test_what_follows_a_temperature_late_follows_that(channel: str, size: float)
     warm = replace(real, temperature=course)
     own = size * late(real, course - course.mean(), 30.0)
     assert left_of(with_added(warm, {channel: own})) == [("temperature", (channel,))]
+
+
+@pytest.mark.long
+def test_what_is_warmer_in_one_place_than_in_another_follows_the_temperature() -> None:
+    real = recording(seed=8, poses=30)
+    course = 25.0 + 4.0 * np.sin(2.0 * np.pi * real.time / 90.0) + 2.0 * np.cos(real.time / 37.0)
+    warm = replace(real, temperature=course)
+    apart = course - late(real, course, 30.0)
+    found = left_of(with_added(warm, {"gyro.x": 3e-4 * apart}))
+    assert found == [("temperature", ("gyro.x",))]
