@@ -14,12 +14,12 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from scipy import ndimage
 
 from calib.bumps import UNSURE
 from calib.mismatch.rows.grid import Grid
 from calib.mismatch.rows.lean import STEADY, TIMES
 from calib.mismatch.rows.nudged import SURE
+from calib.stillness import moving_median
 from calib.types import FloatArray, IntArray
 
 PARTS = 3
@@ -95,7 +95,7 @@ def how_it_leans(grid: Grid, noise: FloatArray, *, least: float) -> Leans:
         return Leans()
     creep = _creep(grid, noise, points, least=least)
     mean = np.stack([grid.gyro[points[k]].mean(axis=0) for k in some])
-    still = ndimage.median_filter(mean, size=(BESIDE, 1), mode="nearest")
+    still = moving_median(mean, BESIDE)
     poses = [_look(grid, noise, points[k], zero) for k, zero in zip(some, still, strict=True)]
     usual = max(float(np.median([p.lean for p in poses])), least)
     leans = sum(p.follows for p in poses) >= FEWEST or _together(p for p in poses if p.open)
