@@ -216,8 +216,10 @@ class Arrow:
             blocks.append(Known(block.rows, lower, inverse, told, block.responses, block.response))
             if block.response.nnz:
                 far -= np.swapaxes(told, 1, 2) @ told
-                felt = [r @ left for r, left in zip(block.responses, far, strict=True)]
-                last += block.response @ np.concatenate(felt, axis=1).T
+                felt = np.empty((*far.shape[:2], len(last)))
+                for one, r, left in zip(felt, block.responses, far, strict=True):
+                    one[:] = (r @ left).T  # sparse products want rows one after the other
+                last += block.response @ felt.reshape(-1, len(last))
         self.alone.add_to(last, levels)
         lower = _factor(last)
         return Factor(tuple(blocks), self.border, lower, _inverse(lower))
