@@ -75,15 +75,17 @@ def without_pushes(
     # What shakes a sensor faster than a block lasts, were it white.
     shaken = blocks.accel_power / (3 * max(blocks.size - 1, 1))
     floor = max(step * np.sqrt(1.5 / 12.0), ROUNDING * units.gravity)
+    seen: list[tuple[int, int]] | None = None
     for scale in SCALES:
-        signals = [turned_back(blocks, off, a, b, units.rate) for a, b in segments]
+        if segments != seen:
+            seen, signals = segments, [turned_back(blocks, off, *s, units.rate) for s in segments]
+            # Of a hand the shortest means tell, of which a push has the fewest.
+            short = np.array([_levels(contrasts(own, SCALES[0]), floor) for own in signals])
         moves = [contrasts(own, scale) for own in signals]
         known = [_levels(own, floor) for own in moves if len(own)]
         if not known:
             break
         usual = np.median(known, axis=0)
-        # Of a hand the shortest means tell, of which a push has the fewest.
-        short = np.array([_levels(contrasts(own, SCALES[0]), floor) for own in signals])
         sways = np.fmax(short / np.nanmedian(short, axis=0), 1.0)
         carried = LEAST * units.gravity / STANDARD_GRAVITY / (scale * blocks.duration) ** 2
         left: list[tuple[int, int]] = []

@@ -142,7 +142,7 @@ def lately(rows: Rows, signal: FloatArray, memory: FloatArray) -> FloatArray:
     return out
 
 
-def remembered(stretches: Stretches, c: int) -> Iterator[tuple[str, FloatArray]]:
+def remembered(stretches: Stretches, axis: int) -> Iterator[tuple[str, FloatArray]]:
     """Yield what a channel may remember of how its axis was loaded before, (n, 1).
 
     What has play lies on the side that it was last loaded to, if by enough; where it sticks in a
@@ -151,7 +151,7 @@ def remembered(stretches: Stretches, c: int) -> Iterator[tuple[str, FloatArray]]
     """
     if len(stretches.rests) < 2:
         return
-    load = stretches.state.force[:, c % 3] / stretches.state.gravity
+    load = stretches.state.force[:, axis] / stretches.state.gravity
     for least in PLAY:
         yield LOADED, side_of(load, least)[:, None]
     for most in LAGS:

@@ -187,13 +187,14 @@ def _add_columns(stack: Stack, rows: Rows, slots: Slots) -> _Layout:
     stretches = Stretches.of(rows)
     before = [*history(rows, stretches), *of_use(rows, stretches), *lagging(rows)]
     followed = [*smooth(state), *before]
+    loaded = [list(remembered(stretches, axis)) for axis in range(3)]
     for c, size in enumerate(sizes):
         own = [("its own rate", own_rate(state, c))]
         own += [("rate about the other axes", f(state, c)) for f in (other_rates, paired_rates)]
         own += [
             (SIGN, sign_of(rows, c)),
             *warmed(state, c),
-            *remembered(stretches, c),
+            *loaded[c % 3],
             *past_levels(rows, c),
         ]
         own += after_turns(rows, stretches, c) if c >= 3 else ()

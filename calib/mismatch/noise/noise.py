@@ -111,6 +111,12 @@ def prior_precision(rows: Rows) -> FloatArray:
     of that, and differ among each other by `WITHIN` only. Walks share `SOONER` as well. Of either
     the drift of the other triad has the share `PACKAGE`.
     """
+    if "prior precision" not in rows.kept:
+        rows.kept["prior precision"] = _prior_precision(rows)
+    return np.asarray(rows.kept["prior precision"])
+
+
+def _prior_precision(rows: Rows) -> FloatArray:
     spread = np.array([c.spread for c in rows.components])
     group = np.array([c.group for c in rows.components])
     same = (group[:, None] == group) & (group != "")

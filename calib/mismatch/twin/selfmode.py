@@ -68,6 +68,8 @@ class SelfProblem:
         """Share of the variance expected of a lean that is expected here (`leaning.lean_share`)."""
         self.restless = False
         """Whether the gyroscope is judged by its turns alone."""
+        self._last: tuple[Twin, FloatArray, Rows] | None = None
+        """The last twin, noise, and rows of these."""
 
     def rounded(self, coarse: Mapping[int, Rounding], *, restless: bool) -> None:
         """Take channels as rounded to coarse counts, and a gyroscope as ``restless``.
@@ -93,7 +95,7 @@ class SelfProblem:
 
     def rows(self) -> Rows:
         """Return recording minus twin; the given model's own terms are fitted along with it."""
-        rows = build_rows(self.grid, self.twin, self.noise, spread=self.spread, leans=self.leans)
+        rows = self._built()
         further = {
             f"{term.effect}.{name}": rows.column(signals)
             for term in self.given
@@ -122,6 +124,16 @@ class SelfProblem:
         rows = leaning(rows, self.leaning)
         rows = replace(rows, prior=self._prior(rows.nuisance.shape[1]))
         return rows.without(out) if out.any() else rows
+
+    def _built(self) -> Rows:
+        """Return the rows of the twin as it stands; a search begins where it was looked at."""
+        last = self._last
+        if last is None or last[0] is not self.twin or last[1] is not self.noise:
+            rows = build_rows(
+                self.grid, self.twin, self.noise, spread=self.spread, leans=self.leans
+            )
+            self._last = last = self.twin, self.noise, rows
+        return last[2]
 
     def _prior(self, nuisances: int) -> FloatArray:
         """Return how far baseline and nuisances are from what is expected, and may be, (p + q, 2).
