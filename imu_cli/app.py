@@ -28,7 +28,7 @@ SIGHUP"""
 CANNOT_WRITE = 3
 """As of a recording that cannot be written."""
 
-GARBAGE = 100_000
+GARBAGE = 400_000
 """Objects between two searches for cycles of garbage: looking at all of them takes time."""
 
 
@@ -144,6 +144,8 @@ def main() -> NoReturn:
             # tuples are made, caught or not; unless something else was run by it since.
             exec("")
             sys.stdout.flush()
+            # Nor is anything looked for in what the end of the process frees.
+            gc.freeze()
     except KeyboardInterrupt:
         sys.exit(130)
     except SystemExit as end:
