@@ -9,6 +9,7 @@ from calib.effects.base import State
 from calib.errors import NoCommonMotionError
 from calib.gravity import STANDARD_GRAVITY
 from calib.mismatch.noise.hush import count_of, least_noise
+from calib.mismatch.reference.band import smoothed
 from calib.recording import CHANNELS, Recording
 from calib.types import FloatArray
 
@@ -33,6 +34,9 @@ ones leave a hundredth, or a tenth where a soft mount gives way."""
 AMISS = 0.1
 """m/s² that an accelerometer feels beyond what turns about a fixed point make it feel, from which
 positions can be told from none."""
+
+SLOWER = (4.0, 2.0, 1.0)
+"""Hz up to which a hand moves: the slower, the less of the noise of positions is left."""
 
 LOOKED = 200
 """Samples in motion that tell whether two recordings are one."""
@@ -133,18 +137,26 @@ def _spread(values: FloatArray) -> float:
     return float(np.linalg.norm(values - np.median(values, axis=0)))
 
 
-def misleads(state: State, measured: FloatArray) -> bool:
+def misleads(time: FloatArray, state: State, measured: FloatArray) -> bool:
     """Whether the positions of a truth explain little of what a fixed point does not explain.
 
     Either has an arm, a bias and any matrix that fits (n, 3) `measured` best. What moves about a
     fixed point is explained by both. Positions in other axes, or at other moments, add a motion
-    that is not there.
+    that is not there; such as are right but noisy explain what is slow, as their noise grows with
+    the square of the frequency.
     """
     some = np.linspace(0, len(measured) - 1, min(len(measured), COMPARED)).astype(np.int64)
-    placed, seen = state.force[some], measured[some]
-    fixed = state.gravity * state.gravity_direction[some]
-    left = [_left_beside(force, state.gradient[some], seen) for force in (placed, fixed)]
-    return left[0] > LITTLE * left[1] > LITTLE * AMISS**2
+    fixed = state.gravity * state.gravity_direction
+    gradient = state.gradient.reshape(-1, 9)
+    signals = np.hstack((state.force, fixed, gradient, measured))
+    for cutoff in (np.inf, *SLOWER):
+        passed = smoothed(time, signals, cutoff) if np.isfinite(cutoff) else signals
+        placed, fixed, gradient, seen = np.split(passed[some], (3, 6, 15), axis=1)
+        arm = gradient.reshape(-1, 3, 3)
+        left = [_left_beside(force, arm, seen) for force in (placed, fixed)]
+        if left[0] <= LITTLE * left[1] or (np.isinf(cutoff) and left[1] <= AMISS**2):
+            return False
+    return True
 
 
 def _left_beside(force: FloatArray, gradient: FloatArray, measured: FloatArray) -> float:

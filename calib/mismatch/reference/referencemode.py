@@ -315,7 +315,7 @@ def diagnose_reference(
     if (
         isinstance(reference, ReferenceMotion)
         and reference.position is not None
-        and misleads(problem.state(), problem.measured[:, :3])
+        and misleads(problem.time, problem.state(), problem.measured[:, :3])
     ):
         reference, missing = replace(reference, position=None), (MISPLACED,)
         problem, skip = compare_reference(real, reference, seen, gravity=gravity, model=model)

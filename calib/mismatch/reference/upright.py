@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from calib.gravity import STANDARD_GRAVITY
 from calib.rotation import nearest_rotation, quat_from_rotvec
 from calib.types import FloatArray
 
@@ -15,8 +16,8 @@ TIPPED = float(np.radians(20.0))
 """Angle from z beyond which up is another direction; less is a floor that leans, which is found."""
 
 STEADY = 0.9
-"""Share of what a sensor feels that must have one direction in the world: it accelerates as well,
-and is mounted to within some degrees."""
+"""Share of gravity, or of what a sensor feels if that is less, that must have one direction in the
+world: it is mounted to within some degrees, and what it accelerates comes back."""
 
 PLAIN = 0.01
 """Power of the turns about a second axis, relative to the first: of one axis alone nobody knows how
@@ -46,7 +47,7 @@ def vertical(
         return None
     felt = np.einsum("nij,nj->ni", mat_nb, accel @ nearest_rotation(product)).mean(axis=0)
     size = float(np.linalg.norm(felt))
-    if size < STEADY * float(np.linalg.norm(accel, axis=1).mean()):
+    if size < STEADY * min(float(np.linalg.norm(accel, axis=1).mean()), STANDARD_GRAVITY):
         return None
     c = int(np.argmax(np.abs(felt)))
     if abs(felt[c]) > np.cos(TIPPED) * size:

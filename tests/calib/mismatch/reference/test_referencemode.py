@@ -415,6 +415,19 @@ def test_positions_in_other_axes_are_left_out_and_it_is_said():
     )
 
 
+def test_positions_that_are_noisy_are_those_of_the_sensor():
+    """They explain what is slow: their noise grows with the square of the frequency."""
+    reference = captured(start=0.0)
+    assert reference.position is not None
+    noise = np.random.default_rng(6).normal(0, 1.5e-3, reference.position.shape)
+    reference = replace(reference, position=reference.position + noise)
+    found = diagnose_reference(recorded(Term("accel_lever_arm", ARM)), reference, gravity=GRAVITY)
+    assert not [m for m in found.missing if "positions" in m]
+    arm = named(found)["accel_lever_arm"]
+    for name, value in ARM.items():
+        assert arm[name].value == pytest.approx(value, abs=5 * arm[name].sigma)
+
+
 def test_a_reference_of_another_time_says_that_nothing_is_common():
     real = recorded(seed=2)
     late = captured(start=0.0)
