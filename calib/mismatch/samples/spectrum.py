@@ -12,6 +12,7 @@ from scipy.special import chdtrc, chdtri, fdtrc, stdtr
 from calib.faults import noise_in_counts, resolution, values_of
 from calib.mismatch.findings.diagnosis import Unexplained
 from calib.mismatch.hypotheses.places import SEEN, joined
+from calib.mismatch.hypotheses.windows import windows
 from calib.mismatch.rows.underway import GAP
 from calib.mismatch.samples.knocks import knocked
 from calib.poses import Poses
@@ -60,8 +61,11 @@ SHARE = 0.25
 power: sensors and benches have many small ones, which matter to nobody."""
 
 FAINTEST = 0.03
-"""The same of a line in all rests: an amplitude of a quarter of a sample's noise."""
+"""The same of a line in all rests, or in those of its window: an amplitude of a quarter of a
+sample's noise."""
 
+FEWEST = 3
+"""Rests in a row that a line in a window has, at least: one shows it only with a `SHARE`."""
 
 HAND = (0.5, 14.0)
 """Hz that a hand sways and trembles at (physiological tremor: 4 to 12 Hz), and what a window
@@ -120,6 +124,8 @@ def look_at_spectrum(recording: Recording, poses: Poses) -> tuple[Unexplained, .
         noisy = own.all(axis=0)
         own, rest = own[:, noisy], pose[noisy]
         line, spread = _lines(recording, poses, own, rest, channel, held)
+        if not line:
+            line, spread = _passing(recording, poses, power[:, noisy], rest, c, held)
         narrow = not line and not held.any()
         bursts = _bursts(poses, np.delete(own, spread, axis=0), rest, channel, narrow=narrow)
         if not 0 < len(bursts) <= 2:
@@ -288,9 +294,81 @@ def _lines(
     if 0 < len(here) < 0.8 * len(found):
         where = (float(poses.interval[here[0], 0]), float(poses.interval[here[-1], 1]))
     line = Unexplained((channel,), (where,), f"{LINE}{frequency:.3g} Hz", float(p[k]))
-    # What it spreads over by itself, and by whatever its pace is unsteady.
-    spread = k + np.arange(-SPREAD, SPREAD + 1)
-    return [line], spread[(spread >= 0) & (spread < bins)]
+    return [line], _spread(k, bins)
+
+
+def _spread(k: int, bins: int) -> IntArray:
+    """Return what a line spreads over by itself, and by whatever its pace is unsteady."""
+    return np.arange(max(k - SPREAD, 0), min(k + SPREAD + 1, bins))
+
+
+def _passing(
+    recording: Recording,
+    poses: Poses,
+    power: FloatArray,
+    pose: IntArray,
+    c: int,
+    held: BoolArray,
+) -> tuple[list[Unexplained], IntArray]:
+    """A line of channel `c` that is there in a window only, as `_lines` returns one of all rests.
+
+    The mean over all rests holds little of it. In those of its window it stands above its
+    neighbours in frequency, and above what all rests usually have there, also without the one that
+    has the most: that may have been knocked at. ``power`` is that of all channels (bins, n, 6).
+    """
+    own, bins = power[:, :, c], len(power)
+    found, of, count = np.unique(pose, return_inverse=True, return_counts=True)
+    some = [w for w in windows(len(found)) if w[1] - w[0] >= FEWEST]
+    if not some:
+        return [], np.zeros(0, np.int64)
+    mean = np.stack([own[:, of == i].mean(axis=1) for i in range(len(found))], axis=1)
+    usual, _ = _peaks(mean, count)
+    parts = np.stack((np.tile(count, (bins, 1)), count * mean, count * usual))
+    total = np.concatenate((np.zeros((3, bins, 1)), np.cumsum(parts, axis=2)), axis=2)
+    first, last = np.array(some).T
+    number, has, expected = total[:, :, last] - total[:, :, first]
+    # The best window of each frequency, and what stands out most first.
+    gain = _likelier(number, has / expected)
+    best = np.arange(bins), gain.argmax(axis=1)
+    looks = len(some) * bins * len(CHANNELS)
+    n = 2.0 * number[best]
+    chance = chdtrc(n, n * has[best] / expected[best]) * looks
+    seen = np.flatnonzero((chance < CLAIM) & ~_skirted(held, own.mean(axis=1)))
+    for k in seen[np.argsort(-gain[best][seen])].tolist():
+        there = np.arange(first[best[1][k]], last[best[1][k]])
+        there = np.delete(there, int(np.argmax((mean / usual)[k, there])))
+        here = np.isin(of, there)
+        level, floor, p = _above(own[:, here])
+        expect = np.average(usual[:, there], axis=1, weights=count[there])
+        freedom = 2.0 * count[there].sum()
+        by_chance = float(chdtrc(freedom, freedom * level[k] / expect[k])) * looks
+        p_value = max(float(p[k]) * len(some), by_chance)
+        excess = np.maximum(level - np.maximum(floor, expect), 0.0)
+        near = slice(max(k - 1, 0), k + 2)
+        if p_value >= CLAIM or excess[near].sum() < FAINTEST * floor.sum():
+            continue
+        gravity = float(np.linalg.norm(poses.accel, axis=1).mean())
+        if _skirted(_trembling(power[:, here], recording.interval, gravity), level)[k]:
+            continue
+        frequency = (_peak(excess, k) + 2) / (LENGTH * recording.interval)
+        a, b = _loudest(mean[k] / usual[k], count, float(level[k] / expect[k]))
+        where = (float(poses.interval[found[a], 0]), float(poses.interval[found[b - 1], 1]))
+        line = Unexplained((CHANNELS[c],), (where,), f"{LINE}{frequency:.3g} Hz", p_value)
+        return [line], _spread(k, bins)
+    return [], np.zeros(0, np.int64)
+
+
+def _likelier(number: FloatArray, ratio: FloatArray) -> FloatArray:
+    """Return by how much means of so many exponentials are likelier if they are louder, in logs."""
+    more = np.maximum(ratio, 1.0)
+    return number * (more - 1.0 - np.log(more))
+
+
+def _loudest(ratio: FloatArray, count: IntArray, louder: float) -> tuple[int, int]:
+    """Return the rests ``[a, b)`` that are so much louder, most likely, the others being usual."""
+    gain = np.append(0.0, np.cumsum(count * (ratio * (1.0 - 1.0 / louder) - np.log(louder))))
+    b = int(np.argmax(gain - np.minimum.accumulate(gain)))
+    return int(np.argmin(gain[: b + 1])), b
 
 
 def lines_of(item: Unexplained) -> dict[str, float]:

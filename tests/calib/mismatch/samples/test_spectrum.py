@@ -303,3 +303,77 @@ def test_what_rings_after_a_turn_is_no_power_at_one_frequency(fades: bool) -> No
         gyro[a:b, 1] += sigma * size * np.sin(2 * np.pi * 6.25 * since)
     found = look_at_spectrum(replace(real, gyro=gyro), poses)
     assert [u.channels for u in found] == ([] if fades else [("gyro.y",)])
+
+
+def many_rests(seed: int, *, count: float = 0.0, flicker: float = 0.0) -> tuple[Recording, Poses]:
+    """Return rests of a few periodograms each, at any rate; `count` and `flicker` in noises."""
+    rng = np.random.default_rng(seed)
+    rate, number = float(rng.choice([50.0, 80.0, 125.0, 200.0, 400.0])), int(rng.integers(30, 45))
+    length = np.round(rng.uniform(4.0, 7.0, number) * max(rate, 100.0)).astype(np.int64)
+    stop = np.cumsum(length + 100) - 100
+    start, n = stop - length, int(stop[-1])
+    f = np.maximum(np.fft.rfftfreq(n), 1.0 / n)[:, None]
+    wander = np.fft.irfft(np.fft.rfft(rng.normal(size=(n, 6)), axis=0) / np.sqrt(f), n, axis=0)
+    up = rng.normal(size=(number, 3))
+    up *= 9.8 / np.linalg.norm(up, axis=1, keepdims=True)
+    scale = np.repeat([0.015, 1e-3], 3)
+    values = scale * (rng.normal(size=(n, 6)) + flicker * wander)
+    for k, (a, b) in enumerate(zip(start, stop, strict=True)):
+        values[a:b, :3] += up[k]
+    if count:
+        values = count * scale * np.round(values / (count * scale))
+    time = np.arange(n) / rate
+    recording = Recording(time, values[:, :3], values[:, 3:], "device")
+    interval = np.stack((time[start], time[stop - 1]), axis=1)
+    mean = np.stack([values[a:b].mean(axis=0) for a, b in zip(start, stop, strict=True)])
+    chance = np.tile(1e-6 * np.eye(3), (number, 1, 1))
+    return recording, Poses(start, stop, interval, mean[:, :3], mean[:, 3:], chance, chance)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_line_in_a_window_is_judged_by_the_noise_of_that(seed: int) -> None:
+    """Of all rests' noise it has less than a line that is said."""
+    recording, poses = many_rests(seed)
+    rng = np.random.default_rng(seed + 100)
+    frequency = rng.uniform(0.18, 0.45) / recording.interval
+    start, stop = poses.interval[4, 0], poses.interval[7, 1]
+    inside = (recording.time >= start) & (recording.time <= stop)
+    accel = np.array(recording.accel)
+    accel[:, 1] += 0.015 * 0.6 * inside * np.sin(2 * np.pi * frequency * recording.time)
+    (line,) = look_at_spectrum(replace(recording, accel=accel), poses)
+    assert line.channels == ("accel.y",)
+    assert line.follows.startswith("a line at ")
+    apart = 1.0 / (LENGTH * recording.interval)
+    assert float(line.follows.split()[3]) == pytest.approx(frequency, abs=apart)
+    (a, b), *_ = line.intervals
+    rest = float(np.ptp(poses.interval, axis=1).max()) + 100 * recording.interval
+    assert abs(a - start) < 1.5 * rest
+    assert abs(b - stop) < 1.5 * rest
+
+
+def test_a_line_that_one_rest_of_a_window_has_is_none_in_a_window() -> None:
+    recording, poses = many_rests(0)
+    accel = np.array(recording.accel)
+    here = slice(poses.start[8], poses.stop[8])
+    tone = np.sin(2 * np.pi * 0.3 * np.arange(poses.stop[8] - poses.start[8]))
+    accel[here, 1] += 0.015 * 0.6 * tone
+    assert look_at_spectrum(replace(recording, accel=accel), poses) == ()
+
+
+def test_a_line_that_hands_have_in_a_window_is_motion() -> None:
+    recording, poses = many_rests(6)
+    start, stop = poses.interval[4, 0], poses.interval[7, 1]
+    inside = (recording.time >= start) & (recording.time <= stop)
+    wave = inside * np.sin(2 * np.pi * 9.0 * recording.time)
+    accel, gyro = np.array(recording.accel), np.array(recording.gyro)
+    gyro[:, 0] += 5e-4 * wave
+    shaken = replace(recording, gyro=gyro)
+    assert any("line" in item.follows for item in look_at_spectrum(shaken, poses))
+    accel[:, 1] += 0.0075 * wave
+    assert look_at_spectrum(replace(shaken, accel=accel), poses) == ()
+
+
+@pytest.mark.parametrize(("count", "flicker"), [(0.0, 0.0), (1.0, 0.0), (0.0, 0.1), (0.5, 0.1)])
+def test_noise_has_no_line_in_any_window(count: float, flicker: float) -> None:
+    for seed in range(20):
+        assert look_at_spectrum(*many_rests(seed, count=count, flicker=flicker)) == ()
