@@ -82,27 +82,9 @@ show for both to be one motion: about the vertical it makes none. A hand also mo
 
 def look_at_spectrum(recording: Recording, poses: Poses) -> tuple[Unexplained, ...]:
     """Return lines and bursts of the six channels at rest."""
-    settled = round(SETTLED / recording.interval) if recording.interval > 0 else 0
-    starts = [
-        _starts(a, b, settled)
-        for a, b in zip(poses.start.tolist(), poses.stop.tolist(), strict=True)
-    ]
-    pose = np.repeat(np.arange(len(poses)), [len(s) for s in starts])
-    if len(pose) < 8:
+    start, pose, number = _places(recording, poses)
+    if number < 8:
         return ()
-    start = np.concatenate(starts)
-    count = np.append(0, np.cumsum(knocked(recording, poses)))
-    still = count[start + LENGTH] == count[start]
-    if recording.interval > 0 and recording.clock != "invalid":
-        torn = np.append(0, np.cumsum(np.diff(recording.time) > GAP * recording.interval))
-        still &= torn[start + LENGTH - 1] == torn[start]
-    start, pose = start[still], pose[still]
-    if len(pose) < 8:
-        return ()
-    # Enough for any line; a day at rest is not read whole.
-    if len(start) > 2000:
-        keep = np.linspace(0, len(start) - 1, 2000).astype(np.int64)
-        start, pose = start[keep], pose[keep]
     out: list[Unexplained] = []
     window = np.hanning(LENGTH)[:, None, None]
     index = start + np.arange(LENGTH)[:, None]
@@ -113,19 +95,20 @@ def look_at_spectrum(recording: Recording, poses: Poses) -> tuple[Unexplained, .
     values -= at[:, None, None] * slope
     power = np.square(np.abs(np.fft.rfft(window * values, axis=0)))[2:-1]
     power += _between_counts(recording, poses) * float(np.square(window).sum())
-    held = _trembling(power, recording.interval, float(np.linalg.norm(poses.accel, axis=1).mean()))
+    gravity = float(np.linalg.norm(poses.accel, axis=1).mean())
+    held = _trembling(power[:, :number], recording.interval, gravity)
     for c, channel in enumerate(CHANNELS):
-        own = power[:, :, c]
+        own = power[:, :number, c]
         # Along cubics between samples of its own a signal has no floor.
         followed = TRIADS[channel.split(".")[0]] in recording.notes.get(HELD, "")
         if followed or not np.median(own) > 0:
             continue
         # Where rounding leaves a channel constant there is no floor to compare with.
-        noisy = own.all(axis=0)
-        own, rest = own[:, noisy], pose[noisy]
+        noisy = np.asarray(power[:, :, c].all(axis=0))
+        own, rest = own[:, noisy[:number]], pose[:number][noisy[:number]]
         line, spread = _lines(recording, poses, own, rest, channel, held)
         if not line:
-            line, spread = _passing(recording, poses, power[:, noisy], rest, c, held)
+            line, spread = _passing(recording, poses, power[:, noisy], pose[noisy], c, held)
         narrow = not line and not held.any()
         bursts = _bursts(poses, np.delete(own, spread, axis=0), rest, channel, narrow=narrow)
         if not 0 < len(bursts) <= 2:
@@ -133,6 +116,47 @@ def look_at_spectrum(recording: Recording, poses: Poses) -> tuple[Unexplained, .
             bursts = _changes(recording, poses, own, rest, channel) or bursts
         out += line + bursts
     return tuple(_merged(out))
+
+
+def _places(recording: Recording, poses: Poses) -> tuple[IntArray, IntArray, int]:
+    """Return where periodograms begin, and in which rests, and how many of them are side by side.
+
+    After these come such as are halfway between two. Those overlap with both, but with a Hann
+    window they hardly correlate [1]_: brief rests tell twice as much of a line by them.
+
+    References
+    ----------
+    .. [1] Welch, "The use of fast Fourier transform for the estimation of power spectra", IEEE
+       Trans. Audio Electroacoust. 15, 1967, p. 71.
+    """
+    settled = round(SETTLED / recording.interval) if recording.interval > 0 else 0
+    starts = [
+        _starts(a, b, settled)
+        for a, b in zip(poses.start.tolist(), poses.stop.tolist(), strict=True)
+    ]
+    pose = np.repeat(np.arange(len(poses)), [len(s) for s in starts])
+    if not len(pose):
+        return pose, pose, 0
+    start = np.concatenate(starts)
+    count = np.append(0, np.cumsum(knocked(recording, poses)))
+    torn = np.zeros(len(recording), np.int64)
+    if recording.interval > 0 and recording.clock != "invalid":
+        torn[1:] = np.cumsum(np.diff(recording.time) > GAP * recording.interval)
+
+    def still(at: IntArray) -> BoolArray:
+        own = (count[at + LENGTH] == count[at]) & (torn[at + LENGTH - 1] == torn[at])
+        return np.asarray(own)
+
+    whole = still(start)
+    start, pose = start[whole], pose[whole]
+    # Enough for any line; a day at rest is not read whole.
+    if len(start) > 2000:
+        keep = np.linspace(0, len(start) - 1, 2000).astype(np.int64)
+        start, pose = start[keep], pose[keep]
+    among = np.flatnonzero(start - LENGTH // 2 >= poses.start[pose] + settled)
+    among = among[still(start[among] - LENGTH // 2)]
+    between = start[among] - LENGTH // 2
+    return np.append(start, between), np.append(pose, pose[among]), len(start)
 
 
 def _starts(start: int, stop: int, settled: int) -> IntArray:
@@ -314,7 +338,8 @@ def _passing(
 
     The mean over all rests holds little of it. In those of its window it stands above its
     neighbours in frequency, and above what all rests usually have there, also without the one that
-    has the most: that may have been knocked at. ``power`` is that of all channels (bins, n, 6).
+    has the most: that may have been knocked at. ``power`` is that of all channels (bins, n, 6), of
+    all `_places`.
     """
     own, bins = power[:, :, c], len(power)
     found, of, count = np.unique(pose, return_inverse=True, return_counts=True)
