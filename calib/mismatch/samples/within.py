@@ -26,7 +26,7 @@ from calib.mismatch.findings.diagnosis import Interval, Unexplained
 from calib.mismatch.hypotheses.ends import expected_overlap
 from calib.mismatch.hypotheses.windows import windows
 from calib.mismatch.samples.found import RESTLESS
-from calib.mismatch.samples.spectrum import CLAIM, SETTLED, SHARE
+from calib.mismatch.samples.spectrum import CLAIM, HIDDEN, SETTLED, SHARE
 from calib.mismatch.samples.tails import beyond, tails, usual_of
 from calib.poses import Poses
 from calib.recording import CHANNELS, Recording
@@ -116,7 +116,7 @@ def look_within(recording: Recording, poses: Poses) -> tuple[Unexplained, ...]:
     step = resolution(raw)
     # The mean, as a median of few counts is off by up to half of one.
     noise = np.sqrt(np.pi) / 2.0 * np.abs(change).mean(axis=0)
-    step[noise <= step] = np.inf
+    step[noise <= HIDDEN * step] = np.inf
     margin = round(MARGIN / max(recording.interval, 1e-9))
     pieces = np.stack((poses.start + margin, poses.stop - margin), axis=1)
     longest = float(np.median(poses.stop - poses.start)) / 8

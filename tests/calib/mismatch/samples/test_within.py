@@ -16,6 +16,7 @@ from calib.faults import values_of
 from calib.mismatch import diagnose_recording
 from calib.mismatch.findings.diagnosis import Unexplained
 from calib.mismatch.hypotheses.places import joined
+from calib.mismatch.samples.found import RESTLESS
 from calib.mismatch.samples.within import (
     OFF_COURSE,
     PULSES,
@@ -187,12 +188,22 @@ def test_noise_that_drifts_and_settles_is_no_disturbance(rate: float) -> None:
 def test_coarse_counts_are_no_disturbance() -> None:
     for seed in range(3):
         real = simulated(seed=65 + seed)
-        for lsb in (0.3, 1.0, 1.7, 3.0):
+        for lsb in (0.3, 1.0, 1.3, 1.7, 1.9, 3.0):
             both = np.hstack((real.accel, real.gyro))
             step = lsb * np.repeat(SIGMA, 3)
             both = np.round(both / step) * step
             coarse = replace(real, accel=both[:, :3], gyro=both[:, 3:])
             assert not look_within(coarse, find_poses(coarse))
+
+
+@pytest.mark.parametrize("lsb", [0.5, 1.5])
+def test_noise_of_more_than_half_a_count_is_louder_where_it_is(lsb: float) -> None:
+    recording, where = disturbed(simulated(seed=68, poses=24), [4], louder, 68)
+    step = lsb * SIGMA[1]
+    coarse = replace(recording, gyro=np.round(recording.gyro / step) * step)
+    (item,) = look_within(coarse, find_poses(coarse))
+    assert (item.follows, item.channels) == (RESTLESS, ("gyro.y",))
+    assert overlap(item.intervals[0], where) > 0.5
 
 
 @pytest.mark.parametrize(
