@@ -46,7 +46,7 @@ LEAST_ANGLE = 1e-5
 """rad that no capture is better than."""
 
 LEFT = 0.189
-"""Integral of x² times the fourth power of the response of `band.smoothed`, x the frequency
+"""Integral of x² times the fourth power of the response of `filters.smoothed`, x the frequency
 relative to its cut-off."""
 
 

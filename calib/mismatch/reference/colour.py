@@ -16,7 +16,7 @@ from scipy import sparse
 from calib.types import BoolArray, FloatArray, IntArray
 
 PASSED = 0.898
-"""Noise bandwidth of `calib.mismatch.reference.band.smoothed`, relative to its cut-off."""
+"""Noise bandwidth of `calib.mismatch.reference.filters.smoothed`, relative to its cut-off."""
 
 PART = 1.5
 """s of the parts that spectra are taken of: short, so that most of them hold no turn."""
@@ -172,7 +172,7 @@ def find_colour(
     *,
     steepest: float = np.inf,
 ) -> Colour:
-    """Return the colour of (n, k) differences that passed `band.smoothed`.
+    """Return the colour of (n, k) differences that passed `filters.smoothed`.
 
     The median over parts counts little of what a few turns have of their own. ``steepest`` bounds
     the rise with the square of the frequency, 1/Hz².

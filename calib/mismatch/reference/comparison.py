@@ -22,7 +22,7 @@ from calib.faults import noise_at_rest, resolution, values_of
 from calib.mismatch.findings.diagnosis import Unexplained
 from calib.mismatch.reference.alignment import LEAST_OVERLAP, Alignment
 from calib.mismatch.reference.alike import check_motion, check_units
-from calib.mismatch.reference.band import BEYOND, FELT
+from calib.mismatch.reference.band import BEYOND
 from calib.mismatch.reference.captured import Known, known_noise
 from calib.mismatch.reference.carried import (
     NAMES,
@@ -43,6 +43,7 @@ from calib.mismatch.reference.colour import (
     steepest_beside,
     whitening,
 )
+from calib.mismatch.reference.filters import FELT
 from calib.mismatch.reference.floor import with_rounding
 from calib.mismatch.reference.given import Further, further_columns, further_of, moved_terms
 from calib.mismatch.reference.lateness import LATE, delaying, liveliest, rough_delay

@@ -23,11 +23,12 @@ from calib.mismatch.reference.against import OWN_AXES, at_rest, undetermined, un
 from calib.mismatch.reference.alignment import Alignment, align
 from calib.mismatch.reference.alike import check_apart, misleads
 from calib.mismatch.reference.axes import has_the_others
-from calib.mismatch.reference.band import BEYOND, Matched, limited, low_passed, matched, smoothed
+from calib.mismatch.reference.band import BEYOND, Matched, limited, matched
 from calib.mismatch.reference.carried import known_errors, settled
 from calib.mismatch.reference.comparison import ComparisonProblem
 from calib.mismatch.reference.conclusion import conclude
 from calib.mismatch.reference.corners import FEWEST
+from calib.mismatch.reference.filters import low_passed, smoothed
 from calib.mismatch.reference.misread import MisreadError, misread
 from calib.mismatch.reference.mounted import UNLIKE, mounting
 from calib.mismatch.reference.oriented import oriented_at_rests

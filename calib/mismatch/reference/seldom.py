@@ -11,16 +11,10 @@ from __future__ import annotations
 import numpy as np
 
 from calib.errors import NoCommonMotionError
-from calib.mismatch.reference.band import (
-    NARROWEST,
-    RESOLVED,
-    Matched,
-    beyond,
-    low_passed,
-    noise_of,
-)
+from calib.mismatch.reference.band import RESOLVED, Matched, beyond, noise_of
 from calib.mismatch.reference.carried import LIMITS
 from calib.mismatch.reference.corners import MOVES
+from calib.mismatch.reference.filters import NARROWEST, low_passed
 from calib.mismatch.reference.truths import RecordingTruth
 from calib.recording import Recording
 

@@ -38,7 +38,7 @@ def struck(recording: Recording, time: FloatArray, band: float) -> FloatArray:
     time : (n,) array, s
         Where it is asked for, on the recording's clock.
     band : float, Hz
-        Cut-off of the low-pass, `calib.mismatch.reference.band.smoothed`.
+        Cut-off of the low-pass, `calib.mismatch.reference.filters.smoothed`.
     """
     power = np.stack([fast_power(x, ORDER) for x in (recording.accel, recording.gyro)], axis=1)
     power[power < STANDS_OUT * np.median(power, axis=0)] = 0.0

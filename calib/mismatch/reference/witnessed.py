@@ -21,8 +21,9 @@ import numpy as np
 
 from calib.effects.base import State
 from calib.mismatch.noise.hush import least_noise
-from calib.mismatch.reference.band import denoised, echoed, filtered, noise_of
+from calib.mismatch.reference.band import noise_of
 from calib.mismatch.reference.captured import Known, sensor_densities
+from calib.mismatch.reference.filters import denoised, echoed, filtered
 from calib.mismatch.reference.stilled import find_rests
 from calib.recording import Recording
 from calib.rotation import mat_from_quat, quat_from_rotvec, skew

@@ -9,16 +9,14 @@ from calib.effects.base import Term
 from calib.mismatch import diagnose_against
 from calib.mismatch.reference.alignment import Alignment
 from calib.mismatch.reference.band import (
-    NARROWEST,
     _low_passed,
     common_band,
-    denoised,
     fastest_noise,
-    low_passed,
     matched,
     noise_beside_exact,
     thinned,
 )
+from calib.mismatch.reference.filters import NARROWEST, denoised, low_passed
 from calib.mismatch.reference.truths import RecordingTruth
 from calib.model import SensorModel
 from calib.recording import Recording

@@ -8,7 +8,6 @@ from scipy import sparse
 from scipy.spatial.transform import Rotation
 
 from calib.effects.base import State
-from calib.mismatch.reference.band import smoothed
 from calib.mismatch.reference.captured import (
     Felt,
     Known,
@@ -18,6 +17,7 @@ from calib.mismatch.reference.captured import (
     sensor_densities,
     wobble,
 )
+from calib.mismatch.reference.filters import smoothed
 from calib.mismatch.reference.steadied import steadied
 from calib.model import SensorModel
 from calib.rotation import mat_from_rotvec

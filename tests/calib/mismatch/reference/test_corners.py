@@ -6,8 +6,8 @@ from scipy.interpolate import make_interp_spline
 from scipy.spatial.transform import Rotation
 
 from calib.mismatch import diagnose_against
-from calib.mismatch.reference.band import smoothed
 from calib.mismatch.reference.corners import SELDOM, is_common, shared_jumps, unfollowed
+from calib.mismatch.reference.filters import smoothed
 from calib.mismatch.reference.truths import DEGREE
 from calib.recording import Recording
 

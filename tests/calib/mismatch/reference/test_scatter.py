@@ -9,8 +9,9 @@ from scipy.signal import butter, sosfilt
 from calib.effects.base import State
 from calib.effects.vibration import vibration_variance
 from calib.mismatch import diagnose_reference
-from calib.mismatch.reference.band import beyond, low_passed, smoothed
+from calib.mismatch.reference.band import beyond
 from calib.mismatch.reference.colour import WHITE, Blur, Colour, gaussian, whitening
+from calib.mismatch.reference.filters import low_passed, smoothed
 from calib.mismatch.reference.scatter import Scatter, _of_parts, scatter
 from calib.mismatch.reference.shapes import find_shapes
 from calib.mismatch.reference.windowed import make_rows

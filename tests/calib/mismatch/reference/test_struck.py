@@ -7,7 +7,7 @@ import pytest
 
 from calib.effects.base import Term
 from calib.mismatch import ReferenceMotion, diagnose_reference
-from calib.mismatch.reference.band import low_passed
+from calib.mismatch.reference.filters import low_passed
 from calib.mismatch.reference.struck import struck
 from calib.model import SensorModel
 from calib.recording import Recording

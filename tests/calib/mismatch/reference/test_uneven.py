@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from calib.mismatch import ReferenceMotion, diagnose_reference
-from calib.mismatch.reference.band import smoothed, widened
+from calib.mismatch.reference.band import widened
+from calib.mismatch.reference.filters import smoothed
 from calib.model import SensorModel
 from calib.recording import Recording
 from calib.rotation import quat_from_rotvec, quat_multiply

@@ -8,8 +8,9 @@ from calib.errors import NoCommonMotionError
 from calib.mismatch.hypotheses.candidates import Candidate
 from calib.mismatch.noise.contrast import contrast_variance
 from calib.mismatch.reference import shapes
-from calib.mismatch.reference.band import limited, low_passed, smoothed, widened
+from calib.mismatch.reference.band import limited, widened
 from calib.mismatch.reference.colour import Blur, find_colour, gaussian, whitening
+from calib.mismatch.reference.filters import low_passed, smoothed
 from calib.mismatch.reference.scatter import NOTHING_SAID, silenced
 from calib.mismatch.reference.shapes import find_shapes
 from calib.mismatch.reference.truths import ENDS, RecordingTruth

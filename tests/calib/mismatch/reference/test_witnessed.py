@@ -8,8 +8,8 @@ from calib.effects.base import State
 from calib.mismatch import ReferenceMotion, diagnose_reference
 from calib.mismatch.noise.contrast import contrast_variance
 from calib.mismatch.noise.noise import expected_levels, make_whitener
-from calib.mismatch.reference.band import smoothed
 from calib.mismatch.reference.captured import Known
+from calib.mismatch.reference.filters import smoothed
 from calib.mismatch.reference.referencemode import compare_reference
 from calib.mismatch.reference.witnessed import fast_densities, shared, witnessed
 from calib.mismatch.samples.samples import look_at_samples
