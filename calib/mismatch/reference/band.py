@@ -34,6 +34,7 @@ from calib.mismatch.reference.filters import (
     smoothed,
 )
 from calib.mismatch.reference.floor import audible_beside
+from calib.mismatch.reference.quieted import quieted
 from calib.mismatch.reference.scatter import LOUD, QUIETEST
 from calib.mismatch.reference.spectra import spectra_of
 from calib.mismatch.reference.truths import (
@@ -134,8 +135,9 @@ def matched(
 ) -> Matched:
     """Return a recording and its truth in the band that both share.
 
-    Both come back as they are if the truth has little noise beside the recording, and samples
-    enough for its motion. With ``forces`` the specific forces have a say in the band too.
+    If the truth has little noise beside the recording, and samples enough for its motion, they come
+    back as they are, but for what is nothing but noise in it (`quieted`). With ``forces`` the
+    specific forces have a say in the band too.
     """
     heard = audible_beside(real, truth, alignment, mat, spoilt)
     if heard is not None:
@@ -144,6 +146,10 @@ def matched(
     noise = noise_beside_exact(real, truth, alignment, mat)
     if noise is not None:
         corners = unfollowed(other, noise)
+        if truth.quat is None:
+            white = np.repeat(noise, 3) * np.sqrt(2.0 * real.interval)
+            most = np.repeat(fastest_noise(other), 3)
+            truth = quieted(truth, white, len(real), most=most)
         if not is_common(corners, other.gyro):
             unknown = None
             if corners.any():
