@@ -9,7 +9,7 @@ from calib.effects.base import State
 from calib.errors import NoCommonMotionError
 from calib.gravity import STANDARD_GRAVITY
 from calib.mismatch.noise.hush import count_of, least_noise
-from calib.mismatch.reference.band import smoothed
+from calib.mismatch.reference.filters import smoothed
 from calib.recording import CHANNELS, Recording
 from calib.types import FloatArray
 
