@@ -612,6 +612,19 @@ def level_likelihood(rows: Rows, basis: FloatArray, levels: FloatArray) -> float
     return likelihood - level_penalty(rows, levels)
 
 
+def whole_likelihood(
+    rows: Rows, basis: FloatArray, levels: FloatArray, contrast: FloatArray
+) -> float:
+    """Return what `level_likelihood` does, by all rows: contrasts of some variance as well.
+
+    ``basis`` is the `range_basis` of the mean on all rows.
+    """
+    drift = np.zeros((len(levels), len(contrast)))
+    weighing = Weighing(rows.arrow.factorise(levels), np.sqrt(contrast), drift)
+    both = Felt.of(np.column_stack((basis, rows.residual)), rows.n_dense)
+    return _factored(weighing, both)[0] - level_penalty(rows, levels)
+
+
 def level_penalty(rows: Rows, levels: FloatArray) -> float:
     """Return how far levels are from what is expected of them, in nats of the prior."""
     logs = np.log(levels / expected_levels(rows))

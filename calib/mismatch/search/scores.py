@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -32,6 +33,8 @@ from calib.mismatch.noise.noise import (
     level_basis,
     level_likelihood,
     make_whitener,
+    range_basis,
+    whole_likelihood,
 )
 from calib.mismatch.noise.usual import usual_levels
 from calib.mismatch.rows.rows import Rows
@@ -119,8 +122,23 @@ class Scores:
         return known[key]
 
     def _null(self, levels: FloatArray) -> float:
-        """Return the log-likelihood of some levels."""
-        return level_likelihood(self.rows, self.basis, levels)
+        """Return the log-likelihood of some levels.
+
+        Beside a truth means tell the levels, but what is fitted is told by contrasts as well.
+        Levels as low as means allow that are fitted by themselves may leave either far off, and
+        any effect would gain by that: so they cost what they do by all rows, if that is more.
+        """
+        own = level_likelihood(self.rows, self.basis, levels)
+        if not self.rows.aligned:
+            return own
+        cost = whole_likelihood(self.rows, self._whole[0], levels, self.contrast) - self._whole[1]
+        return min(own, self.base.log_likelihood + cost)
+
+    @cached_property
+    def _whole(self) -> tuple[FloatArray, float]:
+        """The basis of what is fitted on all rows, and their log-likelihood at the first levels."""
+        basis = range_basis(self.mean)
+        return basis, whole_likelihood(self.rows, basis, self.base.values, self.contrast)
 
     def with_drift_of_all(
         self,
