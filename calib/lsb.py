@@ -21,6 +21,9 @@ PERIODS = 48
 """Places that are met, each a period of a bit long: that all have the same half of it by chance is
 rarer than 1e-9, whatever half that is."""
 
+FINE = 10.0
+"""Counts of a quantile from which on it does not matter where in one it is."""
+
 WIDEST = 1 << 20
 """Counts of a range beyond which values are no counts: no converter here has as many."""
 
@@ -36,6 +39,24 @@ def refined(change: FloatArray, lsb: FloatArray) -> FloatArray:
         square = np.square(own).sum(axis=0)
         lsb = np.where(square > 0, (own * change).sum(axis=0) / np.maximum(square, 1.0), lsb)
     return np.asarray(lsb)
+
+
+def between_counts(change: FloatArray, lsb: FloatArray, share: float) -> FloatArray:
+    """Return quantiles (k,) of sizes of changes (n, k), as they would be but for the counts.
+
+    Of whole counts a quantile is one as well, and of coarse ones it is zero. So each count is
+    spread evenly over what rounding makes it of, as a median of grouped values is found: nothing
+    over half of one to either side.
+    """
+    out = np.quantile(change, share, axis=0)
+    for c, size in enumerate(lsb.tolist()):
+        most = float(out[c]) / size + 1.0 if size > 0 else np.inf
+        if most > FINE:
+            continue
+        edges = np.append(0.0, np.arange(0.5, most + 1.0)) * size
+        below = np.searchsorted(np.sort(change[:, c]), edges) / len(change)
+        out[c] = np.interp(share, below, edges)
+    return np.asarray(out)
 
 
 def find_stuck_bits(values: FloatArray, step: FloatArray) -> list[tuple[int, float]]:

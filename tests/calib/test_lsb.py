@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from calib.audit import audit
 from calib.faults import resolution
-from calib.lsb import find_stuck_bits, refined
+from calib.lsb import between_counts, find_stuck_bits, refined
 from calib.model import SensorModel
 from calib.recording import Recording
 from calib.simulate import simulate
@@ -83,3 +83,19 @@ def test_constant_channels_and_values_that_are_no_counts_have_no_bits() -> None:
     rng = np.random.default_rng(5)
     values = np.column_stack((np.zeros(2000), rng.normal(size=2000)))
     assert find_stuck_bits(values, resolution(values)) == []
+
+
+@pytest.mark.parametrize("share", [0.2, 0.5])
+@pytest.mark.parametrize("lsb", [0.0, 0.3, 1.0, 1.5])
+def test_quantiles_between_counts_are_those_of_what_was_rounded(share, lsb):
+    noise = np.random.default_rng(2).normal(0.0, 1.0, (20_000, 1))
+    seen = noise if lsb == 0 else np.rint(noise / lsb + 0.3) * lsb
+    change = np.abs(np.diff(seen, n=2, axis=0))
+    # A count has a twelfth of its square for variance.
+    size = np.sqrt(6.0 * (1.0 + lsb**2 / 12.0)) * {0.2: 0.2533, 0.5: 0.6745}[share]
+    assert between_counts(change, np.array([lsb]), share)[0] == pytest.approx(size, rel=0.06)
+
+
+def test_of_counts_that_never_change_a_quantile_is_within_half_of_one():
+    still = np.zeros((100, 2))
+    assert between_counts(still, np.array([2.0, 0.0]), 0.5) == pytest.approx([0.5, 0.0])

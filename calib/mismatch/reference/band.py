@@ -16,7 +16,8 @@ import numpy as np
 from scipy import sparse
 from scipy.special import binom
 
-from calib.mismatch.noise.hush import least_noise
+from calib.lsb import between_counts
+from calib.mismatch.noise.hush import count_of, least_noise
 from calib.mismatch.reference.alignment import Alignment
 from calib.mismatch.reference.corners import (
     MOVES,
@@ -295,13 +296,15 @@ def noise_of(recording: Recording, *, order: int = 2) -> FloatArray:
     """Return the standard deviation of the white noise of both triads, (2,), from quiet samples.
 
     By their differences of some order, whose variance is ``binom(2 order, order)`` times as large.
+    What rounds to counts rounds as much of what moves, even if all it does at rest is stay.
     """
     out = []
     for values in (recording.accel, recording.gyro):
         change = np.abs(np.diff(values, n=order, axis=0))
+        lsb = count_of(values)
         # A third of the samples, the quietest, are at rest if anything is.
-        low = np.quantile(change, 0.2, axis=0) / 0.2533 / np.sqrt(binom(2 * order, order))
-        out.append(float(low.mean()))
+        low = between_counts(change, lsb, 0.2) / 0.2533 / np.sqrt(binom(2 * order, order))
+        out.append(float(np.maximum(low, lsb / np.sqrt(12.0)).mean()))
     return np.array(out)
 
 
@@ -321,10 +324,12 @@ def follows_noise(real: Recording, truth: RecordingTruth, alignment: Alignment) 
     if min(len(moving), len(still)) < ENOUGH:
         return False
     parts = np.array_split(still, max(1, int(len(still) * real.interval / PART)))
-    quiet = np.quantile([np.median(part, axis=0) for part in parts], 0.25, axis=0)
+    # Beside a simulation that is still it steps in counts there, and where it moves in others.
+    lsb = count_of(real.accel)
+    quiet = np.quantile([between_counts(part, lsb, 0.5) for part in parts], 0.25, axis=0)
     if (quiet < least_noise(real.interval)[:3]).all():
         return False  # there is none to follow
-    ratio = np.median(moving, axis=0) / np.maximum(quiet, 1e-12)
+    ratio = between_counts(moving, lsb, 0.5) / np.maximum(quiet, 1e-12)
     return bool(np.mean(ratio) < LESS)
 
 

@@ -2,8 +2,9 @@
 
 About a corner of a motion (`corners`) a truth is not known sample by sample, and nothing is judged
 there. But from before to after it what both have turned by is the same, to what the sensor's own
-samples miss of the corner: half a step of the rate, over half a sample. A table that slips between
-two samples of its profile, or an index that is read wrongly, makes such a corner and turns nothing.
+samples miss of the corner: half a step of the rate, over half a sample. And of a gyroscope at rest
+rounding may take, or add, half a count all along. A table that slips between two samples of its
+profile, or an index that is read wrongly, makes such a corner and turns nothing.
 """
 
 from __future__ import annotations
@@ -11,7 +12,9 @@ from __future__ import annotations
 import numpy as np
 
 from calib.faults import FALSE_ALARM, ROBUST
+from calib.lsb import between_counts
 from calib.mismatch.findings.diagnosis import Unexplained
+from calib.mismatch.noise.hush import count_of
 from calib.recording import CHANNELS
 from calib.stillness import runs
 from calib.types import BoolArray, FloatArray
@@ -38,12 +41,12 @@ def find_slips(
     """
     if unknown.all():
         return ()
-    known = left[~unknown]
-    noise = ROBUST * np.median(np.abs(known - np.median(known, axis=0)), axis=0)
+    known, lsb = left[~unknown], count_of(rate)
+    noise = ROBUST * between_counts(np.abs(known - np.median(known, axis=0)), lsb, 0.5)
     out = []
     for start, stop in zip(*runs(unknown), strict=True):
         angle = interval * left[start:stop].sum(axis=0)
-        missed = interval * np.ptp(rate[start:stop], axis=0)
+        missed = interval * (np.ptp(rate[start:stop], axis=0) + 0.5 * lsb * (stop - start))
         off = np.abs(angle) - missed - SURE * noise * interval * np.sqrt(stop - start)
         if (off > 0).any():
             axes = tuple(CHANNELS[3 + k] for k in np.flatnonzero(off > 0))

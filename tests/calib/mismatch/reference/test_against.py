@@ -424,6 +424,24 @@ def test_a_twin_of_the_recording_itself_is_no_truth(noise):
             assert not follows_noise(log, RecordingTruth(other, GRAVITY), alignment)
 
 
+@pytest.mark.parametrize("lsb", [0.5, 1.0, 1.02, 1.5, 2.0])
+@pytest.mark.parametrize("rate", [125.0, 400.0])
+def test_what_steps_in_counts_at_rest_alone_has_no_more_noise_there(lsb, rate):
+    """A median of counts is one of them: at rest, beside a simulation that does not move."""
+    rng = np.random.default_rng(9)
+    time = np.arange(0.0, 120.0, 1.0 / rate)
+    turning = np.zeros((len(time), 3))
+    turning[:, 1] = np.where(np.sin(0.5 * time) > 0, 6.0 * np.sin(time), 0.0)
+    angle = np.cumsum(turning[:, 1]) / rate
+    force = GRAVITY * np.stack((np.sin(angle), 0.5 * np.sin(angle), np.cos(angle)), axis=1)
+    truth = Recording(time, force, turning, clock="device")
+    step = lsb * 0.0024
+    accel = np.rint((force + 0.0024 * rng.standard_normal(force.shape)) / step) * step
+    gyro = turning + 1e-3 * rng.standard_normal(force.shape)
+    real = replace(truth, accel=accel, gyro=gyro)
+    assert not follows_noise(real, RecordingTruth(truth, GRAVITY), Alignment(0.0, 0.0, 0.0))
+
+
 def test_a_motion_that_turns_one_way_on_average_is_at_rest_where_it_rests():
     """What is as slow as its median is loud there: a sensor's low-pass, or a tremor, say."""
     rng = np.random.default_rng(8)

@@ -14,7 +14,9 @@ from calib.mismatch.reference.band import (
     fastest_noise,
     matched,
     noise_beside_exact,
+    noise_of,
     thinned,
+    too_few,
 )
 from calib.mismatch.reference.filters import NARROWEST, denoised, low_passed
 from calib.mismatch.reference.truths import RecordingTruth
@@ -114,6 +116,25 @@ def test_noise_of_the_fastest_differences_is_that_of_samples() -> None:
     both = replace(still, gyro=slow + rng.normal(0, 0.002, (4000, 3)))
     assert fastest_noise(both) == pytest.approx([0.01, 0.002], rel=0.05)
     assert fastest_noise(still)[1] < 1e-4
+
+
+@pytest.mark.parametrize("lsb", [0.5, 1.5, 2.0, 3.0, 4.0])
+def test_rounding_to_coarse_counts_is_noise_though_rests_never_change(lsb: float) -> None:
+    """They said that there was none, and so that no simulation had samples enough."""
+    rng = np.random.default_rng(3)
+    motion = make_motion("bench", rng=rng, duration=50.0, gravity=GRAVITY)
+    real = simulate(motion, SensorModel(), CONSUMER, rng=rng, rate=100.0)
+    exact = simulate(motion, SensorModel(), NoiseModel(), rng=rng, rate=100.0)
+    sigma = np.sqrt(50.0) * np.array([CONSUMER.accel_noise_density, CONSUMER.gyro_noise_density])
+    step = lsb * sigma
+    coarse = replace(
+        real,
+        accel=np.rint(real.accel / step[0]) * step[0],
+        gyro=np.rint(real.gyro / step[1]) * step[1],
+    )
+    assert (noise_of(coarse) > 0.99 * step / np.sqrt(12.0)).all()
+    assert (noise_of(coarse) < 1.5 * np.hypot(sigma, step / np.sqrt(12.0))).all()
+    assert not too_few(coarse, RecordingTruth(exact, GRAVITY), SAME, np.eye(3))
 
 
 def test_slow_motion_stays_where_white_noise_is_taken_away() -> None:

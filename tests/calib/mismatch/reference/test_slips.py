@@ -40,3 +40,15 @@ def test_what_samples_miss_of_a_corner_is_no_jump() -> None:
     assert not find_slips(TIME, left, rate, unknown, 1.0 / RATE)
     assert not find_slips(TIME, *compared(0.0), 1.0 / RATE)
     assert not find_slips(TIME, left, rate, np.ones(len(TIME), bool), 1.0 / RATE)
+
+
+def test_what_a_coarse_count_rounds_is_no_jump() -> None:
+    """At rest most samples are equal: their median scatter is none, and rounding does not end."""
+    left, rate, unknown = compared(0.0)
+    lsb = 3e-3
+    lost = np.rint((rate + 0.4 * lsb) / lsb) * lsb - rate
+    assert not find_slips(TIME, left + lost, rate + lost, unknown, 1.0 / RATE)
+    left, rate, unknown = compared(np.radians(-0.5))
+    lost = np.rint((rate + 0.4 * lsb) / lsb) * lsb - rate
+    (found,) = find_slips(TIME, left + lost, rate + lost, unknown, 1.0 / RATE)
+    assert found.channels == ("gyro.z",)
