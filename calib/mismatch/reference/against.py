@@ -25,6 +25,7 @@ from calib.mismatch.reference.carried import simulated_errors
 from calib.mismatch.reference.comparison import ComparisonProblem
 from calib.mismatch.reference.conclusion import conclude
 from calib.mismatch.reference.corners import FEWEST
+from calib.mismatch.reference.counted import rounded_at_rest
 from calib.mismatch.reference.laid import laid
 from calib.mismatch.reference.misread import misread
 from calib.mismatch.reference.mounted import mounted_far
@@ -161,6 +162,8 @@ def compare_simulation(
     mat = np.eye(3) if mat_sr is None else mat_sr
     common = matched(real, truth, alignment, mat, spoilt=seen.spoilt)
     noisy = common.limited and not common.exact
+    at = np.clip(alignment.times(common.real.time), *truth.span)
+    stays = rounded_at_rest(real, common.real.time, truth.state(at).rate @ mat.T, seen.findings)
     compare = partial(
         ComparisonProblem,
         common.real,
@@ -173,7 +176,7 @@ def compare_simulation(
         blur=common.blur,
         band=common.band,
         raw=real if common.limited else None,
-        stuck=common.stuck,
+        stuck=common.stuck or stays,
         folded=common.folded,
         unknown=common.unknown,
         white=white_noise(real, simulated) if noisy else None,
