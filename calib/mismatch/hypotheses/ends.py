@@ -298,11 +298,15 @@ def _wanders(
 
 
 def _may_recur(rows: Rows, candidate: Candidate, longest: int) -> bool:
-    """Whether what was found may be one of many pulses: a bias, with room for more around it."""
+    """Whether what was found may be one of many pulses: a bias, with room for more around it.
+
+    Where there are rests one of them shows it: what is in one turn alone is that turn's.
+    """
     start, stop = candidate.interval or (-np.inf, np.inf)
-    inside = int(((rows.interval[:, 0] < stop) & (rows.interval[:, 1] > start)).sum())
+    inside = (rows.interval[:, 0] < stop) & (rows.interval[:, 1] > start)
     plain = candidate.name == "bias in a window" and not candidate.shape
-    return plain and max(inside, FLUCTUATION) <= longest
+    shown = rows.is_rest[inside].any() or not rows.is_rest.any()
+    return bool(plain and shown and max(inside.sum(), FLUCTUATION) <= longest)
 
 
 def _recurs(
