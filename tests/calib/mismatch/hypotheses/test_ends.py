@@ -207,9 +207,9 @@ def test_the_largest_pulse_of_many_is_placed_with_the_others(pulses):
         placed = place_window(rows, found, Told(pulses.whitener, y))
         assert placed.interval is not None
         overlaps.append(overlap(placed.interval, pulses.window))
-    # Three of 12 would be placed as a bias of one segment otherwise.
-    assert min(overlaps) > 0.3
-    assert np.mean(overlaps) > 0.6
+    # Otherwise 6 of 12 are placed as a bias of their own segment.
+    assert sum(o > 0.3 for o in overlaps) > 9
+    assert np.mean(overlaps) > 0.55
 
 
 def test_pulses_that_two_axes_share_are_one_disturbance(pulses):
