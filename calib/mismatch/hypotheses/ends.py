@@ -300,13 +300,13 @@ def _wanders(
 def _may_recur(rows: Rows, candidate: Candidate, longest: int) -> bool:
     """Whether what was found may be one of many pulses: a bias, with room for more around it.
 
-    Where there are rests one of them shows it: what is in one turn alone is that turn's.
+    Windows of a second, as beside a truth, show pulses one by one. A rest has several, and one that
+    was pushed is a thing of its own.
     """
     start, stop = candidate.interval or (-np.inf, np.inf)
-    inside = (rows.interval[:, 0] < stop) & (rows.interval[:, 1] > start)
+    inside = int(((rows.interval[:, 0] < stop) & (rows.interval[:, 1] > start)).sum())
     plain = candidate.name == "bias in a window" and not candidate.shape
-    shown = rows.is_rest[inside].any() or not rows.is_rest.any()
-    return bool(plain and shown and max(inside.sum(), FLUCTUATION) <= longest)
+    return plain and not rows.is_rest.any() and max(inside, FLUCTUATION) <= longest
 
 
 def _recurs(
@@ -319,8 +319,8 @@ def _recurs(
 ) -> FloatArray:
     """Return log B in each window [a, b) of what was found as the largest of many pulses in it.
 
-    A few of these are as large as all others together, and what is found is one of them. Beside it,
-    as large as it likes, the others are what wanders.
+    A few of these are as large as all others together, and what is found is one of them, anywhere
+    in the window. Beside it, as large as it likes, the others are what wanders.
     """
     assert candidate.interval is not None
     own = whitener.project(window_columns(rows, candidate))
@@ -332,7 +332,9 @@ def _recurs(
     first, last = np.indices(value.shape)
     early = np.append(rows.interval[:, 0], np.inf)[first] <= start
     late = np.append(-np.inf, rows.interval[:, 1])[last] >= stop
-    return np.where(early & late, value, -np.inf)
+    inside = np.count_nonzero((rows.interval[:, 0] < stop) & (rows.interval[:, 1] > start))
+    places = np.log(inside) + np.log(np.maximum(last - first + 1 - inside, 1))
+    return np.where(early & late, value - places, -np.inf)
 
 
 def tune_wave(

@@ -39,8 +39,10 @@ def count_of(values: FloatArray) -> FloatArray:
     """
     if len(values) < 2:
         return np.zeros(values.shape[1])
-    change = np.diff(values, axis=0)
-    step = refined(np.abs(change), faults.resolution(values))
+    change, step = np.diff(values, axis=0), faults.resolution(values)
+    # What rounding of the numbers themselves leaves is no count.
+    counts = step > np.finfo(float).eps * np.abs(values).max(axis=0)
+    step = np.where(counts, refined(np.abs(change), np.where(counts, step, 1.0)), 0.0)
     change /= np.where(step > 0, step, 1.0)
     whole = np.abs(change - np.rint(change)) < WHOLE
     return np.asarray(np.where(whole.mean(axis=0) > 0.99, step, 0.0))

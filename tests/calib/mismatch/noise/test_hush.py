@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from calib.mismatch import diagnose_recording
-from calib.mismatch.noise.hush import HUSHED, audible, least_noise, silent
+from calib.mismatch.noise.hush import HUSHED, audible, count_of, least_noise, silent
 from calib.mismatch.samples.thin import thin
 from calib.recording import Recording
 
@@ -61,3 +61,11 @@ def test_what_samples_show_is_looked_for_before_noise_is_added() -> None:
     clipped = replace(still, gyro=np.clip(still.gyro, -limit, limit))
     seen = thin(lambda: (clipped,)).seen
     assert [f.effect for f in seen.findings] == ["saturation"]
+
+
+def test_what_rounding_of_numbers_leaves_is_no_count() -> None:
+    values = np.stack((1e-310 * np.arange(50.0), np.sin(np.arange(50.0))), axis=1)
+    values[:, 0] += 0.5 * (np.arange(50) > 20)
+    assert not count_of(values).any()
+    counts = 0.01 * np.random.default_rng(1).integers(-3, 4, (500, 1))
+    assert count_of(counts) == pytest.approx([0.01])
