@@ -118,8 +118,8 @@ def place_window(rows: Rows, candidate: Candidate, *told: Told) -> Candidate:
     comes = [_wanders, _recurs] if _may_recur(rows, candidate, longest) else [_wanders]
     under = [
         np.stack(
-            [_sums(rows, c, t.whitener, t.y, longest) - np.log(alike[c.name]) for c in kinds]
-            + [f(rows, candidate, t.whitener, t.y, longest, share) for f in comes]
+            [_sums(rows, c, t, longest) - np.log(alike[c.name]) for c in kinds]
+            + [f(rows, candidate, t, longest, share) for f in comes]
         )
         + t.likelihood
         for t in told
@@ -152,9 +152,7 @@ def _retuned(candidate: Candidate) -> list[Candidate]:
 _SUMS = ("bias in a window", GAIN)
 
 
-def _sums(
-    rows: Rows, candidate: Candidate, whitener: Whitener, y: FloatArray, longest: int
-) -> FloatArray:
+def _sums(rows: Rows, candidate: Candidate, told: Told, longest: int) -> FloatArray:
     """Return log B in each window [a, b) of what is a sum over the segments in it."""
     parts = segment_columns(rows, candidate)
     number = parts.shape[1]
@@ -165,8 +163,8 @@ def _sums(
         some &= (first > 0) & (last < number)
     first, last = first[some], last[some]
     out = np.full((number + 1, number + 1), -np.inf)
-    white = whitener.project(parts.reshape(len(y), -1)).reshape(parts.shape)
-    out[first, last] = of_windows(white, y, first, last)
+    white = told.whitener.project(parts.reshape(len(parts), -1)).reshape(parts.shape)
+    out[first, last] = of_windows(white, told.y, first, last)
     return out
 
 
@@ -257,18 +255,12 @@ def _share(
     if len(candidate.channels) == 1:
         return None
     start, stop = candidate.interval
-    inside = int(((rows.interval[:, 0] < stop) & (rows.interval[:, 1] > start)).sum())
-    own = fluctuating(candidate, start, stop, segments=inside)
+    own = fluctuating(candidate, start, stop, segments=_inside(rows, candidate))
     return likely_share(whitener.project(window_columns(rows, own)), y)
 
 
 def _wanders(
-    rows: Rows,
-    candidate: Candidate,
-    whitener: Whitener,
-    y: FloatArray,
-    longest: int,
-    share: FloatArray | None,
+    rows: Rows, candidate: Candidate, told: Told, longest: int, share: FloatArray | None
 ) -> FloatArray:
     """Return log B in each window [a, b) of what wanders in it, of any correlation time.
 
@@ -284,8 +276,8 @@ def _wanders(
         if share is not None:
             parts = (parts @ share)[:, :, None]
         m, n, c = parts.shape
-        white = whitener.project(parts.reshape(m, -1))
-        gram, match = (white.T @ white).reshape(n, c, n, c), (y @ white).reshape(n, c)
+        white = told.whitener.project(parts.reshape(m, -1))
+        gram, match = (white.T @ white).reshape(n, c, n, c), (told.y @ white).reshape(n, c)
         found += [
             wandering(
                 gram, match, slots.middle, slots.first, correlation=k * typical, longest=longest
@@ -303,19 +295,20 @@ def _may_recur(rows: Rows, candidate: Candidate, longest: int) -> bool:
     Windows of a second, as beside a truth, show pulses one by one. A rest has several, and one that
     was pushed is a thing of its own.
     """
-    start, stop = candidate.interval or (-np.inf, np.inf)
-    inside = int(((rows.interval[:, 0] < stop) & (rows.interval[:, 1] > start)).sum())
     plain = candidate.name == "bias in a window" and not candidate.shape
-    return plain and not rows.is_rest.any() and max(inside, FLUCTUATION) <= longest
+    room = max(_inside(rows, candidate), FLUCTUATION) <= longest
+    return plain and room and not rows.is_rest.any()
+
+
+def _inside(rows: Rows, candidate: Candidate) -> int:
+    """Return how many segments a candidate's window reaches into."""
+    assert candidate.interval is not None
+    start, stop = candidate.interval
+    return int(((rows.interval[:, 0] < stop) & (rows.interval[:, 1] > start)).sum())
 
 
 def _recurs(
-    rows: Rows,
-    candidate: Candidate,
-    whitener: Whitener,
-    y: FloatArray,
-    longest: int,
-    share: FloatArray | None,
+    rows: Rows, candidate: Candidate, told: Told, longest: int, share: FloatArray | None
 ) -> FloatArray:
     """Return log B in each window [a, b) of what was found as the largest of many pulses in it.
 
@@ -323,16 +316,17 @@ def _recurs(
     in the window. Beside it, as large as it likes, the others are what wanders.
     """
     assert candidate.interval is not None
+    whitener, y, _ = told
     own = whitener.project(window_columns(rows, candidate))
     along = np.linalg.qr(own)[0]
-    beside = replace(whitener, basis=np.hstack((whitener.basis, along)))
-    left = y - along @ (along.T @ y)
-    value = _wanders(rows, candidate, beside, left, longest, share) + log_bayes_factor(own, y)
+    whitener = replace(whitener, basis=np.hstack((whitener.basis, along)))
+    left = Told(whitener, y - along @ (along.T @ y))
+    value = _wanders(rows, candidate, left, longest, share) + log_bayes_factor(own, y)
     start, stop = candidate.interval
     first, last = np.indices(value.shape)
     early = np.append(rows.interval[:, 0], np.inf)[first] <= start
     late = np.append(-np.inf, rows.interval[:, 1])[last] >= stop
-    inside = np.count_nonzero((rows.interval[:, 0] < stop) & (rows.interval[:, 1] > start))
+    inside = _inside(rows, candidate)
     places = np.log(inside) + np.log(np.maximum(last - first + 1 - inside, 1))
     return np.where(early & late, value - places, -np.inf)
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -76,7 +77,7 @@ class Stretches:
         last = np.append(first[1:], len(time)) - 1
         return cls(state, number, ~turning[first], np.stack((time[first], time[last]), axis=1))
 
-    @property
+    @cached_property
     def rests(self) -> IntArray:
         """The numbers of the rests."""
         return np.flatnonzero(self.still)
@@ -87,8 +88,9 @@ class Stretches:
         count = np.maximum(np.bincount(self.number, minlength=many), 1)[:, None]
         return np.stack([np.bincount(self.number, v, many) for v in signal.T], axis=1) / count
 
+    @cached_property
     def pose(self) -> IntArray:
-        """Return the rest that each point is in, or nearest to, counted: turns have halves."""
+        """The rest that each point is in, or nearest to, counted: turns have halves."""
         start, stop = self.interval[self.still].T
         middle = 0.5 * (stop[:-1] + start[1:])
         return np.searchsorted(middle, self.state.time, side="right")
@@ -106,7 +108,7 @@ def history(rows: Rows, stretches: Stretches) -> Iterator[tuple[str, FloatArray]
     up, rate = (stretches.means(signal) for signal in (state.gravity_direction, state.rate))
     turn = rate * np.ptp(stretches.interval, axis=1)[:, None]
     turn /= np.maximum(np.linalg.norm(turn, axis=1, keepdims=True), 1.0)
-    pose = stretches.pose()
+    pose = stretches.pose
     for name, what in (
         ("the pose before", up[rests[:-1]]),
         ("the turn before", turn[rests[1:] - 1]),
@@ -158,7 +160,7 @@ def remembered(stretches: Stretches, axis: int) -> Iterator[tuple[str, FloatArra
         yield LOADED, lag_of(load, most)[:, None] / most
     mean = stretches.means(load[:, None])[stretches.still, 0]
     for side in (mean[:-1], np.diff(mean)):
-        yield LOADED, np.append(0.0, np.sign(side))[stretches.pose()][:, None]
+        yield LOADED, np.append(0.0, np.sign(side))[stretches.pose][:, None]
 
 
 def side_of(load: FloatArray, least: float) -> FloatArray:

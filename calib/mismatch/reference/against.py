@@ -7,6 +7,7 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
+from scipy import sparse
 
 from calib import faults
 from calib.measured import measured
@@ -162,8 +163,6 @@ def compare_simulation(
     mat = np.eye(3) if mat_sr is None else mat_sr
     common = matched(real, truth, alignment, mat, spoilt=seen.spoilt)
     noisy = common.limited and not common.exact
-    at = np.clip(alignment.times(common.real.time), *truth.span)
-    stays = rounded_at_rest(real, common.real.time, truth.state(at).rate @ mat.T, seen.findings)
     compare = partial(
         ComparisonProblem,
         common.real,
@@ -176,7 +175,7 @@ def compare_simulation(
         blur=common.blur,
         band=common.band,
         raw=real if common.limited else None,
-        stuck=common.stuck or stays,
+        stuck=common.stuck or _rounded(real, common.real.time, truth, alignment, mat, seen),
         folded=common.folded,
         unknown=common.unknown,
         white=white_noise(real, simulated) if noisy else None,
@@ -191,6 +190,21 @@ def compare_simulation(
         if errors is not None:
             problem = compare(own_axes=own_axes, other=errors)
     return problem, ((*_SELDOM_ALONE, "bandwidth") if noisy else _SELDOM_ALONE)
+
+
+def _rounded(
+    real: Recording,
+    time: FloatArray,
+    truth: RecordingTruth,
+    alignment: Alignment,
+    mat: FloatArray,
+    seen: Samples,
+) -> tuple[sparse.csr_matrix, ...]:
+    """Return `rounded_at_rest` at (n,) times, if counts were found to be coarse."""
+    if not any(f.effect == "quantization" for f in seen.findings):
+        return ()
+    at = np.clip(alignment.times(time), *truth.span)
+    return rounded_at_rest(real, time, truth.state(at).rate @ mat.T, seen.findings)
 
 
 def at_rest(*recordings: Recording) -> str:

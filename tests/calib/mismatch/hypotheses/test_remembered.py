@@ -132,7 +132,7 @@ def test_what_is_known_of_late_is_a_low_pass_sample_by_sample() -> None:
 def test_a_turn_belongs_by_halves_to_the_rests_beside_it() -> None:
     rows = problem()[1].rows()
     start, stop = rows.interval[rows.is_rest].T
-    pose = Stretches.of(rows).pose()
+    pose = Stretches.of(rows).pose
     for k in range(1, len(start)):
         inside = (rows.state.time > stop[k - 1]) & (rows.state.time < start[k])
         early = rows.state.time < 0.5 * (stop[k - 1] + start[k])

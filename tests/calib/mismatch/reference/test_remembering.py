@@ -58,7 +58,7 @@ def test_rests_and_turns_are_those_of_the_motion() -> None:
         assert b >= real.time[stop - 1] - 0.2
     start, stop = found.interval[found.still].T
     middle = np.searchsorted(rows.state.time, 0.5 * (start + stop))
-    assert (found.pose()[middle] == np.arange(len(poses))).all()
+    assert (found.pose[middle] == np.arange(len(poses))).all()
 
 
 @pytest.mark.long
