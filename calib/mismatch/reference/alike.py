@@ -147,16 +147,19 @@ def misleads(time: FloatArray, state: State, measured: FloatArray) -> bool:
     """
     some = np.linspace(0, len(measured) - 1, min(len(measured), COMPARED)).astype(np.int64)
     fixed = state.gravity * state.gravity_direction
-    gradient = state.gradient.reshape(-1, 9)
-    signals = np.hstack((state.force, fixed, gradient, measured))
-    for cutoff in (np.inf, *SLOWER):
-        passed = smoothed(time, signals, cutoff) if np.isfinite(cutoff) else signals
-        placed, fixed, gradient, seen = np.split(passed[some], (3, 6, 15), axis=1)
-        arm = gradient.reshape(-1, 3, 3)
-        left = [_left_beside(force, arm, seen) for force in (placed, fixed)]
-        if left[0] <= LITTLE * left[1] or (np.isinf(cutoff) and left[1] <= AMISS**2):
-            return False
-    return True
+    signals = np.hstack((state.force, fixed, state.gradient.reshape(-1, 9), measured))
+    placed, about = _left_of_both(signals[some])
+    if about <= AMISS**2 or placed <= LITTLE * about:
+        return False
+    slower = (_left_of_both(smoothed(time, signals, cutoff)[some]) for cutoff in SLOWER)
+    return all(placed > LITTLE * about for placed, about in slower)
+
+
+def _left_of_both(signals: FloatArray) -> tuple[float, float]:
+    """Return the mean squares of what positions, and a fixed point, leave of measured forces."""
+    placed, fixed, gradient, seen = np.split(signals, (3, 6, 15), axis=1)
+    arm = gradient.reshape(-1, 3, 3)
+    return _left_beside(placed, arm, seen), _left_beside(fixed, arm, seen)
 
 
 def _left_beside(force: FloatArray, gradient: FloatArray, measured: FloatArray) -> float:
