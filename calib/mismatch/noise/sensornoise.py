@@ -48,6 +48,9 @@ LEAN_SPREAD = 3.0
 """Standard deviation of its logarithm: a factor of 4.5 in size. A table does not lean by a
 thousandth of a degree in minutes; a hand does by a tenth in seconds."""
 
+LEAN_TOLD = 1.0
+"""The same where gravity has told how a sensor sways."""
+
 CAUTION = 6.0
 """Differences that count as those of white noise, besides what is seen of rests that are shaken."""
 
@@ -310,7 +313,7 @@ def lean_components(
     n = len(rows)
     kernel = lean.of_force()
     each = sparse.identity(3 * n, format="csr")
-    prior = LEANING, LEAN_SPREAD, LEAN
+    prior = _expected(lean)
     out = [
         Component(f"accel {LEAN}", rows[:, :3].T.ravel(), each, kernel.reshape(3 * n, -1), *prior)
     ]
@@ -343,4 +346,9 @@ def lean_of_turns(
         kernel[turns, :, turns] += variance[pose, None, None] * (part @ np.swapaxes(part, 1, 2))
     each = sparse.identity(rows.size, format="csr")
     matrix = kernel.reshape(rows.size, -1)
-    return Component(f"turn {LEAN}", rows.ravel(), each, matrix, LEANING, LEAN_SPREAD, LEAN)
+    return Component(f"turn {LEAN}", rows.ravel(), each, matrix, *_expected(lean))
+
+
+def _expected(lean: Lean) -> tuple[float, float, str]:
+    """Return what is expected of the level of a lean, how far it may be from that, and a group."""
+    return (lean.expected, LEAN_TOLD, LEAN) if lean.expected else (LEANING, LEAN_SPREAD, LEAN)

@@ -7,10 +7,19 @@ as a random walk upon a steady turn, both of which begin anew with the pose::
 
     Var angle(t) = q (t + t² / STEADY),  Cov of rates = q (delta + 1 / STEADY)
 
-with q in rad²/s, one for the recording. What is put down on foam, or let go of with its cable
-pulling, creeps besides, by ``a exp(-t / T)`` with any T of `TIMES`; the variance of a is in a ratio
-to q. The attitude of a pose is that of its mean, which takes up what the angle is on average; what
-is left is how its parts differ.
+with q in rad²/s, one for the recording. A hand that holds it sways about where it was, and comes
+back. Instead of the walk that is a process of Ornstein and Uhlenbeck [1]_ with the time tau, and
+the steady turn is smaller::
+
+    Cov(angle(t), angle(s)) = q tau / 2 exp(-|t - s| / tau)
+
+What is put down on foam, or let go of with its cable pulling, creeps besides, by ``a exp(-t / T)``
+with any T of `TIMES`; the variance of a is in a ratio to q. The attitude of a pose is that of its
+mean, which takes up what the angle is on average; what is left is how its parts differ.
+
+References
+----------
+.. [1] Uhlenbeck, Ornstein, "On the theory of the Brownian motion", Phys. Rev. 36, 1930, p. 823.
 """
 
 from __future__ import annotations
@@ -46,6 +55,12 @@ class Lean:
         Of q in each pose, beside that of most.
     creep : float, s
         Variance of the angle by which it creeps, for q of one.
+    expected : float, rad²/s
+        What is expected of q where gravity tells; 0 where it does not.
+    back : float, s
+        The time tau in which it comes back to where it was; infinite for a walk.
+    steady : float, 1/s
+        Variance of the steady rate, for q of one.
     """
 
     up: FloatArray
@@ -55,6 +70,9 @@ class Lean:
     gravity: float
     size: FloatArray
     creep: float = 0.0
+    expected: float = 0.0
+    back: float = np.inf
+    steady: float = 1.0 / STEADY
 
     @classmethod
     def of(
@@ -65,18 +83,21 @@ class Lean:
         gravity: float,
         size: FloatArray | None = None,
         creep: float = 0.0,
+        expected: float = 0.0,
+        back: float = np.inf,
+        steady: float = 1.0 / STEADY,
     ) -> Lean:
         """Return the lean in cells of poses; `up` is that of each pose, (poses, 3)."""
         first = np.full(len(up), np.inf)
         np.minimum.at(first, pose, interval[:, 0])
         begin, length = interval[:, 0] - first[pose], np.ptp(interval, axis=1)
         size = np.ones(len(up)) if size is None else size
-        return cls(up[pose], begin, length, pose, gravity, size, creep)
+        return cls(up[pose], begin, length, pose, gravity, size, creep, expected, back, steady)
 
     @property
     def told(self) -> bool:
         """Whether gravity has told, and not only the rates, that something leans."""
-        return self.creep > 0 or bool((self.size > 1.0).any())
+        return self.expected > 0 or self.creep > 0 or bool((self.size > 1.0).any())
 
     def cut(self, at: Sequence[float]) -> Lean:
         """Return the same for parts of each cell, cut at these shares of its length."""
@@ -95,15 +116,11 @@ class Lean:
 
         In rad².
         """
-        middle = self.begin + 0.5 * self.length
-        walk = np.minimum.outer(middle, middle)
-        # Of a walk from zero, the mean over a part.
-        np.fill_diagonal(walk, self.begin + self.length / 3.0)
         alike = self._alike()
         share = alike * self.length
-        about = np.eye(len(middle)) - share / share.sum(axis=1, keepdims=True)
+        about = np.eye(len(self.length)) - share / share.sum(axis=1, keepdims=True)
         crept = self._rates() * np.array(TIMES)[:, None]
-        angle = walk + np.outer(middle, middle) / STEADY + self.creep * _product(crept)
+        angle = self._means() + self.creep * _product(crept)
         angle *= alike * self.size[self.pose]
         return np.asarray(about @ angle @ about.T)
 
@@ -120,8 +137,35 @@ class Lean:
         if channel < 3:
             across = self.gravity * np.sqrt(np.maximum(1.0 - np.square(self.up[:, channel]), 0.0))
             return np.asarray(self.of_angle() * np.outer(across, across))
-        rates = np.diag(1.0 / self.length) + 1.0 / STEADY + self.creep * _product(self._rates())
+        rates = self._turns() + self.creep * _product(self._rates())
         return np.asarray(rates * self._alike() * self.size[self.pose])
+
+    def _means(self) -> FloatArray:
+        """Return how the angle's means over parts of one pose go together, for q of one, (n, n)."""
+        middle = self.begin + 0.5 * self.length
+        if np.isfinite(self.back):
+            share = _fading(self.length / self.back)
+            end = self.begin + self.length
+            gap = np.maximum.outer(self.begin, self.begin) - np.minimum.outer(end, end)
+            angle = np.outer(share, share) * np.exp(-np.maximum(gap, 0.0) / self.back)
+            np.fill_diagonal(angle, 2.0 * (1.0 - share) * self.back / self.length)
+            angle *= 0.5 * self.back
+        else:
+            angle = np.minimum.outer(middle, middle)
+            # Of a walk from zero, the mean over a part.
+            np.fill_diagonal(angle, self.begin + self.length / 3.0)
+        return np.asarray(angle + self.steady * np.outer(middle, middle))
+
+    def _turns(self) -> FloatArray:
+        """Return how mean rates of parts of one pose go together, for q of one, (n, n)."""
+        if not np.isfinite(self.back):
+            return np.asarray(np.diag(1.0 / self.length) + self.steady)
+        ends = np.stack((self.begin, self.begin + self.length)) / self.back
+        apart = np.exp(-np.abs(ends[:, None, :, None] - ends[None, :, None, :]))
+        angle = apart[0, 0] + apart[1, 1] - apart[0, 1] - apart[1, 0]
+        return np.asarray(
+            0.5 * self.back * angle / np.outer(self.length, self.length) + self.steady
+        )
 
     def _rates(self) -> FloatArray:
         """Return the mean rates of what creeps by ``exp(-t / T)``, for each T, (times, n)."""
@@ -142,7 +186,17 @@ class Lean:
         mean = -np.expm1(-length / time) * time / np.maximum(length, 1e-9)
         ends = np.square(1.0 - mean) + np.square(np.exp(-length / time) - mean)
         crept = self.creep * 0.5 * ends.mean(axis=0)
-        return np.asarray(self.size * (length / 3.0 + np.square(length) / (4.0 * STEADY) + crept))
+        angle = length / 3.0
+        if np.isfinite(self.back):
+            share = _fading(length / self.back)
+            spread = self.back / np.maximum(length, 1e-9) * (1.0 - share)
+            angle = self.back * (0.5 - share + spread)
+        return np.asarray(self.size * (angle + self.steady * np.square(length) / 4.0 + crept))
+
+
+def _fading(lasts: FloatArray) -> FloatArray:
+    """Return the mean of ``exp(-t)`` from 0 to each of some times, of which none is negative."""
+    return np.asarray(-np.expm1(-lasts) / np.maximum(lasts, 1e-12))
 
 
 def _product(parts: FloatArray) -> FloatArray:

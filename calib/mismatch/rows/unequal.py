@@ -15,10 +15,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calib.bumps import UNSURE
 from calib.mismatch.rows.grid import Grid
 from calib.mismatch.rows.lean import STEADY, TIMES
-from calib.mismatch.rows.nudged import SURE
+from calib.mismatch.rows.sway import SURE, follow, follows, how_it_sways
 from calib.stillness import moving_median
 from calib.types import FloatArray, IntArray
 
@@ -40,6 +39,9 @@ EARLY, LOUDER, TELLING = 1.5, 2.0, 6
 """s that a rest begins with, times as large as later the square of the rate is there if it creeps,
 and rests that must tell."""
 
+TOLD = 3.0
+"""Standard errors by which gravity has moved in all rests as the rate says, where these sway."""
+
 MEDIAN = 0.4549
 """Of the square of a normal error."""
 
@@ -47,13 +49,18 @@ MEDIAN = 0.4549
 class Leans(NamedTuple):
     """How poses lean unlike each other.
 
-    ``size`` (poses,) is the variance of the angle in each beside that in most: 1 but for those that
-    lean more. ``creep`` (s) is that of the angle by which they creep as they begin, beside that per
-    second later.
+    ``size`` (poses,) is the variance of the angle in each beside that in most. ``creep`` (s) is
+    that of the angle by which they creep as they begin, beside that per second later. Where gravity
+    tells that they sway, ``expected`` (rad²/s) is the variance of the angle per second, ``back``
+    the time (s) in which it comes back, and ``steady`` (1/s) that of a steady rate beside it, as
+    `lean.Lean` has them.
     """
 
     size: FloatArray | None = None
     creep: float = 0.0
+    expected: float = 0.0
+    back: float = np.inf
+    steady: float = 1.0 / STEADY
 
 
 class _Pose(NamedTuple):
@@ -66,7 +73,7 @@ class _Pose(NamedTuple):
     @property
     def follows(self) -> bool:
         """Whether gravity moved as the rate says."""
-        return self.seen > SURE and self.wanted / UNSURE < self.seen < self.wanted * UNSURE
+        return follows(self.seen, self.wanted)
 
     @property
     def open(self) -> bool:
@@ -93,20 +100,36 @@ def how_it_leans(grid: Grid, noise: FloatArray, *, least: float) -> Leans:
     some = [k for k, own in enumerate(points) if len(own) >= PARTS]
     if len(some) < 2:
         return Leans()
-    creep = _creep(grid, noise, points, least=least)
     mean = np.stack([grid.gyro[points[k]].mean(axis=0) for k in some])
     still = moving_median(mean, BESIDE)
     poses = [_look(grid, noise, points[k], zero) for k, zero in zip(some, still, strict=True)]
     usual = max(float(np.median([p.lean for p in poses])), least)
     leans = sum(p.follows for p in poses) >= FEWEST or _together(p for p in poses if p.open)
+    creep, per_second = _creep(grid, noise, points, least=least)
+    sway = None
+    if _together(poses, sure=TOLD):
+        after = EARLY if creep else 0.0
+        sway = how_it_sways(grid, [points[k] for k in some], still, after=after)
+    expected = least if sway is None else sway.expected
     for k, p in zip(some, poses, strict=True):
+        # Most may have no more of it than noise. What creeps, most do.
+        beside = usual if creep else expected
         if p.lean > FAR * usual and (p.follows or (leans and p.open)):
-            size[k] = p.lean / usual
-    return Leans(size, creep)
+            size[k] = max(p.lean / beside, 1.0)
+        elif sway is not None and not creep:
+            size[k] = min(FAR**2 * p.lean / beside, 1.0)
+    if sway is None:
+        return Leans(size, creep)
+    return Leans(size, creep * per_second / expected, *sway)
 
 
-def _creep(grid: Grid, noise: FloatArray, points: list[IntArray], *, least: float) -> float:
-    """Return `Leans.creep`: by how much rates are larger as poses begin, where gravity tells so."""
+def _creep(
+    grid: Grid, noise: FloatArray, points: list[IntArray], *, least: float
+) -> tuple[float, float]:
+    """Return `Leans.creep`, and the variance of the angle per second that it is beside.
+
+    It is by how much rates are larger as poses begin, where gravity tells so.
+    """
     poses, lasts, early, late = [], [], [], []
     for own in points:
         time, rate = grid.time[own], grid.gyro[own]
@@ -126,18 +149,19 @@ def _creep(grid: Grid, noise: FloatArray, points: list[IntArray], *, least: floa
         early.append(np.square(first - still))
         late.append(np.square(third - last) * length / 8.0)
     if len(poses) < TELLING:
-        return 0.0
+        return 0.0, least
     span, squares = np.array(lasts), np.array(early)
     per_second = float(np.median(late)) / MEDIAN
     usual = per_second * (1.0 / EARLY + 2.0 / span)[:, None]
     if (squares <= LOUDER * MEDIAN * usual).mean() >= 0.5 or not _together(poses):
-        return 0.0
+        return 0.0, least
     times = np.array(TIMES)[:, None]
     begins = -np.expm1(-EARLY / times) / EARLY
     ends = np.exp(-0.5 * span / times) * -np.expm1(-0.5 * span / times) / (0.5 * span)
     unit = np.square(begins - ends).mean(axis=0)[:, None]
     angle = float(np.median((squares - usual) / unit)) / MEDIAN
-    return max(angle, 0.0) / max(per_second - _white(grid, noise), least)
+    later = max(per_second - _white(grid, noise), least)
+    return max(angle, 0.0) / later, later
 
 
 def _white(grid: Grid, noise: FloatArray) -> float:
@@ -147,12 +171,12 @@ def _white(grid: Grid, noise: FloatArray) -> float:
     return float(np.median(noise[rest, 3:])) * step
 
 
-def _together(poses: Iterable[_Pose]) -> bool:
+def _together(poses: Iterable[_Pose], *, sure: float = SURE) -> bool:
     """Return whether gravity moved in some poses as the rate says, taken together."""
     some = list(poses)
     size = float(np.sqrt(sum(p.wanted**2 for p in some)))
     seen = sum(p.seen * p.wanted for p in some) / max(size, 1e-9)
-    return _Pose(0.0, seen, size).follows
+    return follows(seen, size, sure=sure)
 
 
 def _look(grid: Grid, noise: FloatArray, points: IntArray, still: FloatArray) -> _Pose:
@@ -165,17 +189,7 @@ def _look(grid: Grid, noise: FloatArray, points: IntArray, still: FloatArray) ->
     apart = float(np.square(parts - mean).sum()) * length / PARTS
     off = float(np.square(mean - still).sum()) / (1.0 / length + 1.0 / STEADY)
     lean = (apart + off) / (3 * PARTS)
-    step = np.diff(time)[:, None]
-    between = 0.5 * (rate[1:] + rate[:-1]) - still
-    angle = np.concatenate((np.zeros((1, 3)), np.cumsum(step * between, axis=0)))
     sigma = np.sqrt(noise[points, :3])
-    path = np.cross(force.mean(axis=0), angle) / sigma
-    seen = force / sigma
-    said = []
     # Where the rate of a sensor at rest is hardly known, a steady turn is not either.
-    for order in (0, 1):
-        trend = np.vander(time - time[0], order + 1) / sigma[:, :1]
-        left, wanted = (v - trend @ np.linalg.lstsq(trend, v, rcond=None)[0] for v in (seen, path))
-        size = float(np.linalg.norm(wanted))
-        said.append(_Pose(lean, float((left * wanted).sum()) / max(size, 1e-9), size))
+    said = [_Pose(lean, *follow(time, force, rate - still, sigma, order=order)) for order in (0, 1)]
     return next((p for p in said if p.follows), said[1])

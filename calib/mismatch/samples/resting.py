@@ -8,7 +8,8 @@ from dataclasses import replace
 from calib.effects.base import Term
 from calib.mismatch.findings.diagnosis import Finding, Unexplained
 from calib.mismatch.samples.found import RESTLESS, SPIKES
-from calib.mismatch.samples.spectrum import LINE, LOUDER_THERE, look_at_spectrum
+from calib.mismatch.samples.hand import HAND, held_in_hand
+from calib.mismatch.samples.spectrum import LINE, LOUDER_THERE, lines_of, look_at_spectrum
 from calib.mismatch.samples.swings import look_for_swings
 from calib.mismatch.samples.within import OFF_COURSE, PULSES, look_within
 from calib.poses import Poses
@@ -26,7 +27,14 @@ def look_at_rests(recording: Recording, poses: Poses) -> tuple[Unexplained, ...]
     fast = look_at_spectrum(recording, poses)
     found = [*fast, *(item for item in look_within(recording, poses) if not _is_line(item, fast))]
     known = {channel for item in found for channel in item.channels}
-    return (*found, *look_for_swings(recording, poses, known))
+    found += look_for_swings(recording, poses, known)
+    return tuple(item for item in found if not _trembles(item, recording, poses))
+
+
+def _trembles(item: Unexplained, recording: Recording, poses: Poses) -> bool:
+    """Whether a line is no faster than a hand, which holds the sensor where it is seen."""
+    lines = lines_of(item).values()
+    return bool(lines) and max(lines) <= HAND[1] and held_in_hand([item], recording, poses)
 
 
 def _is_line(item: Unexplained, lines: Sequence[Unexplained]) -> bool:

@@ -14,20 +14,13 @@ from calib.mismatch.findings.diagnosis import Unexplained
 from calib.mismatch.hypotheses.places import SEEN, joined
 from calib.mismatch.hypotheses.windows import windows
 from calib.mismatch.rows.underway import GAP
+from calib.mismatch.samples.hand import HAND, held_in_hand, skirted, trembling
 from calib.mismatch.samples.knocks import knocked
+from calib.mismatch.samples.power import CLAIM, LENGTH, LOUDER, NEIGHBOURS, above, frequencies
 from calib.poses import Poses
 from calib.read_once import HELD
 from calib.recording import AXES, CHANNELS, TRIADS, Recording
 from calib.types import BoolArray, FloatArray, IntArray
-
-LENGTH = 128
-"""Samples of one periodogram."""
-
-NEIGHBOURS = 12
-"""Frequencies on either side that a line is compared with."""
-
-CLAIM = 1e-4
-"""Family-wise p-value below which something is reported."""
 
 HIDDEN = 0.5
 """Noise in counts below which its power depends on where between two of them a signal is."""
@@ -47,9 +40,6 @@ LINE = "a line at "
 LOUDER_THERE = "the time: noise is louder there"
 """What a burst follows."""
 
-_LOUDER = 4.0
-"""A rest counts as louder only if its noise power is this many times the usual."""
-
 _SPREAD = 1.94
 """Frequencies for one that is independent: sum of the squared correlations of a Hann window's."""
 
@@ -66,18 +56,6 @@ sample's noise."""
 
 FEWEST = 3
 """Rests in a row that a line in a window has, at least: one shows it only with a `SHARE`."""
-
-HAND = (0.5, 14.0)
-"""Hz that a hand sways and trembles at (physiological tremor: 4 to 12 Hz), and what a window
-spreads."""
-
-SEVERAL = 3
-"""Bins from the lowest to the highest frequency of a motion from which it has more than one: a
-window spreads one over three."""
-
-SWING = 1 / 3
-"""Share of the swing of gravity, as the gyroscopes' angle would have it, that accelerometers must
-show for both to be one motion: about the vertical it makes none. A hand also moves it further."""
 
 
 def look_at_spectrum(recording: Recording, poses: Poses) -> tuple[Unexplained, ...]:
@@ -96,7 +74,7 @@ def look_at_spectrum(recording: Recording, poses: Poses) -> tuple[Unexplained, .
     power = np.square(np.abs(np.fft.rfft(window * values, axis=0)))[2:-1]
     power += _between_counts(recording, poses) * float(np.square(window).sum())
     gravity = float(np.linalg.norm(poses.accel, axis=1).mean())
-    held = _trembling(power[:, :number], recording.interval, gravity)
+    held = trembling(power[:, :number], recording.interval, gravity)
     for c, channel in enumerate(CHANNELS):
         own = power[:, :number, c]
         # Along cubics between samples of its own a signal has no floor.
@@ -110,7 +88,13 @@ def look_at_spectrum(recording: Recording, poses: Poses) -> tuple[Unexplained, .
         if not line:
             line, spread = _passing(recording, poses, power[:, noisy], pose[noisy], c, held)
         narrow = not line and not held.any()
-        bursts = _bursts(poses, np.delete(own, spread, axis=0), rest, channel, narrow=narrow)
+        kept = np.delete(np.arange(len(own)), spread)
+        bursts = _bursts(poses, own[kept], rest, channel, narrow=narrow)
+        if bursts:
+            # A few rests may be held in a hand, the others on a table.
+            faster = frequencies(len(own), recording.interval)[kept] > HAND[1]
+            if held_in_hand(bursts, recording, poses):
+                bursts = _bursts(poses, own[kept[faster]], rest, channel, narrow=False)
         if not 0 < len(bursts) <= 2:
             # Rests that are louder time and again, as something has it, are no bursts.
             bursts = _changes(recording, poses, own, rest, channel) or bursts
@@ -205,83 +189,6 @@ def _merged(found: list[Unexplained]) -> list[Unexplained]:
     return out
 
 
-def _above(power: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the mean over rests at each frequency, its floor, and the p-value of all at once.
-
-    A line stands above both sides: motion of a hand, whose power falls with frequency, does not.
-    """
-    bins, number = power.shape
-    mean = power.mean(axis=1)
-    # At low frequencies it goes on as it falls; half the sampling rate mirrors every spectrum.
-    padded = np.pad(np.log(mean), (NEIGHBOURS, 0), mode="reflect", reflect_type="odd")
-    padded = np.pad(padded, (0, NEIGHBOURS), mode="symmetric")
-    around = np.lib.stride_tricks.sliding_window_view(padded, 2 * NEIGHBOURS + 1)
-    sides = around[:, :NEIGHBOURS], around[:, NEIGHBOURS + 1 :]
-    floor = np.exp(np.maximum(*(np.median(side, axis=1) for side in sides)))
-    # What the floor itself scatters by, beyond what chance does, widens every test.
-    scatter = np.median(np.abs(np.log(mean / floor))) / 0.6745
-    freedom = min(2.0 * number, 2.0 / max(scatter**2, 1e-9) + 2.0)
-    return mean, floor, chdtrc(freedom, freedom * mean / floor) * bins * len(CHANNELS)
-
-
-def _trembling(power: FloatArray, interval: float, gravity: float) -> BoolArray:
-    """Return the frequencies at which the sensor itself moves, held in a hand, (bins,).
-
-    The gyroscopes stand above their floor there, and so do the accelerometers, by what the angle
-    makes of gravity or more. That is motion, which both follow, and no disturbance of either. Of a
-    hand that sways as well, one or both show the whole band alike: above what is faster than hands.
-    """
-    bins = len(power)
-    frequency = _frequency(bins, interval)
-    hand = (frequency >= HAND[0]) & (frequency <= HAND[1])
-    faster = frequency > HAND[1]
-    excess, seen = np.zeros((bins, 2)), np.zeros((bins, 2), bool)
-    sways, sway = np.zeros((bins, 2), bool), np.zeros((bins, 2))
-    axes = np.zeros(len(CHANNELS), bool)
-    for c in range(len(CHANNELS)):
-        own = power[:, power[:, :, c].all(axis=0), c]
-        if own.shape[1] > power.shape[1] / 2:
-            mean, floor, p = _above(own)
-            excess[:, c // 3] += np.maximum(mean - floor, 0.0)
-            seen[:, c // 3] |= p < CLAIM
-            axes[c] = (p[hand] < CLAIM).any()
-            if faster.any():
-                level = float(np.median(mean[faster]))
-                sways[:, c // 3] |= mean > _LOUDER * level
-                sway[:, c // 3] += np.maximum(mean - level, 0.0)
-    if min(axes[:3].sum(), axes[3:].sum()) > 1:
-        # Several axes of both: the arm swings at one frequency, and the wrist at another.
-        return hand
-    heavy = SWING * np.square(gravity / (2 * np.pi * frequency))
-    moves = hand & seen.all(axis=1) & (excess[:, 0] > heavy * excess[:, 1])
-    at = np.flatnonzero(moves)
-    held = hand & seen[:, 0] & sways[:, 1] & (excess[:, 0] > heavy * sway[:, 1])
-    # And where the band is so wide that nothing in it stands out beside it.
-    both = hand & sways.all(axis=1) & (sway[:, 0] > heavy * sway[:, 1])
-    wide = [np.convolve(own, np.ones(SEVERAL + 1), mode="valid") > SEVERAL for own in (held, both)]
-    if (len(at) and np.ptp(at) >= SEVERAL) or np.any(wide):
-        # No single machine: a hand, which trembles at other frequencies about other axes.
-        return hand
-    # A window spreads each over its neighbours, and a hand has several.
-    near = np.convolve(moves, np.ones(5), mode="same") > 0
-    return np.asarray(hand & near)
-
-
-def _frequency(bins: int, interval: float) -> FloatArray:
-    """Return the frequencies of a periodogram's bins, without the first two, Hz."""
-    return (np.arange(bins) + 2) / (LENGTH * interval)
-
-
-def _skirted(held: BoolArray, mean: FloatArray) -> BoolArray:
-    """Return ``held`` and the frequencies beside it over which power falls away from it."""
-    out = held.copy()
-    for k in range(1, len(out)):
-        out[k] |= out[k - 1] and mean[k] < mean[k - 1]
-    for k in range(len(out) - 2, -1, -1):
-        out[k] |= out[k + 1] and mean[k] < mean[k + 1]
-    return out
-
-
 def _lines(
     recording: Recording,
     poses: Poses,
@@ -297,8 +204,8 @@ def _lines(
     what only falls on from there: no resonance ends where hands do.
     """
     bins = len(power)
-    mean, floor, p = _above(power)
-    held = _skirted(held, mean)
+    mean, floor, p = above(power)
+    held = skirted(held, mean)
     # By its height: of lines that stand far above, all p-values are zero.
     k = int(np.argmax(np.where(held, 0.0, mean / floor)))
     # A Hann window spreads a line over three frequencies.
@@ -358,12 +265,12 @@ def _passing(
     looks = len(some) * bins * len(CHANNELS)
     n = 2.0 * number[best]
     chance = chdtrc(n, n * has[best] / expected[best]) * looks
-    seen = np.flatnonzero((chance < CLAIM) & ~_skirted(held, own.mean(axis=1)))
+    seen = np.flatnonzero((chance < CLAIM) & ~skirted(held, own.mean(axis=1)))
     for k in seen[np.argsort(-gain[best][seen])].tolist():
         there = np.arange(first[best[1][k]], last[best[1][k]])
         there = np.delete(there, int(np.argmax((mean / usual)[k, there])))
         here = np.isin(of, there)
-        level, floor, p = _above(own[:, here])
+        level, floor, p = above(own[:, here])
         expect = np.average(usual[:, there], axis=1, weights=count[there])
         freedom = 2.0 * count[there].sum()
         by_chance = float(chdtrc(freedom, freedom * level[k] / expect[k])) * looks
@@ -373,7 +280,7 @@ def _passing(
         if p_value >= CLAIM or excess[near].sum() < FAINTEST * floor.sum():
             continue
         gravity = float(np.linalg.norm(poses.accel, axis=1).mean())
-        if _skirted(_trembling(power[:, here], recording.interval, gravity), level)[k]:
+        if skirted(trembling(power[:, here], recording.interval, gravity), level)[k]:
             continue
         frequency = (_peak(excess, k) + 2) / (LENGTH * recording.interval)
         a, b = _loudest(mean[k] / usual[k], count, float(level[k] / expect[k]))
@@ -443,7 +350,7 @@ def _bursts(
     most = min(2.0 * len(power) * float(np.median(count)), 2.0 / max(scatter**2, 1e-9))
     p_one = fdtrc(most, most, total)
     p_all = p_one * len(found) * len(CHANNELS)
-    loud = (p_all < CLAIM) & (total > _LOUDER)
+    loud = (p_all < CLAIM) & (total > LOUDER)
     extra = np.where(each < CLAIM, mean - floor, 0.0).sum(axis=0) / np.median(floor.sum(axis=0))
     thin = (each.min(axis=0) < CLAIM) & (extra > SHARE) & narrow
     # Beside a rest that surely has it, others need less: at the same frequencies, if it has one.
@@ -499,7 +406,7 @@ def _changes(
         return []
     level = np.log([power[:, pose == k].mean() for k in found])
     # What a hand does goes with where gravity is; noise does so at any frequency.
-    faster = power[_frequency(len(power), recording.interval) > HAND[1]]
+    faster = power[frequencies(len(power), recording.interval) > HAND[1]]
     looked = {"the time": (poses.interval[found].mean(axis=1), level)}
     if (heat := recording.temperature) is not None:
         warm = np.array([heat[poses.start[k] : poses.stop[k]].mean() for k in found])

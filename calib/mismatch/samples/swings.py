@@ -21,15 +21,10 @@ from scipy.special import chdtri, fdtrc, logsumexp, softmax, spherical_jn
 from calib.mismatch.findings.diagnosis import Interval, Unexplained
 from calib.mismatch.hypotheses.ends import expected_overlap
 from calib.mismatch.hypotheses.windows import windows
+from calib.mismatch.samples.hand import SWING
 from calib.mismatch.samples.knocks import knocked
-from calib.mismatch.samples.spectrum import (
-    CLAIM,
-    LENGTH,
-    LINE,
-    SHARE,
-    SWING,
-    coarse_at_rest,
-)
+from calib.mismatch.samples.power import CLAIM, LENGTH
+from calib.mismatch.samples.spectrum import LINE, SHARE, coarse_at_rest
 from calib.mismatch.samples.within import MARGIN
 from calib.poses import Poses
 from calib.read_once import HELD

@@ -26,7 +26,8 @@ from calib.mismatch.findings.diagnosis import Interval, Unexplained
 from calib.mismatch.hypotheses.ends import expected_overlap
 from calib.mismatch.hypotheses.windows import windows
 from calib.mismatch.samples.found import RESTLESS
-from calib.mismatch.samples.spectrum import CLAIM, HIDDEN, SETTLED, SHARE
+from calib.mismatch.samples.power import CLAIM
+from calib.mismatch.samples.spectrum import HIDDEN, SETTLED, SHARE
 from calib.mismatch.samples.tails import beyond, tails, usual_of
 from calib.poses import Poses
 from calib.recording import CHANNELS, Recording

@@ -1,4 +1,4 @@
-"""The lean of a sensor at rest, against draws of a walk upon a steady turn."""
+"""The lean of a sensor at rest, against draws of what walks, or comes back, upon a steady turn."""
 
 from __future__ import annotations
 
@@ -11,11 +11,31 @@ GRAVITY = 9.80665
 CUTS = (1 / 6, 1 / 2)
 
 
-def two_poses(size: tuple[float, float] = (1.0, 1.0), creep: float = 0.0) -> Lean:
+def two_poses(
+    size: tuple[float, float] = (1.0, 1.0),
+    creep: float = 0.0,
+    back: float = np.inf,
+    steady: float = 1.0 / STEADY,
+) -> Lean:
     """Return three cells of two poses."""
     up = np.array([[0.0, 0.0, 1.0], [0.6, 0.0, 0.8]])
     interval = np.array([[10.0, 13.0], [13.0, 16.0], [20.0, 26.0]])
-    return Lean.of(up, interval, np.array([0, 0, 1]), GRAVITY, np.array(size), creep)
+    return Lean.of(
+        up, interval, np.array([0, 0, 1]), GRAVITY, np.array(size), creep, 0.0, back, steady
+    )
+
+
+def wandering(lean: Lean, steps: np.ndarray, step: float) -> np.ndarray:
+    """Return a walk of these steps, or what comes back from them to where it was."""
+    if np.isinf(lean.back):
+        return np.asarray(np.cumsum(steps, axis=1) - steps[:, :1])
+    out = np.empty_like(steps)
+    keep = np.exp(-step / lean.back)
+    spread = np.sqrt(0.5 * lean.back)
+    out[:, 0] = spread * steps[:, 0] / np.sqrt(step)
+    for k in range(1, steps.shape[1]):
+        out[:, k] = keep * out[:, k - 1] + spread * np.sqrt((1 - keep**2) / step) * steps[:, k]
+    return out
 
 
 def draws(lean: Lean, number: int, step: float = 0.05) -> tuple[np.ndarray, np.ndarray]:
@@ -27,8 +47,8 @@ def draws(lean: Lean, number: int, step: float = 0.05) -> tuple[np.ndarray, np.n
         end = (lean.begin[own] + lean.length[own]).max()
         time = np.arange(0.0, end + step / 2, step)
         steps = rng.normal(0.0, np.sqrt(step), (number, len(time)))
-        walk = np.cumsum(steps, axis=1) - steps[:, :1]
-        path = walk + rng.normal(0.0, STEADY**-0.5, (number, 1)) * time
+        path = wandering(lean, steps, step)
+        path += rng.normal(0.0, lean.steady**0.5, (number, 1)) * time
         # One of the times, or another, with the variance of them all.
         decay = np.exp(-time / rng.choice(TIMES, number)[:, None])
         path -= np.sqrt(lean.creep) * rng.normal(size=(number, 1)) * decay
@@ -41,9 +61,19 @@ def draws(lean: Lean, number: int, step: float = 0.05) -> tuple[np.ndarray, np.n
 
 
 @pytest.mark.parametrize("cut", [False, True])
-@pytest.mark.parametrize(("size", "creep"), [((1.0, 1.0), 0.0), ((1.0, 5.0), 30.0)])
-def test_covariance_is_that_of_draws(cut: bool, size: tuple[float, float], creep: float) -> None:
-    lean = two_poses(size, creep)
+@pytest.mark.parametrize(
+    ("size", "creep", "back", "steady"),
+    [
+        ((1.0, 1.0), 0.0, np.inf, 1 / STEADY),
+        ((1.0, 5.0), 30.0, np.inf, 1 / STEADY),
+        ((1.0, 1.0), 0.0, 2.0, 0.0),
+        ((2.0, 1.0), 5.0, 0.8, 0.03),
+    ],
+)
+def test_covariance_is_that_of_draws(
+    cut: bool, size: tuple[float, float], creep: float, back: float, steady: float
+) -> None:
+    lean = two_poses(size, creep, back, steady)
     lean = lean.cut(CUTS) if cut else lean
     angle, rate = draws(lean, 20_000)
     for p in np.unique(lean.pose):
@@ -84,15 +114,16 @@ def test_poses_lean_by_themselves() -> None:
         assert not two_poses().covariance(channel)[:2, 2].any()
 
 
-def test_ends_are_off_the_mean_as_draws_are() -> None:
-    lean = two_poses()
+@pytest.mark.parametrize(("back", "steady"), [(np.inf, 1 / STEADY), (1.5, 0.02)])
+def test_ends_are_off_the_mean_as_draws_are(back: float, steady: float) -> None:
+    lean = two_poses(back=back, steady=steady)
     found = lean.at_ends()
     rng = np.random.default_rng(5)
     for p, length in enumerate((6.0, 6.0)):
         time = np.linspace(0.0, length, 301)
-        steps = rng.normal(0.0, np.sqrt(time[1]), (20_000, 300))
-        path = np.pad(np.cumsum(steps, axis=1), ((0, 0), (1, 0)))
-        path += rng.normal(0.0, STEADY**-0.5, (20_000, 1)) * time
+        steps = rng.normal(0.0, np.sqrt(time[1]), (20_000, 301))
+        path = wandering(lean, steps, time[1])
+        path += rng.normal(0.0, steady**0.5, (20_000, 1)) * time
         for end in (0, -1):
             off = path[:, end] - path.mean(axis=1)
             assert found[p] == pytest.approx(np.var(off), rel=0.05)

@@ -60,7 +60,7 @@ def on_foam(recording: Recording, angle: FloatArray) -> Recording:
 def leans(recording: Recording) -> tuple[FloatArray, FloatArray, float]:
     """Return how much more each pose leans, when it is, and how much all creep as they begin."""
     grid = make_grid(recording, find_poses(recording))
-    size, creep = how_it_leans(grid, sample_noise(grid), least=LEANING)
+    size, creep, *_ = how_it_leans(grid, sample_noise(grid), least=LEANING)
     assert size is not None
     middle = [grid.time[grid.pose == k].mean() for k in range(grid.n_poses)]
     return size, np.array(middle), creep

@@ -6,13 +6,9 @@ import numpy as np
 import pytest
 
 from calib.mismatch.samples import spectrum
-from calib.mismatch.samples.spectrum import (
-    CLAIM,
-    LENGTH,
-    _above,
-    _trembling,
-    look_at_spectrum,
-)
+from calib.mismatch.samples.hand import trembling
+from calib.mismatch.samples.power import CLAIM, LENGTH, above
+from calib.mismatch.samples.spectrum import look_at_spectrum
 from calib.model import SensorModel
 from calib.poses import Poses
 from calib.recording import Recording
@@ -218,11 +214,11 @@ def test_a_tremor_so_wide_that_nothing_in_it_stands_out_is_held(seed: int) -> No
     gyro = 0.16 / (1.0 + np.square((f - 8.0) / 2.5)) ** 2 + 1e-3
     mean = np.repeat(np.stack((accel, gyro)), 3, axis=0).T
     power = mean[:, None] * rng.exponential(size=(bins, 120, 6))
-    assert _above(power[:, :, 3])[2].min() < CLAIM
-    assert _trembling(power, interval, 9.8)[3:6].all()
+    assert above(power[:, :, 3])[2].min() < CLAIM
+    assert trembling(power, interval, 9.8)[3:6].all()
     # The same of the gyroscope alone is no motion.
     power[:, :, :3] = 1e-3 * rng.exponential(size=(bins, 120, 3))
-    assert not _trembling(power, interval, 9.8).any()
+    assert not trembling(power, interval, 9.8).any()
 
 
 def test_rests_of_one_periodogram_have_no_line_by_chance() -> None:
