@@ -16,6 +16,8 @@ from typing import Any, NoReturn
 import typer
 from typer.core import TyperGroup
 
+from imu_cli.process import prepare
+
 COMMANDS = Path(__file__).parent / "commands"
 
 EXIT_CODES = """\
@@ -27,9 +29,6 @@ SIGHUP"""
 
 CANNOT_WRITE = 3
 """As of a recording that cannot be written."""
-
-GARBAGE = 400_000
-"""Objects between two searches for cycles of garbage: looking at all of them takes time."""
 
 
 class LazyGroup(TyperGroup):
@@ -131,10 +130,7 @@ def main() -> NoReturn:
     sys.stdout = sys.stdout or open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="replace")  # a terminal that knows no ± still shows numbers
-    # Our matrices are small: threads would cost more than they bring. Numpy is not loaded yet.
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    # A diagnosis makes tens of thousands of candidates, and no cycle among them is ever left.
-    gc.set_threshold(GARBAGE)
+    prepare()
     _end_on_signals()
     try:
         try:
