@@ -213,7 +213,7 @@ class Bank:
 
     def made(self, own: BoolArray) -> Iterator[Alike | Sums]:
         """Yield the candidates that are marked in `own`, those of one make side by side."""
-        for make in self._makes:
+        for make in self._makes if own.any() else ():
             marked = own[make.which]
             if marked.any():
                 yield make.chosen(marked)

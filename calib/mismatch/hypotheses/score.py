@@ -217,14 +217,20 @@ def _mixed(make: Alike, gram: FloatArray, match: FloatArray) -> tuple[FloatArray
     for first, last, runs in make.parts:
         own, mine = index[first:last], mixing[first:last]
         if FEW * len(runs) > last - first:
-            both = gram[own[:, :, None], own[:, None]] @ mine
+            both = _within(gram, own) @ mine
         else:
             # Those with the same columns at once: a product with each would be one with a few.
             both = np.empty(mine.shape)
             for start, stop in runs:
                 flat = mixing[start:stop].transpose(1, 0, 2).reshape(k, -1)
-                found = gram[index[start][:, None], index[start]] @ flat
+                found = _within(gram, index[start]) @ flat
                 part = slice(start - first, stop - first)
                 both[part] = found.reshape(k, stop - start, r).transpose(1, 0, 2)
         inner[first:last] = mine.transpose(0, 2, 1) @ both
     return inner, along[:, 0]
+
+
+def _within(gram: FloatArray, index: IntArray) -> FloatArray:
+    """Return the (..., k, k) parts of a Gram matrix that are those of (..., k) columns."""
+    # By numbers in the flat matrix: by two of each element it takes three times as long.
+    return gram.take(index[..., :, None] * len(gram) + index[..., None, :])
