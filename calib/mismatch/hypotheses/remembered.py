@@ -185,9 +185,12 @@ def lag_of(load: FloatArray, most: float) -> FloatArray:
         return np.zeros(len(load))
     turned = moved[1:][step[moved[1:]] * step[moved[:-1]] < 0]
     ends = np.concatenate(([0], turned))
-    lag = [0.0]
+    lag, now = [0.0], 0.0
     for change in np.diff(load[ends]).tolist():
-        lag.append(min(max(lag[-1] + change, -most), most))
+        now += change
+        # By `min` and `max` each step takes three times as long.
+        now = most if now > most else -most if now < -most else now
+        lag.append(now)
     piece = np.searchsorted(ends, np.arange(len(load)), side="right") - 1
     return np.asarray(np.clip(np.array(lag)[piece] + load - load[ends][piece], -most, most))
 

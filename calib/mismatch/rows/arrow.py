@@ -250,9 +250,10 @@ class Arrow:
             here = half[block.rows]
             there = (felt @ half[self.border]).reshape(q, t, half.shape[1])
             here_too, there_too = np.swapaxes(here, 1, 2), np.swapaxes(there, 1, 2)
+            beyond = inner @ told
             own = np.swapaxes(whole, 1, 2) @ whole - here @ here_too
-            own += np.swapaxes(told, 1, 2) @ inner @ told
-            cross = -inner @ told - there @ here_too
+            own += np.swapaxes(told, 1, 2) @ beyond
+            cross = -beyond - there @ here_too
             both = _flat(block.own) @ own.reshape(q, -1, 1)
             both += 2.0 * _flat(block.cross) @ cross.reshape(q, -1, 1)
             both += _flat(block.far) @ (inner - there @ there_too).reshape(q, -1, 1)
