@@ -189,24 +189,24 @@ def find_shapes(
     slow: list[dict[int, Slow]] = [{} for _ in CHANNELS]
     for c, name in enumerate(CHANNELS):
         mine = [blur.see(values, c) for channel, values in columns if channel == name]
-        own = np.stack(mine if scatter is None else [values / size[:, c] for values in mine])
+        # Window by window they stay near the processor.
+        parts = [
+            np.stack([values[a:b] for values in mine]) / size[a:b, c]
+            for a, b in zip(first, last, strict=True)
+        ]
         seen = blur.see(left[:, c], c) / size[:, c]
         counts = blur.counts(c)
         beside = counts[2:] & counts[:-2]
         bend = np.abs(np.diff(seen, n=2))[beside if beside.any() else slice(None)]
         rough = float(np.median(bend)) / 0.6745 / np.sqrt(6.0)
         rough = max(rough, 1e-9)
-        if scatter is None:
-            counted = _counted(own, size[:, c], first, last, rough)
-        else:
-            counted = np.full(len(own), 1.0 / rough)
-        for s, (a, b) in enumerate(zip(first, last, strict=True)):
+        counted = _counted(parts, rough) if scatter is None else np.full(len(mine), 1.0 / rough)
+        for s, (a, b, part) in enumerate(zip(first, last, parts, strict=True)):
             if not judged[s, c]:
                 noise[s, c], free[s, c] = 0.0, 1.0
                 continue
             mean = 1.0 / size[a:b, c]
             mean /= np.linalg.norm(mean)
-            part = own[:, a:b]
             level = part @ mean
             values, vectors = np.linalg.eigh(part @ part.T - np.outer(level, level))
             values, mixing = np.maximum(values[::-1], 0.0), vectors.T[::-1]
@@ -250,15 +250,15 @@ def find_shapes(
     )
 
 
-def _counted(
-    columns: FloatArray, size: FloatArray, first: IntArray, last: IntArray, rough: float
-) -> FloatArray:
-    """Return by how much each of k columns (k, m) counts: all of them to `ENOUGH` at most."""
-    power = np.zeros(len(columns))
-    for a, b in zip(first, last, strict=True):
-        mean = 1.0 / size[a:b]
+def _counted(parts: list[FloatArray], rough: float) -> FloatArray:
+    """Return by how much each of k columns counts: all of them to `ENOUGH` at most.
+
+    ``parts`` are (k, n) of each window, whose points are alike.
+    """
+    power = np.zeros(len(parts[0]))
+    for part in parts:
+        mean = np.ones(part.shape[1])
         mean /= np.linalg.norm(mean)
-        part = columns[:, a:b]
         power += np.einsum("kn,kn->k", part, part) - np.square(part @ mean)
     return np.asarray(ENOUGH / np.maximum(np.sqrt(np.maximum(power, 0.0)) / rough, ENOUGH) / rough)
 
