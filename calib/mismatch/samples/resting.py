@@ -25,7 +25,9 @@ def look_at_rests(recording: Recording, poses: Poses) -> tuple[Unexplained, ...]
     if not len(poses):
         return ()
     fast = look_at_spectrum(recording, poses)
-    found = [*fast, *(item for item in look_within(recording, poses) if not _is_line(item, fast))]
+    within = look_within(recording, poses)
+    found = [_as_long(line, within) for line in fast]
+    found += [item for item in within if not _is_line(item, fast)]
     known = {channel for item in found for channel in item.channels}
     found += look_for_swings(recording, poses, known)
     return tuple(item for item in found if not _trembles(item, recording, poses))
@@ -35,6 +37,19 @@ def _trembles(item: Unexplained, recording: Recording, poses: Poses) -> bool:
     """Whether a line is no faster than a hand, which holds the sensor where it is seen."""
     lines = lines_of(item).values()
     return bool(lines) and max(lines) <= HAND[1] and held_in_hand([item], recording, poses)
+
+
+def _as_long(item: Unexplained, others: Sequence[Unexplained]) -> Unexplained:
+    """Return a line with all of the stretch in which its channel is restless by it.
+
+    Where the pace of what makes it wanders, it is at one frequency for a part of that only.
+    """
+    (begin, end), *_ = item.intervals
+    for other in others:
+        if _is_line(other, [item]):
+            (a, b), *_ = other.intervals
+            begin, end = min(begin, a), max(end, b)
+    return item if (begin, end) == item.intervals[0] else replace(item, intervals=((begin, end),))
 
 
 def _is_line(item: Unexplained, lines: Sequence[Unexplained]) -> bool:

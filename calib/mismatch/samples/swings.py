@@ -1,17 +1,18 @@
-"""Lines that swing a few times in a rest: slower than a periodogram of samples can tell.
+"""Lines in all rests as one signal: slow ones, and such as are faint in a periodogram of samples.
 
 Mains that are sampled at nearly their own rate, a pump, a compressor: what swings once in a second
 or in five is gone from the means of rests, and within each it is a wander like any other. But it
 swings on through all of them. So all rests are seen as one signal, with nothing between them, whose
 spectrum is as fine as the recording is long: what wanders is there at neighbouring frequencies, and
-what swings stands out of them.
+what swings stands out of them. So does a faster line of a tenth of a sample's noise, which hardly
+stands out of periodograms of a second.
 
 What both triads show, as gravity would have it, is motion of the sensor.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -21,7 +22,7 @@ from scipy.special import chdtri, fdtrc, logsumexp, softmax, spherical_jn
 from calib.mismatch.findings.diagnosis import Interval, Unexplained
 from calib.mismatch.hypotheses.ends import expected_overlap
 from calib.mismatch.hypotheses.windows import windows
-from calib.mismatch.samples.hand import SWING
+from calib.mismatch.samples.hand import HAND, SWING
 from calib.mismatch.samples.knocks import knocked
 from calib.mismatch.samples.power import CLAIM, LENGTH
 from calib.mismatch.samples.spectrum import LINE, SHARE, coarse_at_rest
@@ -65,6 +66,13 @@ EFFICIENCY = 2.0 / np.pi
 
 BESIDE = 1.5
 """Times the highest frequency up to which a faster line spreads to it."""
+
+FAINTEST = 0.003
+"""Share of the noise power of samples that a line has which is reported: an amplitude of a twelfth
+of a sample's noise."""
+
+CHUNK, MANY = 64, 8192
+"""Frequencies that have one median where there are so many in all."""
 
 ALSO = 0.01
 """P-value below which another channel has the line of one."""
@@ -130,24 +138,47 @@ def look_for_swings(
 
     One of several channels is one item.
     """
-    signal = _at_rest(recording, poses)
+    coarse, _ = coarse_at_rest(recording, poses)
+    unknown = [
+        c
+        for c, channel in enumerate(CHANNELS)
+        if channel not in known
+        and not coarse[c]
+        and TRIADS[channel.split(".")[0]] not in recording.notes.get(HELD, "")
+    ]
+    # Periodograms of long rests have told what is faster, and is not faint.
+    long = len(poses) and np.median(poses.stop - poses.start) >= LENGTH
+    out = list[Unexplained]()
+    for block, above in ((BLOCK, 0.0), (1, HAND[1])) if long else ((1, 0.0),):
+        found = _look(recording, poses, unknown, block, above)
+        out += found
+        said = {channel for item in found for channel in item.channels}
+        unknown = [c for c in unknown if CHANNELS[c] not in said]
+    return out
+
+
+def _look(
+    recording: Recording, poses: Poses, channels: Sequence[int], block: int, above: float
+) -> list[Unexplained]:
+    """Return lines ``above`` a frequency in means over so many samples, on some channels."""
+    signal = _at_rest(recording, poses, block)
     if signal is None:
         return []
-    spectrum = _Spectrum(signal, slow=signal.step > 1.5 * recording.interval)
-    coarse, _ = coarse_at_rest(recording, poses)
+    spectrum = _Spectrum(signal, slow=block > 1, above=above)
     gravity = float(np.linalg.norm(poses.accel, axis=1).mean())
     out = dict[float, Unexplained]()
-    for c, channel in enumerate(CHANNELS):
-        followed = TRIADS[channel.split(".")[0]] in recording.notes.get(HELD, "")
-        if channel in known or coarse[c] or followed:
-            continue
+    for c in channels:
         line = spectrum.most(c)
-        if line is None or line.power[c] < SHARE * spectrum.noise[c] or _moves(line, c, gravity):
+        if line is None or _moves(line, c, gravity):
+            continue
+        # What is as slow as a tremor, and too faint for the other triad, may be one.
+        least = SHARE if line.frequency <= HAND[1] else FAINTEST * block
+        if line.power[c] < least * spectrum.noise[c]:
             continue
         p = float(line.chance[c]) * spectrum.looks
         if p < CLAIM:
             where = _where(recording, signal, line, c)
-            item = Unexplained((channel,), (where,), f"{LINE}{line.frequency:.3g} Hz", p)
+            item = Unexplained((CHANNELS[c],), (where,), f"{LINE}{line.frequency:.3g} Hz", p)
             same = [f for f in out if abs(f - line.frequency) <= APART * spectrum.resolution]
             at = same[0] if same else line.frequency
             out[at] = _both(out[at], item) if same else item
@@ -162,14 +193,13 @@ def _both(one: Unexplained, other: Unexplained) -> Unexplained:
     return replace(surer, channels=channels, intervals=((min(a, c), max(b, d)),))
 
 
-def _at_rest(recording: Recording, poses: Poses) -> _Signal | None:
-    """Return the samples of rests as one signal, None of too few.
+def _at_rest(recording: Recording, poses: Poses, block: int) -> _Signal | None:
+    """Return means over so many samples of rests as one signal, None of too few.
 
     Without what all rests do alike since they began: what settles does that.
     """
     interval = recording.interval
-    long = np.median(poses.stop - poses.start) >= LENGTH if len(poses) else False
-    step = interval * (BLOCK if long else 1)
+    step = interval * block
     margin = round(MARGIN / max(interval, 1e-9))
     quiet = ~knocked(recording, poses)
     pieces, began, cut = list[IntArray](), list[int](), list[bool]()
@@ -224,9 +254,11 @@ class _Spectrum:
     signal : _Signal
     slow : bool
         Whether only those lines are looked for that no periodogram of samples tells.
+    above : float, Hz
+        From where on lines are looked for besides.
     """
 
-    def __init__(self, signal: _Signal, *, slow: bool) -> None:
+    def __init__(self, signal: _Signal, *, slow: bool, above: float = 0.0) -> None:
         number = int(signal.at[-1]) + 1
         sections = -(-number // SECTION)
         size = -(-number // sections)
@@ -254,7 +286,7 @@ class _Spectrum:
         self._first = int(np.searchsorted(frequency, LOST[kind] / usual))
         power /= len(signal.at) * (1.0 - lost[:, None]).clip(1e-9)
         self._power = power[self._first : -1]
-        self._lowest = LOWEST[kind] / usual
+        self._lowest = max(LOWEST[kind] / usual, above)
         self._highest = BOTH_SIDES * BLOCK / (LENGTH * signal.step) if slow else np.inf
         self._scales = list(self._each())
         self.noise = np.median(self._power, axis=0)
@@ -323,6 +355,8 @@ def _floors(parts: FloatArray) -> tuple[FloatArray, IntArray]:
     Infinite where a side has too few.
     """
     m = len(parts)
+    if m > MANY:
+        return _coarse_floors(parts)
     floor, number = np.full(parts.shape, np.inf), np.zeros(m, np.int64)
     side = min(SIDE, max((m - 2 * APART - 1) // 2, LEAST))
     reach = side + APART
@@ -339,6 +373,16 @@ def _floors(parts: FloatArray) -> tuple[FloatArray, IntArray]:
             floor[k] = np.maximum(np.median(below, axis=0), np.median(above, axis=0))
             number[k] = min(len(below), len(above))
     return floor, number
+
+
+def _coarse_floors(parts: FloatArray) -> tuple[FloatArray, IntArray]:
+    """Return what `_floors` does, by medians of chunks: the largest of a value's own and beside."""
+    chunks = len(parts) // CHUNK
+    median = np.median(parts[: chunks * CHUNK].reshape(chunks, CHUNK, 6), axis=1)
+    beside = np.pad(median, ((1, 1), (0, 0)), mode="edge")
+    most = np.maximum(np.maximum(beside[:-2], beside[2:]), median)
+    which = np.minimum(np.arange(len(parts)) // CHUNK, chunks - 1)
+    return most[which], np.full(len(parts), CHUNK)
 
 
 def _moves(line: _Line, channel: int, gravity: float) -> bool:

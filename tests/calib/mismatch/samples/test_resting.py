@@ -58,3 +58,22 @@ def test_a_line_in_some_rests_is_said_once():
     assert [item.channels for item in look_within(recording, poses)] == [("gyro.y",)]
     (item,) = look_at_rests(recording, poses)
     assert float(item.follows.removeprefix(A_LINE).split()[0]) == pytest.approx(3.6, abs=0.05)
+
+
+def test_a_line_whose_pace_wanders_is_as_long_as_what_it_makes_restless():
+    rng = np.random.default_rng(6)
+    time = np.arange(24_000) / 100.0
+    accel, gyro = 0.04 * rng.normal(size=(2, len(time), 3)) + [[[0.0, 0.0, 9.8]], [[0.0, 0.0, 0.0]]]
+    pace = 2 * np.pi * np.cumsum(np.interp(time, [60.0, 100.0, 130.0], [20.0, 24.0, 40.0])) / 100.0
+    gyro[:, 1] += ((time > 60.0) & (time < 130.0)) * 0.06 * np.sin(pace)
+    recording = Recording(time, accel, gyro, "device")
+    start = np.arange(0, len(time), 800)
+    poses = average_poses(recording, start, start + 650)
+    alone, (restless,) = look_at_spectrum(recording, poses), look_within(recording, poses)
+    (item,) = look_at_rests(recording, poses)
+    ((begin, end),), ((a, b),) = item.intervals, restless.intervals
+    assert begin <= a
+    assert end >= b
+    assert (begin, end) == pytest.approx((60.0, 130.0), abs=15.0)
+    # By itself it is said where its pace is even.
+    assert np.ptp(alone[0].intervals[0]) < end - begin

@@ -79,6 +79,22 @@ def test_a_faster_line_is_not_taken_for_a_slow_one() -> None:
     assert look(time, values, poses) == []
 
 
+@pytest.mark.parametrize("frequency", [17.3, 23.4, 41.7])
+@pytest.mark.parametrize(("c", "rate"), [(1, 100.0), (4, 250.0)])
+def test_a_faint_line_is_found_where_it_is(frequency: float, c: int, rate: float) -> None:
+    """A sixth of a sample's noise, of which a periodogram of a second shows nothing."""
+    time, values, poses = rests(c, rate=rate)
+    values[:, c] += 0.17 * NOISE[c] * np.sin(2 * np.pi * frequency * time + 1.0)
+    ((channel, found, share),) = look(time, values, poses)
+    assert (channel, share) == (CHANNELS[c], 1.0)
+    assert found == pytest.approx(frequency, abs=1.5 / time[-1])
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_noise_has_no_faint_line(seed: int) -> None:
+    assert look(*rests(100 + seed, number=30, rate=200.0)) == []
+
+
 @pytest.mark.parametrize("seed", range(4))
 def test_a_line_in_a_window_is_placed_there(seed: int) -> None:
     time, values, poses = rests(seed)
@@ -133,6 +149,7 @@ def test_chance_is_as_said(monkeypatch: pytest.MonkeyPatch) -> None:
     """Of white noise no more than one recording in ten has a p-value of a tenth."""
     monkeypatch.setattr(swings, "CLAIM", 0.1)
     monkeypatch.setattr(swings, "SHARE", 0.0)
+    monkeypatch.setattr(swings, "FAINTEST", 0.0)
     found = sum(len(look(*rests(1000 + seed))) > 0 for seed in range(60))
     assert found <= 12
 
