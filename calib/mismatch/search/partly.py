@@ -40,8 +40,11 @@ STAYS = 1.0
 
 IN_A_PART = "in a part of the recording"
 
-_IN_TIME = ("time", "temperature", "variance")
+_IN_TIME = ("power-on", "temperature", "variance")
 """What follows these has a course of its own in time."""
+
+_TURNS = "time since the last turn"
+"""What follows this has another shape beside its size, and yet the same after each turn."""
 
 
 class Part(NamedTuple):
@@ -63,10 +66,12 @@ def acting_part(
     The rows have the part of every finding in them.
     """
     own = accepted[which]
-    if not lasting(own.candidate) or (own.candidate.shape and not own.candidate.present):
+    if not lasting(own.candidate):
         return None
     effect = get_effect(own.candidate.name)
     if effect.kind != "sensor" or any(word in effect.follows for word in _IN_TIME):
+        return None
+    if own.candidate.shape and not (own.candidate.present or effect.follows == _TURNS):
         return None
     others = [a for i, a in enumerate(accepted) if i != which]
     whitener = make_whitener(rows, levels, contrast, fitted(rows, others))

@@ -24,6 +24,7 @@ TERMS = {
     "gyro_g_sensitivity": ("gxx", "gxy", "gxz", "gyx", "gyy", "gyz", "gzx", "gzy", "gzz"),
     "gyro_scale_quadratic": ("kx", "ky", "kz"),
     "accel_quadratic": ("kx", "ky", "kz"),
+    "accel_settling": ("kx", "ky", "kz"),
     "time_offset": ("gyro_delay",),
 }
 
@@ -93,12 +94,15 @@ def test_a_filter_that_is_set_half_way_is_no_bandwidth_of_the_sensor() -> None:
     assert min(stop, end) - max(start, begins) > 0.5 * (max(stop, end) - min(start, begins))
 
 
-@pytest.mark.parametrize("slug", ["gyro_g_sensitivity", "gyro_misalignment", "bandwidth"])
+@pytest.mark.parametrize(
+    "slug", ["gyro_g_sensitivity", "gyro_misalignment", "bandwidth", "accel_settling"]
+)
 @pytest.mark.long
 def test_a_term_of_the_sensor_acts_throughout_however_strong_it_is(slug: str) -> None:
     sizes = {
         "gyro_g_sensitivity": {"gxx": 4e-3, "gyz": -4e-3, "gzx": 2e-3},
         "gyro_misalignment": {"mxy": 0.02, "mxz": 0.03, "myz": -0.03, "mzx": 0.02},
+        "accel_settling": {"kx": 0.04, "ky": -0.03, "kz": 0.05, "tau": 1.3},
         "bandwidth": {"gyro": 1.0, "gyro_cutoff": 8.0, "order": 1.0},
     }
     found = diagnose_recording(recording(Term(slug, sizes[slug]), poses=20), gravity=GRAVITY)
