@@ -44,6 +44,9 @@ LONGEST, SEVERAL = 20.0, 8
 FEWEST = 8
 """Pieces below which nothing is said, and of which the mean tells what all do alike."""
 
+MOST = 1 << 20
+"""Samples of which single ones are looked at, at most."""
+
 SECTION = 1 << 15
 """Blocks of one spectrum, at most: of a longer recording it is the mean of several."""
 
@@ -211,6 +214,10 @@ def _at_rest(recording: Recording, poses: Poses, block: int) -> _Signal | None:
         pieces += some
         began += [a] * len(some)
         cut += [number > 1] * len(some)
+    if block == 1:
+        # Of a day every so many rests tell enough of what is in all of them.
+        each = slice(None, None, -(-sum(map(len, pieces)) // MOST) or 1)
+        pieces, began, cut = pieces[each], began[each], cut[each]
     if len(pieces) < FEWEST:
         return None
     sample = np.concatenate(pieces)
