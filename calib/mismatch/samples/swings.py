@@ -44,7 +44,7 @@ LONGEST, SEVERAL = 20.0, 8
 FEWEST = 8
 """Pieces below which nothing is said, and of which the mean tells what all do alike."""
 
-MOST = 1 << 20
+MOST = 1 << 18
 """Samples of which single ones are looked at, at most."""
 
 SECTION = 1 << 15
