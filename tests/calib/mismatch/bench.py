@@ -5,6 +5,7 @@ from dataclasses import replace
 from functools import cache
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from calib.effects.base import State, Term
 from calib.mismatch import diagnose_recording
@@ -95,3 +96,12 @@ def drawn(rows: Rows, levels: FloatArray, rng: np.random.Generator) -> Rows:
     dense = np.linalg.cholesky(covariance(rows, levels)) @ rng.normal(size=rows.n_dense)
     rest = np.sqrt(variance) * rng.normal(size=len(variance))
     return replace(rows, residual=np.append(dense, rest))
+
+
+def also_turned(recording: Recording, angle: FloatArray) -> Recording:
+    """Return a recording of a sensor that is also turned by small angles (n, 3) in its frame."""
+    back = Rotation.from_rotvec(angle).inv().as_matrix()
+    rate = np.gradient(angle, recording.time, axis=0)
+    accel = np.einsum("nij,nj->ni", back, recording.accel)
+    gyro = np.einsum("nij,nj->ni", back, recording.gyro) + rate
+    return replace(recording, accel=accel, gyro=gyro)

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
 from calib.mismatch import diagnose_recording
 from calib.mismatch.noise.sensornoise import LEANING, sample_noise
@@ -20,6 +19,8 @@ from calib.simulation.bench import bench_protocol
 from calib.simulation.noise import CONSUMER
 from calib.statics import find_poses
 from calib.types import FloatArray
+
+from ..bench import also_turned
 
 GRAVITY = 9.80665
 RATE = 100.0
@@ -47,15 +48,6 @@ def swaying(seed: int, number: int, *, size: float, back: float) -> FloatArray:
     return np.stack([np.convolve(a, soft, mode="same") for a in angle.T], axis=1)
 
 
-def held(recording: Recording, angle: FloatArray) -> Recording:
-    """Return the recording of a sensor that is also turned by small angles (n, 3) in its frame."""
-    turn = Rotation.from_rotvec(angle).inv().as_matrix()
-    rate = np.gradient(angle, recording.time, axis=0)
-    accel = np.einsum("nij,nj->ni", turn, recording.accel)
-    gyro = np.einsum("nij,nj->ni", turn, recording.gyro) + rate
-    return replace(recording, accel=accel, gyro=gyro)
-
-
 def leans(recording: Recording) -> Leans:
     grid = make_grid(recording, find_poses(recording))
     return how_it_leans(grid, sample_noise(grid), least=LEANING)
@@ -65,7 +57,7 @@ def leans(recording: Recording) -> Leans:
 def test_sway_is_learnt(seed: int) -> None:
     recording = laid(seed)
     size, back = 3e-3, 1.5
-    found = leans(held(recording, swaying(seed, len(recording.time), size=size, back=back)))
+    found = leans(also_turned(recording, swaying(seed, len(recording.time), size=size, back=back)))
     assert 0.5 < found.back < 4.0
     # Over seconds an angle differs by twice its variance.
     assert found.expected * found.back == pytest.approx(2 * size**2, rel=0.5)
@@ -92,7 +84,7 @@ def test_rests_on_a_table_among_those_that_sway_lean_less() -> None:
     part = np.zeros(len(angle))
     for start, stop in zip(poses.start[::2], poses.stop[::2], strict=True):
         part[start:stop] = np.sin(np.linspace(0, np.pi, stop - start)) ** 0.2
-    found = leans(held(recording, angle * part[:, None]))
+    found = leans(also_turned(recording, angle * part[:, None]))
     assert found.expected > 0
     assert found.size is not None
     assert np.median(found.size[1::2]) < 0.5 * np.median(found.size[::2])
@@ -116,6 +108,6 @@ def test_gravity_follows_the_turn_that_moves_it() -> None:
 def test_nothing_is_named_for_a_hand(seed: int) -> None:
     recording = laid(seed, lasts=((1.5, 4.0), (3.0, 9.0), (5.0, 20.0))[seed % 3])
     angle = swaying(seed, len(recording.time), size=3e-3, back=1.5)
-    found = diagnose_recording(held(recording, angle), gravity=GRAVITY)
+    found = diagnose_recording(also_turned(recording, angle), gravity=GRAVITY)
     assert [f.effect for f in found.findings] == []
     assert found.unexplained == ()

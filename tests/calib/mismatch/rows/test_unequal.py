@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
 
 from calib.mismatch import diagnose_recording
 from calib.mismatch.noise.sensornoise import LEANING, sample_noise
@@ -20,6 +19,8 @@ from calib.simulation.kinematics import Motion
 from calib.simulation.noise import CONSUMER
 from calib.statics import find_poses
 from calib.types import FloatArray
+
+from ..bench import also_turned
 
 GRAVITY = 9.80665
 
@@ -48,15 +49,6 @@ def creep(motion: Motion, time: FloatArray, degrees: FloatArray, seed: int) -> F
     return out
 
 
-def on_foam(recording: Recording, angle: FloatArray) -> Recording:
-    """Return a recording of a sensor that is also turned by small angles (n, 3) in its frame."""
-    back = Rotation.from_rotvec(angle).inv().as_matrix()
-    rate = np.gradient(angle, recording.time, axis=0)
-    accel = np.einsum("nij,nj->ni", back, recording.accel)
-    gyro = np.einsum("nij,nj->ni", back, recording.gyro) + rate
-    return replace(recording, accel=accel, gyro=gyro)
-
-
 def leans(recording: Recording) -> tuple[FloatArray, FloatArray, float]:
     """Return how much more each pose leans, when it is, and how much all creep as they begin."""
     grid = make_grid(recording, find_poses(recording))
@@ -71,7 +63,7 @@ def test_those_that_creep_far_lean_by_more() -> None:
     rests = [s for s in motion.segments if s.kind != "turn"]
     far = np.array([k % 6 == 3 for k in range(len(rests))])
     degrees = np.where(far, 0.25, 0.02)
-    found, middle, _ = leans(on_foam(recording, creep(motion, recording.time, degrees, 5)))
+    found, middle, _ = leans(also_turned(recording, creep(motion, recording.time, degrees, 5)))
     which = np.searchsorted([s.stop for s in rests], middle)
     assert (found[~far[which]] < 3.0).all()
     assert (found[far[which]] > 4.0).sum() >= 2
@@ -102,7 +94,7 @@ def test_what_all_rests_begin_with_is_creep_where_gravity_moves(seed: int) -> No
     motion, recording = made(seed)
     rests = sum(s.kind != "turn" for s in motion.segments)
     angle = creep(motion, recording.time, np.full(rests, 0.17), seed)
-    assert leans(on_foam(recording, angle))[2] > 10.0
+    assert leans(also_turned(recording, angle))[2] > 10.0
     # Of the gyroscope alone it is something that it remembers of turns.
     rate = np.gradient(angle, recording.time, axis=0)
     assert leans(replace(recording, gyro=recording.gyro + rate))[2] == 0.0
@@ -110,10 +102,10 @@ def test_what_all_rests_begin_with_is_creep_where_gravity_moves(seed: int) -> No
 
 @pytest.mark.long
 @pytest.mark.parametrize("seed", [3, 6, 8, 9])
-def test_nothing_is_named_for_a_sensor_on_foam(seed: int) -> None:
+def test_nothing_is_named_for_a_sensor_also_turned(seed: int) -> None:
     motion, recording = made(seed)
     rests = sum(s.kind != "turn" for s in motion.segments)
     angle = creep(motion, recording.time, np.full(rests, 0.17), seed)
-    found = diagnose_recording(on_foam(recording, angle), gravity=GRAVITY)
+    found = diagnose_recording(also_turned(recording, angle), gravity=GRAVITY)
     assert [f.effect for f in found.findings] == []
     assert found.unexplained == ()
