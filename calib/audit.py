@@ -17,6 +17,7 @@ from calib.recording import CHANNELS, Clock, Recording
 from calib.repeats import find_repeats
 from calib.statics import find_poses
 from calib.tilts import Closure
+from calib.timing import evened
 from calib.types import BoolArray, FloatArray
 from calib.units import check_units, unit_faults
 from calib.wrapped import find_wrapped
@@ -90,7 +91,8 @@ def audit(recording: Recording, poses: Poses | None = None) -> Audit:
     at_rest = np.zeros(len(recording), bool)
     for start, stop in zip(poses.start, poses.stop, strict=True):
         at_rest[start:stop] = True
-    gaps = faults.find_gaps(recording)
+    # A stamp that is late leaves a hole before it, but no sample is missing there.
+    gaps = faults.find_gaps(evened(recording))
     distinct = _distinct(poses)
     closure = Closure.of(recording, poses)
     samples = _samples(recording, at_rest)

@@ -50,14 +50,19 @@ PART = 4096
 NO_WORSE = 1.2
 """Scatter, relative to that with more lost samples, that is no larger."""
 
-STALL = 0.5
-"""A computer that is busy catches up with what waits for it within this time, s."""
+STALL, LATEST = 0.5, 4.0
+"""A computer that is busy catches up with what waits for it within this time, s; and within that,
+if the interval is known so well, some packet comes at once."""
 
 PAUSE = 1.0
 """A hole this long (s) parts a recording: the clock is followed on each side by itself."""
 
 SHIFTED, STAYS = 0.1, 6.0
 """Part of an interval, and median steps of what stamps are late by, from which they stay late."""
+
+LASTING = 512
+"""Samples, at most, before and after a hole over which stamps stay late that do: packets are late
+together, each by its own delay, and a few of them tell nothing."""
 
 HELD_UP = 6.0
 """Median deviations beyond which a stamp was held up."""
@@ -153,9 +158,34 @@ def _out_of_step(time: FloatArray, number: IntArray, hole: BoolArray) -> BoolArr
     before, after = late[at[:, None] - 1 - around], late[at[:, None] + around]
     moved = np.median(after, axis=1) - np.median(before, axis=1)
     scatter = np.maximum(*(np.median(np.abs(np.diff(x, axis=1)), axis=1) for x in (before, after)))
-    shifted = np.abs(moved - interval * np.rint(moved / interval))
-    out[at[shifted > np.maximum(SHIFTED * interval, STAYS * scatter)] - 1] = True
+    shifted = _off_grid(moved, interval)
+    at = at[shifted > np.maximum(SHIFTED * interval, STAYS * scatter)]
+    out[at[_lasts(late, at, interval)] - 1] = True
     return out
+
+
+def _lasts(late: FloatArray, at: IntArray, interval: float) -> BoolArray:
+    """Return at which samples (k,) stamps become later, or earlier, by part of an interval.
+
+    And stay so: by more than the means of so many samples do by chance, which are as far apart.
+    """
+    reach = min(LASTING, len(late) // 4)
+    total = np.append(0.0, np.cumsum(late - late.mean()))
+    low, high = np.maximum(at - reach, 0), np.minimum(at + reach, len(late))
+    moved = (total[high] - total[at]) / (high - at) - (total[at] - total[low]) / (at - low)
+    # What was shifted once leaves a slope on either side.
+    step = np.diff(np.diff(total[::reach]) / reach)
+    slope = float(np.median(step)) if len(step) else 0.0
+    moved -= slope * (high - low) / (2 * reach)
+    usual = float(np.median(np.abs(step - slope))) if len(step) else 0.0
+    fewer = np.sqrt(reach / np.minimum(high - at, at - low))
+    least = np.maximum(0.5 * SHIFTED * interval, STAYS * usual * fewer)
+    return np.asarray(_off_grid(moved, interval) > least)
+
+
+def _off_grid(moved: FloatArray, interval: float) -> FloatArray:
+    """Return by how much a move is no whole number of intervals."""
+    return np.asarray(np.abs(moved - interval * np.rint(moved / interval)))
 
 
 def clock_errors(stamps: FloatArray, time: FloatArray) -> FloatArray:
@@ -180,16 +210,21 @@ def sample_numbers(time: FloatArray, lost: IntArray | None = None) -> IntArray:
     if len(time) <= BESIDE:
         return number
     # The median over few samples is right though many are lost, the mean over many though they
-    # come in bursts. That is so where fewer lost ones leave no more scatter.
+    # come in bursts, and that over a quarter of them all though these are late, too. That is so
+    # where fewer lost ones leave no more scatter.
     short = float(np.median(_intervals(time, BESIDE)))
-    many = _numbered(time, known, short, BESIDE)
+    many = _numbered(time, known, short, BESIDE, STALL)
     if many[-1] == number[-1]:
         return many
     long = _intervals(time, min(BURSTS, len(time) // 2))
     usual = np.abs(long / np.median(long) - 1.0) < LONGEST / BURSTS
-    few = _numbered(time, known, float(long[usual].mean()), LONGEST)
-    fewer = few[-1] < many[-1] and _scatter(time, few) < NO_WORSE * _scatter(time, many)
-    return few if fewer else many
+    longest = _intervals(time, max(len(time) // 4, 1))
+    tried = (float(long[usual].mean()), STALL), (float(np.median(longest)), LATEST)
+    for interval, stall in tried:
+        few = _numbered(time, known, interval, LONGEST, stall)
+        if few[-1] < many[-1] and _scatter(time, few) < NO_WORSE * _scatter(time, many):
+            many = few
+    return many
 
 
 def _intervals(time: FloatArray, span: int) -> FloatArray:
@@ -197,14 +232,17 @@ def _intervals(time: FloatArray, span: int) -> FloatArray:
     return (time[span:] - time[:-span]) / span
 
 
-def _numbered(time: FloatArray, known: IntArray, interval: float, beside: int) -> IntArray:
+def _numbered(
+    time: FloatArray, known: IntArray, interval: float, beside: int, stall: float
+) -> IntArray:
     """Return the numbers of samples from roughly how far they are apart, s.
 
-    So many ``beside`` a hole say whether samples are missing there.
+    So many ``beside`` a hole say whether samples are missing there, and at first those that are
+    within ``stall`` (s) of it how many.
     """
-    for _ in range(2):
+    for latest in (stall, LATEST):
         # How late stamps are far from a hole can be told if the interval is known well.
-        reach = max(beside, min(round(STALL / interval), len(time) // 20))
+        reach = max(beside, min(round(latest / interval), len(time) // 20))
         missing = _count_missing(time, known, interval, reach, beside)
         number = np.arange(len(time)) + np.cumsum(missing)
         interval = _period(time, number)
@@ -235,7 +273,11 @@ def _count_missing(
     for at in holes[np.concatenate(moved) > 0.5 * interval].tolist():
         first = max(at - reach, 0)
         counted = interval * np.cumsum(missing[first:at])
-        far = _later(late[first:at] - counted, late[at : at + reach] - counted[-1])
+        before, after = late[first:at] - counted, late[at : at + reach] - counted[-1]
+        far = _later(before, after)
+        # A few at the end may all be late; not by more than any were before.
+        if len(after) < beside and far < np.ptp(before):
+            continue
         missing[at] = max(int(np.rint(far / interval)), 0)
     return missing
 

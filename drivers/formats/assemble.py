@@ -9,15 +9,17 @@ import numpy as np
 
 from calib.errors import InvalidSampleError
 from calib.recording import CHANNELS, Clock, DeviceInfo, Recording
+from calib.rounded_stamps import ROUNDED
 from calib.timing import SHARED
 from calib.types import BoolArray, FloatArray, IntArray
+from drivers.formats.rounded import Rounded
 from drivers.formats.ticks import Ticks
 
 MAX_REVERSAL = 1.0
 """s; rows out of order may be dropped, but not a clock that started again."""
 
 
-ROUNDED, EXACT = (0.02, 0.6), 0.01
+ALIKE, EXACT = (0.02, 0.6), 0.01
 """Shares of the usual step between which stamps are rounded to a tick (where a tick is a step no
 two are alike), and of a tick by which floating point leaves these off."""
 
@@ -32,9 +34,10 @@ class Assembler:
     """Makes the batches of one recording, whatever file they come from.
 
     Keeps what runs on from batch to batch: the last time, the number of rows, and rows that were
-    dropped at the end of a batch and so are lost before the next one. Where many samples share a
-    stamp they are counted on from it, and the note `SHARED` says so. A thermometer that is nan in
-    every row is none.
+    dropped at the end of a batch and so are lost before the next one. Coarse stamps that an even
+    clock explains are put on its grid, and the note `ROUNDED` says so; where many samples share a
+    stamp otherwise, they are counted on from it, and the note `SHARED` says that. A thermometer
+    that is nan in every row is none.
 
     Parameters
     ----------
@@ -56,6 +59,7 @@ class Assembler:
     complete: bool = True
     rows: int = 0
     dropped: int = 0
+    _rounded: Rounded = field(default_factory=Rounded)
     _ticks: Ticks = field(default_factory=Ticks)
     _pending: int = 0
     _last: float = -np.inf
@@ -84,8 +88,7 @@ class Assembler:
         self.rows += len(time)
         if len(time) == 0:
             return None
-        time = self._ticks.counted_on(time)
-        time = self._told_apart(time, accel, gyro)
+        time = self._timed(time, accel, gyro, lost)
         temperature = self._measured(temperature, first)
         bad = self._not_finite(time, accel, gyro, temperature, first)
         late = self._not_increasing(time, bad, first)
@@ -114,6 +117,15 @@ class Assembler:
             notes=self._notes(),
         )
 
+    def _timed(
+        self, stamps: FloatArray, accel: FloatArray, gyro: FloatArray, lost: IntArray | None
+    ) -> FloatArray:
+        """Return times that increase, where stamps say when samples were taken, if roughly."""
+        even = None if self.clock == "invalid" else self._rounded.evened(stamps, lost)
+        if even is not None:
+            return even
+        return self._told_apart(self._ticks.counted_on(stamps), accel, gyro)
+
     def _told_apart(self, time: FloatArray, accel: FloatArray, gyro: FloatArray) -> FloatArray:
         """Return times of which those that rounding made alike are within what it hides.
 
@@ -134,7 +146,7 @@ class Assembler:
             return time
         tick, usual = _tick(step), float(np.median(step))
         scatter = float((np.abs(step - usual) > 0.5 * tick).mean())
-        if not ROUNDED[0] * usual < tick < ROUNDED[1] * usual or scatter < SCATTERED:
+        if not ALIKE[0] * usual < tick < ALIKE[1] * usual or scatter < SCATTERED:
             return time
         # Members of a group lie evenly in their tick; the first of all may go on from before.
         group = np.cumsum(~same)
@@ -160,7 +172,9 @@ class Assembler:
 
     def _notes(self) -> Mapping[str, str]:
         found = {} if self._warm is not False else {"temperature": "nan in every row: left out"}
-        if self._ticks.interval:
+        if self._rounded.found is not None:
+            found[ROUNDED] = self._rounded.found.said
+        elif self._ticks.interval:
             found[SHARED] = f"{self._ticks.tick:.4g} s apart, counted on between"
         if self.dropped:
             found["dropped_rows"] = str(self.dropped)

@@ -16,6 +16,7 @@ from calib.simulation.bench import bench_protocol
 from calib.simulation.noise import CONSUMER
 from calib.timing import clock_errors, even_times, evened, sample_numbers
 from calib.types import FloatArray
+from drivers.formats.ticks import Ticks
 
 GRAVITY = 9.80665
 TURNING = 100.0
@@ -218,3 +219,40 @@ def test_a_gap_and_the_rate_of_a_clock_stay() -> None:
     assert scatter(
         np.delete(mended, slice(690, 710)), np.delete(1.001 * taken, slice(690, 710))
     ) < (0.2 * scatter(stamps, 1.001 * taken))
+
+
+@pytest.mark.parametrize("size", [4, 16, 25])
+@pytest.mark.parametrize("late", [3e-3, 8e-3])
+def test_packets_that_are_late_together_are_of_one_clock(size: int, late: float) -> None:
+    """A few packets that are later than those before are no new beginning, and none is lost."""
+    true = bench(100.0, poses=16)
+    rng = np.random.default_rng((11, size))
+    number = np.arange(len(true))
+    packet = number // size
+    delay = late * np.abs(rng.normal(size=packet[-1] + 1))
+    arrived = np.maximum.accumulate((np.arange(packet[-1] + 1) + 1) * size / 100.0 + delay)
+    shown = Ticks().counted_on(arrived[packet])
+    found = evened(replace(true, time=shown))
+    assert np.abs(np.diff(found.time) * 100.0 - 1.0).max() < 5e-5
+
+
+@pytest.mark.parametrize("lost", [1, 3, 50])
+def test_what_stays_late_among_late_packets_is_lost(lost: int) -> None:
+    rng = np.random.default_rng((12, lost))
+    count, size = 20_000, 10
+    number = np.arange(count) + lost * (np.arange(count) >= 9000)
+    arrived = np.maximum.accumulate(
+        number[size - 1 :: size] / 100.0 + rng.exponential(5e-3, count // size)
+    )
+    found = sample_numbers(Ticks().counted_on(np.repeat(arrived, size)))
+    assert found[-1] == number[-1]
+    assert abs(int(np.argmax(np.diff(found))) - 9000) <= 3 * size
+
+
+@pytest.mark.parametrize("rate", [99.95, 416.0])
+def test_delays_of_many_samples_are_no_losses(rate: float) -> None:
+    rng = np.random.default_rng(13)
+    taken = np.arange(20_000) / rate
+    late = np.maximum.accumulate(taken + rng.exponential(5e-3, len(taken)))
+    found = sample_numbers(late + 1e-9 * np.arange(len(taken)))
+    assert found[-1] == len(taken) - 1
