@@ -43,7 +43,7 @@ Time
 so nothing assumes an even rate. ``lost[k]`` counts samples known to be missing just before sample
 ``k``. Intervals are ``[t0, t1]`` in recording seconds, index ranges ``[start, stop)``. Stamps that
 scatter are evened out before anything is integrated, if samples show that they were taken evenly
-(`calib.timing`).
+(`calib.timing`); coarse ones are as a log is read (`calib.rounded_stamps`).
 
 Noise
 -----

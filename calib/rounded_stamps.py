@@ -1,11 +1,12 @@
 """Even times for stamps that are coarse: written in tenths of a second, or by a clock that ticks.
 
-Model: sample number ``k`` is taken at ``a + T k`` and stamped in ticks of ``r``, rounded or cut off,
-so that stamp - a - T k lies in a band that is one tick high. Where ticks are no small part of the
-interval, stamps beat with it: steps of 9, 10 and 11 samples, or two ticks at once now and then. All
-stamps together tell the line far better than each does. What is missing is a shift of all that
-follows by whole intervals, which no line within the band explains. A clock that changes its pace is
-followed by the fewest straight pieces; rounding and cutting off differ by a shift of all times.
+Model: sample number ``k`` is taken at ``a + T k`` and stamped in ticks of ``r``, rounded or cut
+off, so that ``stamp - a - T k`` lies in a band that is one tick high. Where ticks are no small part
+of the interval, stamps beat with it: steps of 9, 10 and 11 samples, or two ticks at once now and
+then. All stamps together tell the line far better than each does. What is missing is a shift of all
+that follows by whole intervals, which no line within the band explains. A clock that changes its
+pace is followed by the fewest straight pieces; rounding and cutting off differ by a shift of all
+times.
 """
 
 from __future__ import annotations
@@ -34,12 +35,16 @@ DIGIT = 1e-6
 EXACT = 1e-6
 """Of a tick: what ties and floating point leave a band higher."""
 
-UNSTEADY = (EXACT, 0.05, 0.2, 0.5)
+UNSTEADY = (EXACT, 0.05, 0.2, 0.5, 1.0)
 """Of a tick, or an interval if that is shorter: by how much bands are higher where what stamps is
-late, too. The least that explains all stamps counts; whole samples still stand out of all."""
+late, too. The least that explains all stamps counts; whole samples stand out of all but the
+last."""
 
 SHARED = 0.95
 """Of steps, those that are some, at most, where stamps are shared and not by mistake alone."""
+
+SPARED = 0.5
+"""Of what seems to be lost, how much is left at most in a higher band where it is none."""
 
 BEATS = 3
 """Steps that no exact stamps have, for each piece of a line, from which stamps are rounded: of so
@@ -108,11 +113,26 @@ def even_grid(stamps: FloatArray, lost: IntArray | None = None) -> Even | None:
         weight = _beats(step, np.diff(number), tick)
         if weight < BEATS:
             continue
-        for part in UNSTEADY:
-            found = _Line(since, number, tick, part).found(weight)
-            if found is not None:
-                return found._replace(time=found.time + stamps[0])
+        found = _steadiest(since, number, tick, weight)
+        if found is not None:
+            return found._replace(time=found.time + stamps[0])
     return None
+
+
+def _steadiest(since: FloatArray, number: IntArray, tick: float, weight: int) -> Even | None:
+    """Return the times of the lowest band, unless a higher one spares most of its losses."""
+    best, least = None, np.inf
+    # A few losses of exact stamps lie near a line by chance, but hardly on one.
+    for part in UNSTEADY if weight > FEWEST else UNSTEADY[:2]:
+        found = _Line(since, number, tick, part).found(weight)
+        if found is None:
+            continue
+        shifts = int(np.count_nonzero(np.diff(found.number) != np.diff(number)))
+        if best is None or shifts < SPARED * least:
+            best, least = found, shifts
+        if least < BEATS:
+            break
+    return best
 
 
 def _ticks(step: FloatArray, interval: float) -> list[float]:

@@ -19,12 +19,16 @@ MAX_REVERSAL = 1.0
 """s; rows out of order may be dropped, but not a clock that started again."""
 
 
-ALIKE, EXACT = (0.02, 0.6), 0.01
-"""Shares of the usual step between which stamps are rounded to a tick (where a tick is a step no
-two are alike), and of a tick by which floating point leaves these off."""
+ALIKE, EXACT = (0.02, 1.1), 0.01
+"""Shares of the usual step between which stamps are rounded to a tick, and of a tick by which
+floating point leaves these off."""
 
 
-SCATTERED = 0.1
+JUST = 1e-9
+"""s by which times follow each other where nothing else is known."""
+
+
+SCATTERED = 0.05
 """Share of steps that differ from the usual one where a host is late: of an even clock no two
 stamps are alike but by mistake."""
 
@@ -124,7 +128,12 @@ class Assembler:
         even = None if self.clock == "invalid" else self._rounded.evened(stamps, lost)
         if even is not None:
             return even
-        return self._told_apart(self._ticks.counted_on(stamps), accel, gyro)
+        time = self._told_apart(self._ticks.counted_on(stamps), accel, gyro)
+        if self._rounded.found is None:
+            return time
+        # The grid may have been ahead of its stamps by part of a tick.
+        ahead = (time <= self._last) & (time > self._last - self._rounded.found.tick)
+        return np.where(ahead, self._last + JUST * np.arange(1, len(time) + 1), time)
 
     def _told_apart(self, time: FloatArray, accel: FloatArray, gyro: FloatArray) -> FloatArray:
         """Return times of which those that rounding made alike are within what it hides.
@@ -141,10 +150,10 @@ class Assembler:
         first = values[:1] if before is None else before[None]
         other = (np.diff(values, axis=0, prepend=first) != 0).any(axis=1)
         step = np.diff(time)
-        step = step[step > 0]
-        if not step.size or not (other | ~same).all():
+        up = step[step > 0]
+        if not up.size or not (other | ~same).all():
             return time
-        tick, usual = _tick(step), float(np.median(step))
+        tick, usual = _tick(up), float(np.median(up))
         scatter = float((np.abs(step - usual) > 0.5 * tick).mean())
         if not ALIKE[0] * usual < tick < ALIKE[1] * usual or scatter < SCATTERED:
             return time

@@ -67,4 +67,3 @@ class Rounded:
         out = time.copy()
         out[forward] = own
         return out
-

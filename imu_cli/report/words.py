@@ -186,6 +186,8 @@ def notes(document: Mapping[str, Any]) -> list[str]:
             f"The sensor was bumped in a rest at {spans(recording['bumped'], digits=2)}: such a "
             "pose counts as two, one before and one after."
         )
+    if "rounded_stamps" in recording:
+        out.append(f"Time stamps are rounded {recording['rounded_stamps']}.")
     if "shared_stamps" in recording:
         out.append(f"Several samples share a time stamp: {recording['shared_stamps']}.")
     if "stamps" in recording:

@@ -27,6 +27,7 @@ from calib.mismatch.noise.hush import HUSHED
 from calib.model import SensorModel
 from calib.read_once import HELD
 from calib.recording import Recording
+from calib.rounded_stamps import ROUNDED
 from calib.timing import EVENED, SHARED
 from calib.types import FloatArray
 
@@ -354,6 +355,7 @@ def summarise(recording: Recording) -> dict[str, object]:
         "samples": len(recording),
         "rate": 1.0 / recording.interval if recording.interval else 0.0,
         "clock": recording.clock,
+        **({"rounded_stamps": recording.notes[ROUNDED]} if ROUNDED in recording.notes else {}),
         **({"shared_stamps": recording.notes[SHARED]} if SHARED in recording.notes else {}),
         **({"stamps": recording.notes[EVENED]} if EVENED in recording.notes else {}),
         **({"held": recording.notes[HELD]} if HELD in recording.notes else {}),

@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from calib.errors import InvalidSampleError
+from calib.rounded_stamps import ROUNDED
 from calib.timing import SHARED
 from drivers.formats import open_batches, read_recording
 from drivers.formats.ticks import Ticks
@@ -72,11 +73,19 @@ def test_a_log_of_hundredths_is_read_and_says_so(tmp_path: Path) -> None:
     time = np.arange(3000) / 250
     log = written(tmp_path / "log.csv", ticked(time, 0.01))
     recording = read_recording(log)
-    assert recording.notes[SHARED].startswith("0.01 s")
+    assert recording.notes[ROUNDED].startswith("to 0.01 s: samples are taken as even, at 250.00 Hz")
     assert len(recording) == 3000
     np.testing.assert_allclose(recording.time, time, atol=0.011)
     batches = list(open_batches(log, batch=700))
     assert sum(map(len, batches)) == 3000
+
+
+def test_a_log_of_late_packets_is_counted_on_and_says_so(tmp_path: Path) -> None:
+    rng = np.random.default_rng(5)
+    arrived = 0.16 * np.arange(1, 201) + rng.exponential(8e-3, 200)
+    recording = read_recording(written(tmp_path / "log.csv", np.repeat(arrived, 16)))
+    assert recording.notes[SHARED].endswith("apart, counted on between")
+    assert len(recording) == 3200
 
 
 def test_a_log_with_one_stamp_is_refused(tmp_path: Path) -> None:

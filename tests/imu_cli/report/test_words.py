@@ -27,6 +27,7 @@ DOCUMENT = {
         "poses": 92,
         "poses_used": 80,
         "stamps": "1.2 ms",
+        "rounded_stamps": "to 0.1 s: samples are taken as even, at 99.70 Hz",
         "swapped_markers": {"samples": 3, "intervals": [[1.0, 1.25]]},
         "jumps": {"samples": 38, "intervals": [[4.85, 5.15]]},
         "corners": 41,
@@ -40,6 +41,7 @@ def test_everything_that_was_done_to_a_recording_is_said_on_the_page() -> None:
     for words in (
         "80 of 92 poses",
         "1.2 ms",
+        "rounded to 0.1 s: samples are taken as even, at 99.70 Hz.",
         "3 samples",
         "1.00 to 1.25 s",
         "5.15 s",
