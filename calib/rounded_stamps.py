@@ -15,8 +15,6 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from scipy.optimize import linprog
-from scipy.sparse import csr_array
 
 from calib.types import BoolArray, FloatArray, IntArray
 
@@ -359,6 +357,9 @@ def _lowest_band(knots: FloatArray, x: FloatArray, y: FloatArray) -> tuple[Float
 
     Of earliest and latest points, (m, 2) each; a linear programme.
     """
+    from scipy.optimize import linprog
+    from scipy.sparse import csr_array, vstack
+
     width = len(knots)
     rows = []
     for column, sign in ((0, -1.0), (1, 1.0)):
@@ -371,8 +372,6 @@ def _lowest_band(knots: FloatArray, x: FloatArray, y: FloatArray) -> tuple[Float
         index = np.concatenate((piece, piece + 1, np.full(m, width)))
         rows.append((csr_array((value, (row, index)), shape=(m, width + 1)), sign * y[:, column]))
     scale = float(np.abs(y).max()) or 1.0
-    from scipy.sparse import vstack
-
     solved = linprog(
         np.r_[np.zeros(width), 1.0],
         A_ub=vstack([matrix for matrix, _ in rows]),
