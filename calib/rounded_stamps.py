@@ -54,6 +54,12 @@ PACE = 3e-4
 STEADY = 20.0
 """Time over which the clock that stamps is steady, s."""
 
+PAUSE = 1.0
+"""A hole this long (s) may be of any length."""
+
+SPAN = 1024
+"""Samples that tell roughly how far they are apart."""
+
 SHORT = 16
 """Ticks that a line must explain at least to be one."""
 
@@ -107,22 +113,26 @@ def even_grid(stamps: FloatArray, lost: IntArray | None = None) -> Even | None:
     step = np.diff(since)
     if not since[-1] > 0:
         return None
-    for tick in _ticks(step, since[-1] / (number[-1] - number[0])):
+    far = min(SPAN, len(stamps) // 2)
+    interval = float(np.median((since[far:] - since[:-far]) / (number[far:] - number[:-far])))
+    for tick in _ticks(step, interval):
         weight = _beats(step, np.diff(number), tick)
         if weight < BEATS:
             continue
-        found = _steadiest(since, number, tick, weight)
+        found = _steadiest(since, number, (tick, interval), weight)
         if found is not None:
             return found._replace(time=found.time + stamps[0])
     return None
 
 
-def _steadiest(since: FloatArray, number: IntArray, tick: float, weight: int) -> Even | None:
+def _steadiest(
+    since: FloatArray, number: IntArray, steps: tuple[float, float], weight: int
+) -> Even | None:
     """Return the times of the lowest band, unless a higher one spares most of its losses."""
     best, least = None, np.inf
     # A few losses of exact stamps lie near a line by chance, but hardly on one.
     for part in UNSTEADY if weight > FEWEST else UNSTEADY[:2]:
-        found = _Line(since, number, tick, part).found(weight)
+        found = _Line(since, number, *steps, part).found(weight)
         if found is None:
             continue
         shifts = int(np.count_nonzero(np.diff(found.number) != np.diff(number)))
@@ -164,15 +174,16 @@ def _beats(step: FloatArray, count: IntArray, tick: float) -> int:
 class _Line:
     """Stamps (n,) since the first, their numbers, and the band about a line that holds them."""
 
-    def __init__(self, stamps: FloatArray, number: IntArray, tick: float, part: float) -> None:
+    def __init__(
+        self, stamps: FloatArray, number: IntArray, tick: float, interval: float, part: float
+    ) -> None:
         self._stamps, self._number, self._tick = stamps, number, tick
-        mean = float(stamps[-1]) / float(number[-1] - number[0])
-        self._band = tick + part * min(tick, mean)
+        self._band = tick + part * min(tick, interval)
         # Of samples with one stamp only the first and the last are near an edge of the band.
         edge = np.diff(stamps) > 0
         self._at = np.flatnonzero(np.r_[True, edge] | np.r_[edge, True])
         self._first = np.flatnonzero(np.r_[True, edge])
-        self._range = 0.5 * mean, 1.5 * mean
+        self._range = 0.5 * interval, 1.5 * interval
 
     def found(self, weight: int) -> Even | None:
         """Return even times, if fewer shifts than ``weight`` tells of explain all stamps."""
@@ -254,7 +265,9 @@ class _Line:
             before, after = late[first:since], late[since:last]
             most = (after.min() - before.max() + self._band) / pace + 0.02
             least = (after.max() - before.min() - self._band) / pace - 0.02
-            missing = max(round(0.5 * (least + most)), 0)
+            missing = float(max(round(0.5 * (least + most)), 0))
+            if pace * least > PAUSE and not least < missing < most:
+                missing = 0.5 * (least + most)  # it began anew, at any moment
             if missing < least or missing > most or (sure and least <= 0):
                 continue
             x[self._place(x, since, edge, pace) :] += missing

@@ -163,3 +163,14 @@ def test_milliseconds_of_a_clock_that_warms_are_even() -> None:
     assert found is not None
     assert found.number[-1] == len(taken) - 1
     assert bends(found.time, taken) < 5e-5
+
+
+@pytest.mark.parametrize("pause", [3.456, 250.0])
+def test_a_pause_of_any_length_parts_no_clock(pause: float) -> None:
+    taken = np.arange(20_000) / 99.7
+    taken[9000:] += pause
+    found = even_grid(rounded(taken, 0.01))
+    assert found is not None
+    step = np.diff(found.time)
+    assert step[8999] == pytest.approx(pause + 1 / 99.7, abs=2e-3)
+    assert np.abs(np.delete(step, 8999) * 99.7 - 1.0).max() < 5e-5
