@@ -167,7 +167,8 @@ def _out_of_step(time: FloatArray, number: IntArray, hole: BoolArray) -> BoolArr
 def _lasts(late: FloatArray, at: IntArray, interval: float) -> BoolArray:
     """Return at which samples (k,) stamps become later, or earlier, by part of an interval.
 
-    And stay so: by more than the means of so many samples do by chance, which are as far apart.
+    And stay so: by more than the means of so many samples do by chance, which are as far apart. Of
+    fewer than half as many nobody can tell.
     """
     reach = min(LASTING, len(late) // 4)
     total = np.append(0.0, np.cumsum(late - late.mean()))
@@ -178,9 +179,9 @@ def _lasts(late: FloatArray, at: IntArray, interval: float) -> BoolArray:
     slope = float(np.median(step)) if len(step) else 0.0
     moved -= slope * (high - low) / (2 * reach)
     usual = float(np.median(np.abs(step - slope))) if len(step) else 0.0
-    fewer = np.sqrt(reach / np.minimum(high - at, at - low))
-    least = np.maximum(0.5 * SHIFTED * interval, STAYS * usual * fewer)
-    return np.asarray(_off_grid(moved, interval) > least)
+    fewer = np.minimum(high - at, at - low)
+    least = np.maximum(SHIFTED * interval, STAYS * usual * np.sqrt(reach / fewer))
+    return np.asarray((_off_grid(moved, interval) > least) & (2 * fewer >= reach))
 
 
 def _off_grid(moved: FloatArray, interval: float) -> FloatArray:
