@@ -79,8 +79,11 @@ def how_it_sways(
     for back in (np.inf, *BACK):
         wanders = seconds if np.isinf(back) else -back * np.expm1(-seconds / back)
         shape = np.stack((wanders, np.square(seconds)), axis=1)
-        (level, steady), left = nnls(weight[:, None] * shape, weight * value)
+        weighted = weight[:, None] * shape
+        (level, steady), left = nnls(weighted, weight * value)
         if level > 0 and left**2 < least - BETTER * (best is not None and np.isinf(best.back)):
+            # What is slower than rests last is known worst, and taken for as large as it may be.
+            steady += float(np.sqrt(np.linalg.inv(weighted.T @ weighted)[1, 1]))
             best, least = Sway(float(level), back, float(steady / level)), left**2
     return best
 
