@@ -36,7 +36,7 @@ SURE = float(np.log(20.0))
 
 def lean_share(rows: Rows) -> float:
     """Return what of the variance that is expected of a lean the rows allow: 1, or `NONE`."""
-    known = rows.lean is not None and rows.lean.expected > 0
+    known = rows.lean is not None and rows.lean.sway.expected > 0
     if known or all(c.group != LEAN for c in rows.components) or len(telling(rows)):
         return 1.0
     contrast, mean = contrast_variance(rows), np.hstack((rows.baseline, rows.nuisance))

@@ -351,4 +351,5 @@ def lean_of_turns(
 
 def _expected(lean: Lean) -> tuple[float, float, str]:
     """Return what is expected of the level of a lean, how far it may be from that, and a group."""
-    return (lean.expected, LEAN_TOLD, LEAN) if lean.expected else (LEANING, LEAN_SPREAD, LEAN)
+    expected = lean.sway.expected
+    return (expected, LEAN_TOLD, LEAN) if expected else (LEANING, LEAN_SPREAD, LEAN)

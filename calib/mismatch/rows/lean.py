@@ -26,6 +26,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -37,6 +38,22 @@ weight in tens of seconds."""
 
 TIMES = (0.5, 1.0, 2.0, 4.0)
 """s in which what was put down creeps to where it stays: foam, cables and hands that let go."""
+
+
+class Sway(NamedTuple):
+    """How an angle wanders: what is expected of q (rad²/s), tau (s), and a steady turn (1/s).
+
+    Nothing is ``expected`` where gravity does not tell; of a walk tau, the time of coming ``back``,
+    is infinite. ``steady`` is the variance of the steady rate, for q of one.
+    """
+
+    expected: float = 0.0
+    back: float = np.inf
+    steady: float = 1.0 / STEADY
+
+
+WALK = Sway()
+"""Of what nobody has told."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,12 +72,8 @@ class Lean:
         Of q in each pose, beside that of most.
     creep : float, s
         Variance of the angle by which it creeps, for q of one.
-    expected : float, rad²/s
-        What is expected of q where gravity tells; 0 where it does not.
-    back : float, s
-        The time tau in which it comes back to where it was; infinite for a walk.
-    steady : float, 1/s
-        Variance of the steady rate, for q of one.
+    sway : Sway
+        How it sways beside that.
     """
 
     up: FloatArray
@@ -70,9 +83,7 @@ class Lean:
     gravity: float
     size: FloatArray
     creep: float = 0.0
-    expected: float = 0.0
-    back: float = np.inf
-    steady: float = 1.0 / STEADY
+    sway: Sway = WALK
 
     @classmethod
     def of(
@@ -83,21 +94,19 @@ class Lean:
         gravity: float,
         size: FloatArray | None = None,
         creep: float = 0.0,
-        expected: float = 0.0,
-        back: float = np.inf,
-        steady: float = 1.0 / STEADY,
+        sway: Sway = WALK,
     ) -> Lean:
         """Return the lean in cells of poses; `up` is that of each pose, (poses, 3)."""
         first = np.full(len(up), np.inf)
         np.minimum.at(first, pose, interval[:, 0])
         begin, length = interval[:, 0] - first[pose], np.ptp(interval, axis=1)
         size = np.ones(len(up)) if size is None else size
-        return cls(up[pose], begin, length, pose, gravity, size, creep, expected, back, steady)
+        return cls(up[pose], begin, length, pose, gravity, size, creep, sway)
 
     @property
     def told(self) -> bool:
         """Whether gravity has told, and not only the rates, that something leans."""
-        return self.expected > 0 or self.creep > 0 or bool((self.size > 1.0).any())
+        return self.sway.expected > 0 or self.creep > 0 or bool((self.size > 1.0).any())
 
     def cut(self, at: Sequence[float]) -> Lean:
         """Return the same for parts of each cell, cut at these shares of its length."""
@@ -143,28 +152,28 @@ class Lean:
     def _means(self) -> FloatArray:
         """Return how the angle's means over parts of one pose go together, for q of one, (n, n)."""
         middle = self.begin + 0.5 * self.length
-        if np.isfinite(self.back):
-            share = _fading(self.length / self.back)
+        if np.isfinite(self.sway.back):
+            share = _fading(self.length / self.sway.back)
             end = self.begin + self.length
             gap = np.maximum.outer(self.begin, self.begin) - np.minimum.outer(end, end)
-            angle = np.outer(share, share) * np.exp(-np.maximum(gap, 0.0) / self.back)
-            np.fill_diagonal(angle, 2.0 * (1.0 - share) * self.back / self.length)
-            angle *= 0.5 * self.back
+            angle = np.outer(share, share) * np.exp(-np.maximum(gap, 0.0) / self.sway.back)
+            np.fill_diagonal(angle, 2.0 * (1.0 - share) * self.sway.back / self.length)
+            angle *= 0.5 * self.sway.back
         else:
             angle = np.minimum.outer(middle, middle)
             # Of a walk from zero, the mean over a part.
             np.fill_diagonal(angle, self.begin + self.length / 3.0)
-        return np.asarray(angle + self.steady * np.outer(middle, middle))
+        return np.asarray(angle + self.sway.steady * np.outer(middle, middle))
 
     def _turns(self) -> FloatArray:
         """Return how mean rates of parts of one pose go together, for q of one, (n, n)."""
-        if not np.isfinite(self.back):
-            return np.asarray(np.diag(1.0 / self.length) + self.steady)
-        ends = np.stack((self.begin, self.begin + self.length)) / self.back
+        if not np.isfinite(self.sway.back):
+            return np.asarray(np.diag(1.0 / self.length) + self.sway.steady)
+        ends = np.stack((self.begin, self.begin + self.length)) / self.sway.back
         apart = np.exp(-np.abs(ends[:, None, :, None] - ends[None, :, None, :]))
         angle = apart[0, 0] + apart[1, 1] - apart[0, 1] - apart[1, 0]
         return np.asarray(
-            0.5 * self.back * angle / np.outer(self.length, self.length) + self.steady
+            0.5 * self.sway.back * angle / np.outer(self.length, self.length) + self.sway.steady
         )
 
     def _rates(self) -> FloatArray:
@@ -187,11 +196,11 @@ class Lean:
         ends = np.square(1.0 - mean) + np.square(np.exp(-length / time) - mean)
         crept = self.creep * 0.5 * ends.mean(axis=0)
         angle = length / 3.0
-        if np.isfinite(self.back):
-            share = _fading(length / self.back)
-            spread = self.back / np.maximum(length, 1e-9) * (1.0 - share)
-            angle = self.back * (0.5 - share + spread)
-        return np.asarray(self.size * (angle + self.steady * np.square(length) / 4.0 + crept))
+        if np.isfinite(self.sway.back):
+            share = _fading(length / self.sway.back)
+            spread = self.sway.back / np.maximum(length, 1e-9) * (1.0 - share)
+            angle = self.sway.back * (0.5 - share + spread)
+        return np.asarray(self.size * (angle + self.sway.steady * np.square(length) / 4.0 + crept))
 
 
 def _fading(lasts: FloatArray) -> FloatArray:

@@ -14,6 +14,7 @@ import numpy as np
 
 from calib.bumps import UNSURE
 from calib.mismatch.rows.bumped import scatter
+from calib.mismatch.rows.sway import SURE, follows
 from calib.mismatch.rows.underway import is_torn
 from calib.poses import Poses, average_poses
 from calib.recording import Recording
@@ -28,9 +29,6 @@ STANDS_OUT = 7.0
 
 MOST = 0.5
 """Share of a rest that may turn: what never stops is a hand, and its sway is part of the noise."""
-
-SURE = 5.0
-"""Standard errors by which gravity has turned, or has not as it should have."""
 
 SHORTEST, PAUSE = 0.8, 3.0
 """s of a rest, and of what is still between two turns and no rest, at most."""
@@ -156,5 +154,4 @@ def _gravity_went(force: FloatArray, angle: FloatArray, noise: FloatArray) -> tu
     wanted = np.cross(middle, angle - angle.mean(axis=0)) / noise
     size = max(float(np.linalg.norm(wanted)), np.finfo(float).tiny)
     seen = float(((force - middle) / noise * wanted).sum()) / size
-    tells = 1 / UNSURE < seen / size < UNSURE and seen > SURE
-    return tells, abs(seen - size) > max(SURE, size / UNSURE)
+    return follows(seen, size), abs(seen - size) > max(SURE, size / UNSURE)

@@ -7,22 +7,22 @@ what the sensor did, whatever it is small beside. By the time d between two mome
     E[across(t + d) - across(t)] . [path(t + d) - path(t)] = 2 g² V(d)
     V(d) = q (tau (1 - exp(-d / tau)) + steady d²)
 
-with V the variance about one axis, as `lean.Lean` has it: q in rad²/s; a walk has no tau.
+with V the variance about one axis, as `lean` has it: q in rad²/s; a walk has no tau.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 
 from calib.bumps import UNSURE
 from calib.mismatch.rows.grid import REST_STEP, Grid
+from calib.mismatch.rows.lean import WALK, Sway
 from calib.types import FloatArray, IntArray
 
 SURE = 5.0
-"""Standard errors by which gravity has turned as a rate says."""
+"""Standard errors by which gravity has turned as a rate says, or has not as it should have."""
 
 LAGS = (2, 4, 8, 16, 32, 64)
 """Points of the grid between which angles are compared: half a second to sixteen."""
@@ -37,18 +37,10 @@ BETTER = 4.0
 """Of chi-squared, by which it must come back more likely than not: two standard deviations."""
 
 
-class Sway(NamedTuple):
-    """The expected q (rad²/s), the time tau of coming back (s), and the steady turn (1/s)."""
-
-    expected: float
-    back: float
-    steady: float
-
-
 def how_it_sways(
     grid: Grid, points: Sequence[IntArray], still: FloatArray, *, after: float
-) -> Sway | None:
-    """Return how a sensor sways in its rests; None where they do not tell.
+) -> Sway:
+    """Return how a sensor sways in its rests; `WALK` where they do not tell.
 
     Parameters
     ----------
@@ -60,28 +52,27 @@ def how_it_sways(
     after : float, s
         From where on a rest counts.
     """
+    from scipy.optimize import nnls  # only what sways needs it
+
     sums = np.zeros((len(LAGS), 3))
     for own, zero in zip(points, still, strict=True):
         sums += _products(grid, own, zero, after)
     told = sums[:, 0] >= FEWEST
     number, total, square = sums[told].T
     if len(number) < 2:
-        return None
+        return WALK
     seconds = REST_STEP * np.array(LAGS)[told]
     value = total / number
     # A product scatters about its mean, of which as many are independent as there is time for.
     scatter = np.maximum(square / number - np.square(value), 1e-30)
     weight = np.sqrt(number / scatter)
-    from scipy.optimize import nnls
-
-    best: Sway | None = None
-    least = np.inf
+    best, least = WALK, np.inf
     for back in (np.inf, *BACK):
         wanders = seconds if np.isinf(back) else -back * np.expm1(-seconds / back)
         shape = np.stack((wanders, np.square(seconds)), axis=1)
         weighted = weight[:, None] * shape
         (level, steady), left = nnls(weighted, weight * value)
-        if level > 0 and left**2 < least - BETTER * (best is not None and np.isinf(best.back)):
+        if level > 0 and left**2 < least - BETTER * (best.expected > 0 and np.isinf(best.back)):
             # What is slower than rests last is known worst, and taken for as large as it may be.
             steady += float(np.sqrt(np.linalg.inv(weighted.T @ weighted)[1, 1]))
             best, least = Sway(float(level), back, float(steady / level)), left**2

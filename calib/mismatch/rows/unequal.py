@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from calib.mismatch.rows.grid import Grid
-from calib.mismatch.rows.lean import STEADY, TIMES
+from calib.mismatch.rows.lean import STEADY, TIMES, WALK, Sway
 from calib.mismatch.rows.sway import SURE, follow, follows, how_it_sways
 from calib.stillness import moving_median
 from calib.types import FloatArray, IntArray
@@ -50,17 +50,13 @@ class Leans(NamedTuple):
     """How poses lean unlike each other.
 
     ``size`` (poses,) is the variance of the angle in each beside that in most. ``creep`` (s) is
-    that of the angle by which they creep as they begin, beside that per second later. Where gravity
-    tells that they sway, ``expected`` (rad²/s) is the variance of the angle per second, ``back``
-    the time (s) in which it comes back, and ``steady`` (1/s) that of a steady rate beside it, as
-    `lean.Lean` has them.
+    that of the angle by which they creep as they begin, beside that per second later. ``sway`` is
+    how all of them do, where gravity tells.
     """
 
     size: FloatArray | None = None
     creep: float = 0.0
-    expected: float = 0.0
-    back: float = np.inf
-    steady: float = 1.0 / STEADY
+    sway: Sway = WALK
 
 
 class _Pose(NamedTuple):
@@ -106,21 +102,21 @@ def how_it_leans(grid: Grid, noise: FloatArray, *, least: float) -> Leans:
     usual = max(float(np.median([p.lean for p in poses])), least)
     leans = sum(p.follows for p in poses) >= FEWEST or _together(p for p in poses if p.open)
     creep, per_second = _creep(grid, noise, points, least=least)
-    sway = None
+    sway = WALK
     if _together(poses, sure=TOLD):
         after = EARLY if creep else 0.0
         sway = how_it_sways(grid, [points[k] for k in some], still, after=after)
-    expected = least if sway is None else sway.expected
+    expected = sway.expected or least
     for k, p in zip(some, poses, strict=True):
         # Most may have no more of it than noise. What creeps, most do.
         beside = usual if creep else expected
         if p.lean > FAR * usual and (p.follows or (leans and p.open)):
             size[k] = max(p.lean / beside, 1.0)
-        elif sway is not None and not creep:
+        elif sway.expected and not creep:
             size[k] = min(FAR**2 * p.lean / beside, 1.0)
-    if sway is None:
-        return Leans(size, creep)
-    return Leans(size, creep * per_second / expected, *sway)
+    if sway.expected:
+        creep = creep * per_second / expected
+    return Leans(size, creep, sway)
 
 
 def _creep(

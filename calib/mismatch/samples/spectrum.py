@@ -90,11 +90,10 @@ def look_at_spectrum(recording: Recording, poses: Poses) -> tuple[Unexplained, .
         narrow = not line and not held.any()
         kept = np.delete(np.arange(len(own)), spread)
         bursts = _bursts(poses, own[kept], rest, channel, narrow=narrow)
-        if bursts:
+        if bursts and held_in_hand(bursts, recording, poses):
             # A few rests may be held in a hand, the others on a table.
             faster = frequencies(len(own), recording.interval)[kept] > HAND[1]
-            if held_in_hand(bursts, recording, poses):
-                bursts = _bursts(poses, own[kept[faster]], rest, channel, narrow=False)
+            bursts = _bursts(poses, own[kept[faster]], rest, channel, narrow=False)
         if not 0 < len(bursts) <= 2:
             # Rests that are louder time and again, as something has it, are no bursts.
             bursts = _changes(recording, poses, own, rest, channel) or bursts

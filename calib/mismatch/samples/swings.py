@@ -137,7 +137,7 @@ class _Scale(NamedTuple):
 def look_for_swings(
     recording: Recording, poses: Poses, known: Collection[str]
 ) -> list[Unexplained]:
-    """Return slow lines at rest, but not of channels of which more is `known`.
+    """Return slow and faint lines at rest, but not of channels of which more is `known`.
 
     One of several channels is one item.
     """

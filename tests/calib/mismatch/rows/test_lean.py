@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib.mismatch.rows.lean import STEADY, TIMES, Lean
+from calib.mismatch.rows.lean import STEADY, TIMES, Lean, Sway
 
 GRAVITY = 9.80665
 CUTS = (1 / 6, 1 / 2)
@@ -20,18 +20,17 @@ def two_poses(
     """Return three cells of two poses."""
     up = np.array([[0.0, 0.0, 1.0], [0.6, 0.0, 0.8]])
     interval = np.array([[10.0, 13.0], [13.0, 16.0], [20.0, 26.0]])
-    return Lean.of(
-        up, interval, np.array([0, 0, 1]), GRAVITY, np.array(size), creep, 0.0, back, steady
-    )
+    pose, sway = np.array([0, 0, 1]), Sway(back=back, steady=steady)
+    return Lean.of(up, interval, pose, GRAVITY, np.array(size), creep, sway)
 
 
 def wandering(lean: Lean, steps: np.ndarray, step: float) -> np.ndarray:
     """Return a walk of these steps, or what comes back from them to where it was."""
-    if np.isinf(lean.back):
+    if np.isinf(lean.sway.back):
         return np.asarray(np.cumsum(steps, axis=1) - steps[:, :1])
     out = np.empty_like(steps)
-    keep = np.exp(-step / lean.back)
-    spread = np.sqrt(0.5 * lean.back)
+    keep = np.exp(-step / lean.sway.back)
+    spread = np.sqrt(0.5 * lean.sway.back)
     out[:, 0] = spread * steps[:, 0] / np.sqrt(step)
     for k in range(1, steps.shape[1]):
         out[:, k] = keep * out[:, k - 1] + spread * np.sqrt((1 - keep**2) / step) * steps[:, k]
@@ -48,7 +47,7 @@ def draws(lean: Lean, number: int, step: float = 0.05) -> tuple[np.ndarray, np.n
         time = np.arange(0.0, end + step / 2, step)
         steps = rng.normal(0.0, np.sqrt(step), (number, len(time)))
         path = wandering(lean, steps, step)
-        path += rng.normal(0.0, lean.steady**0.5, (number, 1)) * time
+        path += rng.normal(0.0, lean.sway.steady**0.5, (number, 1)) * time
         # One of the times, or another, with the variance of them all.
         decay = np.exp(-time / rng.choice(TIMES, number)[:, None])
         path -= np.sqrt(lean.creep) * rng.normal(size=(number, 1)) * decay

@@ -58,14 +58,14 @@ def test_sway_is_learnt(seed: int) -> None:
     recording = laid(seed)
     size, back = 3e-3, 1.5
     found = leans(also_turned(recording, swaying(seed, len(recording.time), size=size, back=back)))
-    assert 0.5 < found.back < 4.0
+    assert 0.5 < found.sway.back < 4.0
     # Over seconds an angle differs by twice its variance.
-    assert found.expected * found.back == pytest.approx(2 * size**2, rel=0.5)
+    assert found.sway.expected * found.sway.back == pytest.approx(2 * size**2, rel=0.5)
 
 
 @pytest.mark.parametrize("seed", range(6))
 def test_none_is_on_a_table(seed: int) -> None:
-    assert leans(laid(seed)).expected == 0.0
+    assert leans(laid(seed)).sway.expected == 0.0
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -74,7 +74,7 @@ def test_none_is_where_gravity_does_not_move(seed: int) -> None:
     recording = laid(seed)
     angle = swaying(seed, len(recording.time), size=3e-3, back=1.5)
     rate = np.gradient(angle, recording.time, axis=0)
-    assert leans(replace(recording, gyro=recording.gyro + rate)).expected == 0.0
+    assert leans(replace(recording, gyro=recording.gyro + rate)).sway.expected == 0.0
 
 
 def test_rests_on_a_table_among_those_that_sway_lean_less() -> None:
@@ -85,7 +85,7 @@ def test_rests_on_a_table_among_those_that_sway_lean_less() -> None:
     for start, stop in zip(poses.start[::2], poses.stop[::2], strict=True):
         part[start:stop] = np.sin(np.linspace(0, np.pi, stop - start)) ** 0.2
     found = leans(also_turned(recording, angle * part[:, None]))
-    assert found.expected > 0
+    assert found.sway.expected > 0
     assert found.size is not None
     assert np.median(found.size[1::2]) < 0.5 * np.median(found.size[::2])
 
