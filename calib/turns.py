@@ -119,17 +119,15 @@ def turns_and_shaking(recording: Recording, poses: Poses) -> Shaking:
         At least one, of it, in the order of time.
     """
     time = recording.time
-    starts, ends = observed_turns(
-        time, recording.gyro - np.median(poses.gyro, axis=0), recording.accel
-    )
+    found = observed_turns(time, recording.gyro - np.median(poses.gyro, axis=0), recording.accel)
     middle = poses.interval.mean(axis=1)
-    first = np.searchsorted(ends, middle[:-1])
-    last = np.searchsorted(ends, middle[1:]) - 1
+    first = np.searchsorted(found.end, middle[:-1])
+    last = np.searchsorted(found.end, middle[1:]) - 1
     moving = np.repeat(poses.interval[1:, :1], 2, axis=1)
     some = last >= first
-    moving[some] = np.stack((starts[first[some]], ends[last[some]]), axis=1)
-    _, turning = since_and_during(time, starts, ends)
-    vibration = vibration_variance(time, recording.accel, turning)
+    moving[some] = np.stack((found.start[first[some]], found.end[last[some]]), axis=1)
+    _, loud = since_and_during(time, found.start, found.quiet)
+    vibration = vibration_variance(time, recording.accel, loud)
     level = np.stack(
         [vibration[a:b].mean(axis=0) for a, b in zip(poses.start, poses.stop, strict=True)]
     )

@@ -94,7 +94,8 @@ def motion_from_reference(
         values = _low_pass(at, values, bandwidth)
     where = np.zeros((len(at), 3)) if position is None else values[:, 4:]
     kinematics = motion_through(at, values[:, :4], path_through(at, where))
-    turns = np.transpose(observed_turns(at, kinematics(at).turning.rate))
+    found = observed_turns(at, kinematics(at).turning.rate)
+    turns = np.transpose((found.start, found.end))
     segments = [Segment("turn", a, b, f"turn {k}") for k, (a, b) in enumerate(turns.tolist(), 1)]
     segments += [
         Segment("hidden", a, b, f"hole {k}") for k, (a, b) in enumerate(hidden.tolist(), 1)

@@ -69,7 +69,7 @@ def shaken_bench(*, rate: float, tone: float, seed: int = 4) -> tuple[State, np.
 @pytest.mark.parametrize("tone", [5.0, 25.3, 40.0])
 def test_vibration_goes_on_in_turns_and_a_hand_s_motion_is_none(rate: float, tone: float) -> None:
     state, shakes = shaken_bench(rate=rate, tone=tone)
-    starts, ends = observed_turns(state.time, state.rate)
+    starts, ends, _ = observed_turns(state.time, state.rate)
     turning = since_and_during(state.time, starts, ends)[1]
     found = vibration_variance(state.time, state.force, turning)
     change = state.time[np.flatnonzero(np.diff(shakes))]
@@ -98,7 +98,7 @@ def test_turns_end_when_the_hand_stops(rate: float) -> None:
     motion = bench_protocol(np.random.default_rng(3), poses=15)
     bias = np.array([0.02, -0.02, 0.01])
     seen = simulate(motion, SensorModel(), CONSUMER, rng=np.random.default_rng(1), rate=rate)
-    starts, ends = observed_turns(seen.time, seen.gyro + bias)
+    starts, ends, _ = observed_turns(seen.time, seen.gyro + bias)
     assert len(ends) == len(motion.turns)
     # The last 3 % of a turn are below the noise: at most 0.07 s.
     for found, true, sign in ((starts, motion.turns[:, 0], 1), (ends, motion.turns[:, 1], -1)):
@@ -114,7 +114,7 @@ def test_what_rings_after_a_turn_without_noise_is_none() -> None:
     during = (time > 3.0) & (time < 4.0)
     rate[during, 2] = 1.5 * np.sin(np.pi * (time[during] - 3.0)) ** 2
     seen = sosfiltfilt(butter(4, 8.0, fs=100.0, output="sos"), rate, axis=0)
-    starts, ends = observed_turns(time, seen)
+    starts, ends, _ = observed_turns(time, seen)
     assert starts == pytest.approx([3.0], abs=0.05)
     assert ends == pytest.approx([4.0], abs=0.05)
 
@@ -126,9 +126,33 @@ def test_what_is_carried_when_it_turns_no_more_has_not_ended_its_move() -> None:
     force[:, 2] += 9.81
     rate[300:400, 1] += 2.0
     force[290:445, 0] += np.hanning(155) + 0.3
-    starts, ends = observed_turns(time, rate, force)
+    starts, ends, _ = observed_turns(time, rate, force)
     assert starts == pytest.approx([2.9], abs=0.011)
     assert ends == pytest.approx([4.44], abs=0.011)
+
+
+@pytest.mark.parametrize("rate", [50.0, 100.0, 200.0, 1000.0])
+@pytest.mark.parametrize("tone", [12.0, 20.0, 35.0])
+def test_what_rings_when_it_is_put_down_has_ended_its_move(rate: float, tone: float) -> None:
+    """Settling was counted from where the ringing was over, later after each louder knock.
+
+    But what rings is no vibration of the rest.
+    """
+    time = np.arange(0.0, 10.0, 1 / rate)
+    force = np.random.default_rng(4).normal(0.0, 0.03, (len(time), 3))
+    force[:, 2] += 9.81
+    turns = np.zeros((len(time), 3))
+    turns[(time >= 3.0) & (time < 4.0), 1] = 2.0
+    after = np.maximum(time - 4.0, 0.0)
+    knock = (time >= 4.0) * 5.0 * np.exp(-after / 0.05) * np.cos(2 * np.pi * tone * after)
+    found = observed_turns(time, turns, force + knock[:, None] * [0.4, 0.4, 1.0])
+    assert found.end == pytest.approx([4.0], abs=0.03)
+    assert 4.1 < found.quiet[0] < 4.4
+    state = observed(
+        State(time, force + knock[:, None] * np.ones(3), turns), ("vibration", "since_turn")
+    )
+    assert state.vibration is not None
+    assert state.vibration[time > 3.0].max() < 0.02
 
 
 def test_a_pause_on_the_way_ends_no_turn_and_what_shakes_is_none() -> None:
@@ -137,7 +161,7 @@ def test_a_pause_on_the_way_ends_no_turn_and_what_shakes_is_none() -> None:
     rate[200:300, 1] = 1.0
     rate[240:250, 1] = 0.0  # on the way
     rate[600:700, 2] = -1.0
-    starts, ends = observed_turns(time, rate)
+    starts, ends, _ = observed_turns(time, rate)
     np.testing.assert_allclose(starts, [2.0, 6.0])
     np.testing.assert_allclose(ends, [2.99, 6.99])
     since, turning = since_and_during(time, starts, ends)
@@ -148,7 +172,7 @@ def test_a_pause_on_the_way_ends_no_turn_and_what_shakes_is_none() -> None:
     np.testing.assert_array_equal(turning, expected)
     shaking = 0.5 * np.sin(2 * np.pi * 24.0 * time)[:, None] * np.ones(3)
     for none in (0 * rate, shaking):
-        assert [len(edges) for edges in observed_turns(time, none)] == [0, 0]
+        assert [len(edges) for edges in observed_turns(time, none)] == [0, 0, 0]
 
 
 @pytest.mark.parametrize("tau", [0.3, 0.5, 1.0, 2.0, 5.0])
@@ -161,7 +185,7 @@ def test_settling_is_gone_when_it_is_corrected(tau: float, rate: float) -> None:
         simulate(motion, SensorModel(terms=t), CONSUMER, rng=np.random.default_rng(0), rate=rate)
         for t in ((), (term,))
     )
-    _, ends = observed_turns(seen.time, seen.gyro, seen.accel)
+    _, ends, _ = observed_turns(seen.time, seen.gyro, seen.accel)
     late = np.exp((motion.turns[:, 1] - ends) / tau)
     fitted = Term("accel_settling", {"kx": 0.03 * float(late.mean()), "tau": tau})
     found = SensorModel(terms=(fitted,)).correct(State(seen.time, seen.accel, seen.gyro))
