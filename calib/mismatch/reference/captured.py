@@ -38,9 +38,15 @@ UNSURE = 1.5
 """Factor up to which a density at zero frequency is not known from what is above
 `calib.mismatch.reference.colour.SLOWEST`."""
 
-WANDERS, WIDE = 0.1, 2.0
+WANDERS, WIDE = 0.1, 4.0
 """Variance of an angle's slow errors as a share of what its noise leaves in the mean of a window,
 and the standard deviation of the logarithm of that: what captures a motion seldom says."""
+
+SLOW_ANGLES = "angles slow"
+"""Name of the component of what captured angles err by slowly."""
+
+STAYS = (2.0, 8.0, 32.0)
+"""s for which slow errors of angles stay, as much of them for each as come and go at once."""
 
 LEAST_ANGLE = 1e-5
 """rad that no capture is better than."""
@@ -212,7 +218,8 @@ def wobble(
 
     However slowly an angle wanders it comes back, and what it adds to the mean rate of one window
     it takes from another's. Errors that each window had by itself would not: beside them a bias
-    were never known better than that.
+    were never known better than that. How slowly nothing tells beforehand: there is as much of it
+    at each of some times that it stays for, as where a camera loses a marker for a while.
 
     Parameters
     ----------
@@ -232,8 +239,10 @@ def wobble(
     response = sparse.hstack([rows @ hats for rows in felt.turned], format="csr")
     length = float(np.median(np.diff(nodes)))
     expected = WANDERS * max(known.angle**2 / (2.0 * length), LEAST_ANGLE**2)
-    index, kernel = np.arange(response.shape[0]), np.eye(3 * len(nodes))
-    return Component("angles slow", index, response, kernel, expected, WIDE)
+    apart = np.abs(nodes[:, None] - nodes)
+    stays = [np.eye(len(nodes)), *(np.exp(-apart / seconds) for seconds in STAYS)]
+    kernel = np.asarray(np.kron(np.eye(3), np.mean(stays, axis=0)), np.float64)
+    return Component(SLOW_ANGLES, np.arange(response.shape[0]), response, kernel, expected, WIDE)
 
 
 def _between(time: FloatArray, nodes: FloatArray) -> sparse.csr_matrix:

@@ -11,15 +11,20 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy import fft
-from scipy import sparse
+from scipy import linalg, sparse
 
+from calib.recording import CHANNELS
 from calib.types import BoolArray, FloatArray, IntArray
 
 PASSED = 0.898
 """Noise bandwidth of `calib.mismatch.reference.filters.smoothed`, relative to its cut-off."""
 
-PART = 1.5
-"""s of the parts that spectra are taken of: short, so that most of them hold no turn."""
+PART, LONG_PART = 1.5, 6.0
+"""s of the parts that spectra are taken of: short, so that most of them hold no turn; and where
+turns do not matter."""
+
+FEW_PARTS = 8
+"""Parts that show a spectrum at least."""
 
 SLOWEST = 1.0
 """Hz: noise below is drift, which has a model of its own."""
@@ -31,6 +36,13 @@ FAST = 0.98
 """Share of the samples that turn slower than the motion at its fastest."""
 
 
+LOOSE = 30.0
+"""How large, in its typical size, an effect may be that is no noise."""
+
+ALIKE = 1e-6
+"""Of a column's square, what is left of it beside others that counts as none."""
+
+
 class Blur(NamedTuple):
     """What signals are seen through: from n points to the m that are ``seen``.
 
@@ -40,6 +52,9 @@ class Blur(NamedTuple):
     shares ``white`` are seen on accelerometer and gyroscope, and slow noise whole. What shakes at
     one moment is ``heard`` around it, through the low-pass too: so its variance is spread. Where
     the truth knows forces at rest only, the accelerometer is ``judged`` at some of the m points.
+
+    With orientations ``mat_ns`` (n, 3, 3) the gyroscope is seen in a frame that does not turn, and
+    turned back at each point: a channel is then seen on the others of its triad as well.
     """
 
     matrices: tuple[sparse.csr_matrix, sparse.csr_matrix]
@@ -49,19 +64,62 @@ class Blur(NamedTuple):
     white: tuple[float, float] = (1.0, 1.0)
     heard: tuple[FloatArray, FloatArray] = (np.ones(1), np.ones(1))
     judged: BoolArray | None = None
+    mat_ns: FloatArray | None = None
 
     @property
     def clear(self) -> bool:
         """Whether points are seen as they are."""
         return self.power == 1.0 and not self.whitens and self.judged is None
 
-    def see(self, values: FloatArray, channel: int) -> FloatArray:
-        """Return what is seen of (n, ...) values on a channel."""
-        return values if self.clear else np.asarray(self.matrices[channel // 3] @ values)
+    @property
+    def alike(self) -> list[list[int]]:
+        """Return the channels that are seen on each other, in groups."""
+        if self.mat_ns is None:
+            return [[c] for c in range(6)]
+        return [[0], [1], [2], [3, 4, 5]]
 
-    def seen_by(self, weights: sparse.csr_matrix, channel: int) -> sparse.csr_matrix:
-        """Return the (r, n) weights of values for (r, m) weights of what is seen of them."""
-        return weights if self.clear else weights @ self.matrices[channel // 3]
+    def see(self, signals: FloatArray) -> FloatArray:
+        """Return what is seen of (n, 6) signals, (m, 6)."""
+        columns = [(name, values) for name, values in zip(CHANNELS, signals.T, strict=True)]
+        return np.stack([np.sum(own, axis=0) for own in self.see_columns(columns)], axis=1)
+
+    def see_columns(self, columns: list[tuple[str, FloatArray]]) -> list[list[FloatArray]]:
+        """Return what is seen on each channel of (channel, (n,) values): lists of (m,) values."""
+        seen: list[list[FloatArray]] = []
+        for triad, matrix in enumerate(self.matrices):
+            names = CHANNELS[3 * triad : 3 * triad + 3]
+            own = [(names.index(name), values) for name, values in columns if name in names]
+            if triad and own and self.mat_ns is not None:
+                seen += self._in_one_frame(own)
+                continue
+            for k in range(3):
+                mine = [values for i, values in own if i == k]
+                seen.append(mine if self.clear else [matrix @ values for values in mine])
+        return seen
+
+    def _in_one_frame(self, columns: list[tuple[int, FloatArray]]) -> list[list[FloatArray]]:
+        assert self.mat_ns is not None
+        axis = np.array([i for i, _ in columns])
+        values = np.stack([v for _, v in columns], axis=1)
+        seen = np.zeros((3, len(self.seen), len(columns)))
+        for mat in np.moveaxis(self.mat_ns, 1, 0):
+            part = self.matrices[1] @ (mat[:, axis] * values)
+            seen += mat[self.seen].T[:, :, None] * part
+        return [list(own.T) for own in seen]
+
+    def seen_by(self, weights: sparse.csr_matrix, channel: int) -> dict[int, sparse.csr_matrix]:
+        """Return the (r, n) weights of values on channels for (r, m) weights of what is seen."""
+        if self.clear:
+            return {channel: weights}
+        matrix = self.matrices[channel // 3]
+        if channel < 3 or self.mat_ns is None:
+            return {channel: weights @ matrix}
+        out = dict.fromkeys((3, 4, 5), sparse.csr_matrix((weights.shape[0], matrix.shape[1])))
+        for mat in np.moveaxis(self.mat_ns, 1, 0):
+            part = weights @ sparse.diags(mat[self.seen, channel - 3]) @ matrix
+            for j in range(3):
+                out[3 + j] = out[3 + j] + part @ sparse.diags(mat[:, j])
+        return out
 
     def judging(self, points: BoolArray) -> Blur:
         """Return the blur that sees nothing of the accelerometer but these of the n points."""
@@ -115,7 +173,13 @@ def gaussian(time: FloatArray, width: float, interval: float) -> Blur:
     return Blur((matrix, matrix), seen, float(tap @ tap))
 
 
-def whitening(time: FloatArray, colours: list[Colour], interval: float, band: float) -> Blur:
+def whitening(
+    time: FloatArray,
+    colours: list[Colour],
+    interval: float,
+    band: float,
+    mat_ns: FloatArray | None = None,
+) -> Blur:
     """Return what makes low-passed noise of these colours (accelerometer, gyroscope) flat.
 
     Parameters
@@ -125,6 +189,8 @@ def whitening(time: FloatArray, colours: list[Colour], interval: float, band: fl
     interval : float, s
     band : float, Hz
         Cut-off of the low-pass.
+    mat_ns : (n, 3, 3) array, optional
+        Orientations, where the gyroscope's colour is that in a frame that does not turn.
     """
     size = 2 * int(np.ceil(PART / interval))
     taps, heard = [], []
@@ -152,6 +218,7 @@ def whitening(time: FloatArray, colours: list[Colour], interval: float, band: fl
         whitens=True,
         white=(accel, gyro),
         heard=(heard[0], heard[1]),
+        mat_ns=mat_ns,
     )
 
 
@@ -171,18 +238,24 @@ def find_colour(
     band: float,
     *,
     steepest: float = np.inf,
+    least: float = 0.0,
+    long: bool = False,
 ) -> Colour:
     """Return the colour of (n, k) differences that passed `filters.smoothed`.
 
     The median over parts counts little of what a few turns have of their own. ``steepest`` bounds
-    the rise with the square of the frequency, 1/Hz².
+    the rise with the square of the frequency, 1/Hz². Parts may be ``long``. Slow
+    noise has the density ``least`` (SI/√Hz) at least, unless all there is has less.
     """
     from scipy.optimize import nnls  # a fifth of a second to import
 
-    length = max(int(PART / interval), 16)
-    starts = np.arange(0, len(time) - length + 1, max(length // 2, 1))
-    even = time[starts + length - 1] - time[starts] < (length + 0.5) * interval
-    if even.sum() < 8:
+    for part in (LONG_PART, PART) if long else (PART,):
+        length = max(int(part / interval), 16)
+        starts = np.arange(0, len(time) - length + 1, max(length // 2, 1))
+        even = time[starts + length - 1] - time[starts] < (length + 0.5) * interval
+        if even.sum() >= FEW_PARTS:
+            break
+    else:
         return WHITE
     parts = np.stack([left[a : a + length] for a in starts[even]])
     window = np.hanning(length)
@@ -199,10 +272,45 @@ def find_colour(
     for _ in range(3):
         found = nnls(design / expected[:, None], density / expected)[0]
         expected = design @ found
-    slow = max(float(found[0]), float(found[1]) / steepest, float(expected[-1]) / STEEPEST)
     # Half of the squares of a frequency are below log 2 of their mean.
-    level = 2.0 * interval * slow / np.log(2.0) / np.square(window).sum()
+    unit = 2.0 * interval / np.log(2.0) / np.square(window).sum()
+    slow = max(float(found[0]), float(found[1]) / steepest, float(expected[-1]) / STEEPEST)
+    if least**2 < unit * expected[0]:
+        slow = max(slow, least**2 / unit)
+    level = unit * slow
     return Colour(float(found[1]) / slow, float(found[2]) / slow, float(np.sqrt(level)))
+
+
+def explained_by(left: FloatArray, columns: list[tuple[str, FloatArray]], blur: Blur) -> FloatArray:
+    """Return what columns explain of (n, 6) differences, as they are seen through a blur.
+
+    Parameters
+    ----------
+    left : (n, 6) array
+    columns : list of (channel, (n,) values)
+        In their typical sizes: none is more than `LOOSE` of it.
+    blur : Blur
+        Its noise is white.
+    """
+    explained, seen = np.zeros_like(left), blur.see(left)
+    views = blur.see_columns(columns)
+    for group in blur.alike:
+        mine = [(c, v) for name, v in columns if (c := CHANNELS.index(name)) in group]
+        if not mine:
+            continue
+        parts = [np.stack(views[c], axis=1) for c in group]
+        normal = sum(part.T @ part for part in parts)
+        match = sum(part.T @ seen[:, c] for part, c in zip(parts, group, strict=True))
+        size = np.sqrt(np.diag(normal))
+        size[size == 0.0] = 1.0
+        normal = normal / np.outer(size, size)
+        # What is much alike is fitted as one, and what is none of it by none.
+        loose = np.square(seen[:, group]).mean() / np.square(LOOSE * size)
+        ridge = np.diag(ALIKE + np.minimum(loose, 1.0 / ALIKE))
+        found = linalg.solve(normal + ridge, match / size, assume_a="pos") / size
+        for (c, values), much in zip(mine, found, strict=True):
+            explained[:, c] += much * values
+    return explained
 
 
 def _away(time: FloatArray, reach: int, interval: float) -> IntArray:

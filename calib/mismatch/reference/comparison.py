@@ -20,10 +20,11 @@ from calib.effects.observed import observed
 from calib.errors import NoCommonMotionError
 from calib.faults import noise_at_rest, resolution, values_of
 from calib.mismatch.findings.diagnosis import Unexplained
+from calib.mismatch.noise.noise import estimate_levels, expected_levels
 from calib.mismatch.reference.alignment import LEAST_OVERLAP, Alignment
 from calib.mismatch.reference.alike import check_motion, check_units
 from calib.mismatch.reference.band import BEYOND
-from calib.mismatch.reference.captured import Known, known_noise
+from calib.mismatch.reference.captured import SLOW_ANGLES, Known, known_noise
 from calib.mismatch.reference.carried import (
     NAMES,
     SEEN,
@@ -35,15 +36,17 @@ from calib.mismatch.reference.carried import (
     true_force,
 )
 from calib.mismatch.reference.colour import (
+    SLOWEST,
     WHITE,
     Blur,
     Colour,
+    explained_by,
     find_colour,
     gaussian,
     steepest_beside,
     whitening,
 )
-from calib.mismatch.reference.filters import FELT
+from calib.mismatch.reference.filters import FELT, smoothed
 from calib.mismatch.reference.floor import with_rounding
 from calib.mismatch.reference.given import Further, further_columns, further_of, moved_terms
 from calib.mismatch.reference.lateness import LATE, delaying, liveliest, rough_delay
@@ -64,13 +67,13 @@ from calib.mismatch.reference.setup import (
 )
 from calib.mismatch.reference.shapes import Shapes, find_shapes
 from calib.mismatch.reference.slips import find_slips
-from calib.mismatch.reference.steadied import steadied
+from calib.mismatch.reference.steadied import Steady, steadied
 from calib.mismatch.reference.step import robust_step
 from calib.mismatch.reference.stilled import gradient_in, resting, stilled
 from calib.mismatch.reference.struck import struck
 from calib.mismatch.reference.truths import RecordingTruth
 from calib.mismatch.reference.visible import catalogue_shapes
-from calib.mismatch.reference.windowed import make_rows
+from calib.mismatch.reference.windowed import make_rows, swayed_by
 from calib.mismatch.reference.witnessed import between, shared, witnessed
 from calib.mismatch.rows.rows import Rows
 from calib.mismatch.twin.twin import baseline_column
@@ -91,6 +94,13 @@ STEPS = 8
 COLOURED = 4
 """Step of the first fit before which the colour of noise is looked for: a sensor that swings is not
 where it belongs after two, and what it is off by is no noise."""
+
+STEEP = (2.0 / SLOWEST) ** 2
+"""s²: how steep the noise of captured rates is taken to be: below half of what is looked at it may
+be of any colour, and what rings through a longer filter is heard for seconds."""
+
+HAND = 2.0
+"""Hz below which most of what a hand does is."""
 
 LONG = 0.2
 """m: how far off the point that a truth describes a sensor may be where the motion does not tell:
@@ -187,10 +197,11 @@ class ComparisonProblem:
         shaken = real if raw is None else raw
         self.thin = max(1, round(real.interval / shaken.interval))
         self.still, self.struck = ALWAYS_MOVING, None
+        # Its noise is that of orientations: rates of another sensor have noise of their own.
+        self.captured = band > 0 and truth.quat is not None and other is None and white is None
         if raw is not None:
-            captured = band > 0 and truth.quat is not None and white is None
-            self.still = find_stillness(raw, self.time, band=band if captured else 0.0)
-            self.struck = struck(raw, self.time, band) if captured else None
+            self.still = find_stillness(raw, self.time, band=band if self.captured else 0.0)
+            self.struck = struck(raw, self.time, band) if self.captured else None
         if not truth.placed:
             self.judged = resting(self.time, shaken, felt=FELT / band if band else 0.0)
         self.blur = self._judging(
@@ -227,6 +238,8 @@ class ComparisonProblem:
         self.shapes: Shapes | None = None
         self.colours: list[Colour] | None = None
         self.known: Known | None = None
+        self.wander = 0.0
+        self.swayed: tuple[Shapes, FloatArray] | None = None
         self._at: tuple[Setup, State] | None = None
         self.fit()
 
@@ -378,6 +391,7 @@ class ComparisonProblem:
             known=known,
             steady=steady,
             late=late,
+            swayed=self._swayed(felt, known, steady),
         )
         model = self.setup.model
         matrices = np.stack((model.accel.matrix, model.gyro.matrix))
@@ -401,12 +415,13 @@ class ComparisonProblem:
 
         Beside differences of these densities where they are slow, SI/√Hz.
         """
-        if self.still.densities is None or self.colours is None or not np.isfinite(accel + gyro):
+        own = self.still.densities
+        if own is None and self.captured:
+            own = accel, gyro  # where it never rests both are all that is known
+        if own is None or self.colours is None or not np.isfinite(accel + gyro):
             return None
         cutoff = min(BEYOND * self.band, 0.5 / self.truth.recording.interval)
-        return known_noise(
-            self.still.densities, (accel, gyro), self.colours, interval=self.interval, cutoff=cutoff
-        )
+        return known_noise(own, (accel, gyro), self.colours, interval=self.interval, cutoff=cutoff)
 
     def told_by_noise(self, rows: Rows, axis: FloatArray) -> float:
         """Return what noise alone seems to tell of a turn about an axis (3,), 1/rad².
@@ -442,7 +457,7 @@ class ComparisonProblem:
         if self.judged is not None or self.unresolved or (self.noisy and not self.turned):
             return None
         every = self.residual(self.state())
-        seen = np.stack([self.blur.see(own, c) for c, own in enumerate(every.T)], axis=1)
+        seen = self.blur.see(every)
         time, known = self.time[self.blur.seen], np.ones(len(seen), bool)
         if self.unknown is not None:
             known = ~self.unknown[self.blur.seen]
@@ -523,8 +538,32 @@ class ComparisonProblem:
             self._suppose(late)
             self.rows()
         self._suppose(())
+        if self.known is not None and self.captured:
+            self.wander = self._wander()
         state = self.state()
         check_motion(state, self.measured, self.residual(state))
+
+    def _swayed(
+        self, state: State, known: Known | None, steady: Steady | None
+    ) -> FloatArray | None:
+        """Return what wandering angles add to the variance of shapes, as it first was."""
+        if known is None or not self.wander:
+            return None
+        assert self.shapes is not None
+        if self.swayed is None or self.swayed[0] is not self.shapes:
+            moved = swayed_by(self.wander, self.shapes, state, known, steady)
+            self.swayed = self.shapes, moved
+        return self.swayed[1]
+
+    def _wander(self) -> float:
+        """Return the variance of slow errors of captured angles beside what may be found, rad²."""
+        rows = self.rows()
+        shapes = self._shape_columns(rows.state, self.residual(self.state()))
+        found = [rows.column({channel: values}) for channel, values in shapes]
+        mean = np.hstack((rows.baseline, rows.nuisance, np.stack(found, axis=1)))
+        levels = estimate_levels(rows, mean, expected_levels(rows)).values
+        names = [component.name for component in rows.components]
+        return float(levels[names.index(SLOW_ANGLES)])
 
     def _arm_columns(self, rows: Rows) -> FloatArray:
         """Return what an arm does to the rows, (m, 3); (m, 0) where no forces are compared."""
@@ -578,17 +617,47 @@ class ComparisonProblem:
         """Look from here on through what makes the noise that is left white."""
         state = self.state()
         left = self.residual(state)
-        steepest = steepest_beside(state.rate)
-        colours = [
-            find_colour(self.time[at], left[at, own], self.interval, self.band, steepest=steepest)
-            for own, at in (
-                (slice(0, 3), slice(None) if self.judged is None else self.judged),
-                (slice(3, 6), slice(None)),
-            )
-        ]
-        self.blur = self._judging(whitening(self.time, colours, self.interval, self.band))
+        at = slice(None) if self.judged is None else self.judged
+        steep = steepest_beside(state.rate)
+        accel = find_colour(self.time[at], left[at, :3], self.interval, self.band, steepest=steep)
+        mat = state.mat_ns if self.captured else None
+        if mat is not None:
+            gyro = self._captured_colour(state, left, accel)
+            if gyro.square * self.band**2 < 1.0:
+                mat = None  # its noise is not that of angles
+        if mat is None:
+            gyro = find_colour(self.time, left[:, 3:], self.interval, self.band, steepest=steep)
+        colours = [accel, gyro]
+        blur = whitening(self.time, colours, self.interval, self.band, mat)
+        self.blur = self._judging(blur)
         self.colours = colours
         self.known = self._known(*(own.density for own in colours))
+
+    def _captured_colour(self, state: State, left: FloatArray, accel: Colour) -> Colour:
+        """Return the colour of what rates err by in a frame that does not turn.
+
+        What captured angles err by rates err by there, however a body turns. As slow as a hand is
+        what no model has yet: what effects can explain of that is no noise.
+        """
+        mat = state.mat_ns
+        assert mat is not None
+        columns = [
+            (name, values)
+            for name, values in self._shape_columns(self.setup.model.felt(state), left)
+            if name.startswith("gyro")
+        ]
+        own = (0.0, 0.0) if self.still.densities is None else self.still.densities
+        noise = left
+        for again in (True, False):
+            rate = np.einsum("nij,nj->ni", mat, noise[:, 3:])
+            gyro = find_colour(
+                self.time, rate, self.interval, self.band, steepest=STEEP, least=own[1], long=True
+            )
+            if again:
+                blur = whitening(self.time, [accel, gyro], self.interval, self.band, mat)
+                # Of what is fast a column of the truth has the noise of the differences.
+                noise = left - smoothed(self.time, explained_by(left, columns, blur), HAND)
+        return gyro
 
     def _carried(self, state: State) -> list[Column]:
         if not self.carries:

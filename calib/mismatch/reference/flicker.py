@@ -63,7 +63,7 @@ def slow_left(rest: FloatArray, mean: FloatArray, shapes: FloatArray) -> Slow:
     ----------
     rest : (n,) array
         The differences without their part in mean and shapes.
-    mean, shapes : (n,) and (n, s) arrays
+    mean, shapes : (n, r) and (n, s) arrays
         Orthonormal.
     """
     cosines = _slowest_cosines(len(rest))

@@ -96,11 +96,12 @@ def scatter(
     parts = parts[:, size > 0] / size[size > 0]
     variance = np.empty((len(parts), len(CHANNELS)))
     shown = np.ones((len(blur.seen), len(CHANNELS)))
-    for c, name in enumerate(CHANNELS):
+    same = np.ones(len(parts))
+    every = [*columns, *((name, same) for name in CHANNELS)]
+    left = blur.see(left)
+    for c, own in enumerate(blur.see_columns(every)):
         matrix = blur.matrices[c // 3]
-        own = [values for channel, values in columns if channel == name]
-        design = matrix @ np.stack([*own, np.ones(len(parts))], axis=1)
-        y = matrix @ left[:, c]
+        design, y = np.stack(own, axis=1), left[:, c]
         heard = np.stack([_spread(part, blur.heard[c // 3]) for part in parts.T], axis=1)
         seen = heard[blur.seen] if blur.whitens else matrix.power(2) @ heard
         counts = blur.counts(c)

@@ -43,6 +43,9 @@ LEAST_FREE = 0.3
 """Share of a window's independent samples that tell of its noise at least: weak shapes that are
 much alike take up fewer of them than there are shapes."""
 
+SLIGHT = 0.4
+"""Share of a mean that a shape of its window may have in common with it."""
+
 BEYOND = 3.0
 """Standard errors by which the noise of one window must be above that of most to be its own."""
 
@@ -87,7 +90,9 @@ class Shapes:
         dense, m = 6 * len(first), len(channel)
         size = _sizes(scatter, blur)
         typical = np.sqrt(_of_windows(size, first, last))
-        functional, white = [], np.zeros(m)
+        shape = m, len(blur.seen)
+        functional: list[sparse.csr_matrix] = [None] * 6
+        white = np.zeros(m)
         for c in range(6):
             own = np.flatnonzero(channel == c)
             many = count[segment[own]]
@@ -100,10 +105,11 @@ class Shapes:
             values[~mean] *= np.concatenate((np.zeros(0), *vectors))
             ends = np.zeros(m + 1, np.int64)
             ends[own + 1] = many
-            shape = m, len(blur.seen)
             seen = sparse.csr_matrix((values, points, np.cumsum(ends)), shape=shape)
-            functional.append(blur.seen_by(seen, c))
-            weight = seen if blur.whitens else functional[c]
+            felt = blur.seen_by(self._in_one_frame(seen, c), c)
+            for k, part in felt.items():
+                functional[k] = part if functional[k] is None else functional[k] + part
+            weight = seen if blur.whitens else felt[c]
             square = sparse.csr_matrix(
                 (np.square(weight.data), weight.indices, weight.indptr), shape=weight.shape
             )
@@ -113,6 +119,24 @@ class Shapes:
                 variance = scatter.variance[blur.seen if blur.whitens else slice(None), c]
                 white[own] = (square @ variance)[own] / np.square(typical[segment[own], c])
         return tuple(functional), white
+
+    def _in_one_frame(self, seen: sparse.csr_matrix, channel: int) -> sparse.csr_matrix:
+        """Return (m, n) weights on a channel, with means in the frame of the middle of each window.
+
+        In one frame rates err by what captured angles err by at both ends of a window. In that of
+        the body their errors in between count as well, times the rate, and do not come back.
+        """
+        first, last, blur = self.first, self.last, self.blur
+        if blur.mat_ns is None or channel < 3:
+            return seen
+        dense = 6 * len(first)
+        means = seen[channel:dense:6].tocoo()
+        mat, middle = blur.mat_ns[blur.seen], (first + last) // 2
+        turned = np.einsum("nji,nj->ni", mat[middle][means.row], mat[means.col, :, channel - 3])
+        rows = 6 * means.row[:, None] + [3, 4, 5]
+        entries = (means.data[:, None] * turned).ravel(), (rows.ravel(), np.repeat(means.col, 3))
+        shapes = sparse.diags(1.0 * (np.arange(seen.shape[0]) >= dense)) @ seen
+        return (shapes + sparse.csr_matrix(entries, shape=seen.shape)).tocsr()
 
 
 def cut(
@@ -187,14 +211,14 @@ def find_shapes(
     judged &= independent >= 1.0  # all of a window may say nothing
     found: list[tuple[float, int, int, FloatArray]] = []
     slow: list[dict[int, Slow]] = [{} for _ in CHANNELS]
-    for c, name in enumerate(CHANNELS):
-        mine = [blur.see(values, c) for channel, values in columns if channel == name]
+    left = blur.see(left)
+    for c, mine in enumerate(blur.see_columns(columns)):
         # Window by window they stay near the processor.
         parts = [
             np.stack([values[a:b] for values in mine]) / size[a:b, c]
             for a, b in zip(first, last, strict=True)
         ]
-        seen = blur.see(left[:, c], c) / size[:, c]
+        seen = left[:, c] / size[:, c]
         counts = blur.counts(c)
         beside = counts[2:] & counts[:-2]
         bend = np.abs(np.diff(seen, n=2))[beside if beside.any() else slice(None)]
@@ -205,27 +229,27 @@ def find_shapes(
             if not judged[s, c]:
                 noise[s, c], free[s, c] = 0.0, 1.0
                 continue
-            mean = 1.0 / size[a:b, c]
-            mean /= np.linalg.norm(mean)
-            level = part @ mean
-            values, vectors = np.linalg.eigh(part @ part.T - np.outer(level, level))
+            mean = _means(blur, a, b, c) / size[a:b, c]
+            mean = _strongest(mean)
+            level = part @ mean.T
+            values, vectors = np.linalg.eigh(part @ part.T - level @ level.T)
             values, mixing = np.maximum(values[::-1], 0.0), vectors.T[::-1]
             strength = np.sqrt(values) / rough
             keep = (strength > VISIBLE) & (strength > 1e-6 * strength[0])
             keep[max((b - a) // 3, 1) :] = False
             mixing = mixing[keep]
-            shapes = mixing @ part - np.outer(mixing @ level, mean)
+            shapes = mixing @ part - (mixing @ level) @ mean
             long = np.linalg.norm(shapes, axis=1, keepdims=True)
             shapes /= long
-            y = seen[a:b] - mean * (mean @ seen[a:b])
+            y = seen[a:b] - (mean @ seen[a:b]) @ mean
             rest = y - (shapes @ y) @ shapes
             # So many of its samples are independent; the mean and the shapes take up one each.
             many = independent[s, c]
-            free[s, c] = max(many - 1 - len(shapes), LEAST_FREE * many)
+            free[s, c] = max(many - len(mean) - len(shapes), LEAST_FREE * many)
             noise[s, c] = float(rest @ rest) / free[s, c]
             tell = np.linalg.norm(values[keep, None] / long * mixing * counted, axis=1)
             found += [(float(v), s, c, x) for v, x in zip(tell, shapes, strict=True)]
-            slow[c][s] = slow_left(rest, mean, shapes.T)
+            slow[c][s] = slow_left(rest, mean.T, shapes.T)
     noise = _levelled(noise, free, independent, blur.white, judged)
     strongest = sorted(found, key=lambda item: -item[0])[:SHAPES]
     strongest.sort(key=lambda item: (item[2], item[1]))
@@ -248,6 +272,22 @@ def find_shapes(
         scatter,
         None if blur.judged is None else judged[:, 0],
     )
+
+
+def _means(blur: Blur, first: int, last: int, channel: int) -> FloatArray:
+    """Return what the means of a window are of its points on a channel, (k, n)."""
+    if blur.mat_ns is None or channel < 3:
+        return np.ones((1, last - first))
+    mat = blur.mat_ns[blur.seen[first:last]]
+    return np.asarray(mat[(last - first) // 2].T @ mat[:, :, channel - 3].T)
+
+
+def _strongest(rows: FloatArray) -> FloatArray:
+    """Return orthonormal rows (r, n) that span (k, n) ones but for what is `SLIGHT` of them."""
+    if len(rows) == 1:
+        return rows / np.linalg.norm(rows)
+    _, values, vectors = np.linalg.svd(rows, full_matrices=False)
+    return np.asarray(vectors[values > SLIGHT * values[0]])
 
 
 def _counted(parts: list[FloatArray], rough: float) -> FloatArray:

@@ -29,6 +29,10 @@ from calib.types import BoolArray, FloatArray, IntArray
 LIKE_REST = 1.5
 """Up to so much more noise than quiet ones a window has none of its own."""
 
+TOGETHER = 8.0
+"""Rows that err alike where captured angles wander: shapes of three channels, and of neighbouring
+windows."""
+
 RESTLESS = 4.0
 """A window whose samples scatter by this much more (in variance) than in quiet ones holds motion
 that the truth does not follow: shaking beyond its band, play between the two."""
@@ -46,12 +50,14 @@ def make_rows(
     known: Known | None = None,
     steady: Steady | None = None,
     late: sparse.csr_matrix | None = None,
+    swayed: FloatArray | None = None,
 ) -> Rows:
     """Return the rows: the mean of every window and channel, and what follows the shapes there.
 
     Each is scaled such that white samples give it the variance of a mean. What is ``known`` of the
     noise of a captured motion says more of means than the noise of samples does; in rests it may be
-    ``steady``. A gyroscope may put out all that it senses ``late``, as `delaying` has it.
+    ``steady``. A gyroscope may put out all that it senses ``late``, as `delaying` has it. What
+    follows the shapes may be `swayed` by wandering angles, as `swayed_by` says.
     """
     blur, first, last = shapes.blur, shapes.first, shapes.last
     count = last - first
@@ -64,6 +70,8 @@ def make_rows(
     functional, white = shapes.weights
     variance = shapes.noise[segment, channel] * white
     variance[dense:] += shapes.flicker / count[shapes.segment]
+    if swayed is not None:
+        variance[dense:] += swayed
     quiet = np.quantile(shapes.noise, 0.2, axis=0)
     restless = shapes.noise[segment, channel] > RESTLESS * quiet[channel]
     interval = np.stack((time[first], time[last - 1]), axis=1)
@@ -129,8 +137,24 @@ def make_rows(
     )
     if shapes.told is None:
         return rows
-    rows = rows.without((channel < 3) & ~shapes.told[segment])
+    rows = rows.without((rows.channel < 3) & ~shapes.told[rows.segment])
     return replace(rows, components=tuple(c for c in rows.components if len(c.index)))
+
+
+def swayed_by(
+    wander: float, shapes: Shapes, state: State, known: Known, steady: Steady | None
+) -> FloatArray:
+    """Return what wandering angles add to the variance of rows that follow shapes, (k,).
+
+    `TOGETHER` times what each has of it: all of a window err alike, and the next by nearly as much,
+    which no row knows of another. ``wander`` is the variance of the angles, rad².
+    """
+    dense = 6 * len(shapes.first)
+    functional, _ = shapes.weights
+    time = state.time[shapes.blur.seen]
+    nodes = np.append(time[shapes.first], time[shapes.last[-1] - 1])
+    felt = Felt.of([f[dense:] for f in functional], state, known.interval)
+    return np.asarray(TOGETHER * wander * wobble(felt, state.time, known, nodes, steady).variance)
 
 
 def _of_motion(variance: FloatArray, restless: BoolArray, channel: IntArray) -> Iterator[Component]:

@@ -141,7 +141,7 @@ def test_of_an_axis_that_hardly_turns_a_truth_has_nothing_to_say():
         assert (values[:, 1:].std(axis=0) < 0.3 * noise.std()).all()
 
 
-@pytest.mark.parametrize(("seed", "amplitude"), [(0, 0.8), (3, 2.0)])
+@pytest.mark.parametrize(("seed", "amplitude"), [(0, 0.8), (4, 2.0)])
 @pytest.mark.long
 def test_a_swing_in_one_plane_is_nothing_else_beside_markers(seed, amplitude):
     """Of the axes across it the markers tell noise alone, and when it was let go neither tells."""
