@@ -36,7 +36,6 @@ from calib.mismatch.reference.carried import (
     true_force,
 )
 from calib.mismatch.reference.colour import (
-    SLOWEST,
     WHITE,
     Blur,
     Colour,
@@ -95,9 +94,12 @@ COLOURED = 4
 """Step of the first fit before which the colour of noise is looked for: a sensor that swings is not
 where it belongs after two, and what it is off by is no noise."""
 
-STEEP = (2.0 / SLOWEST) ** 2
-"""s²: how steep the noise of captured rates is taken to be: below half of what is looked at it may
-be of any colour, and what rings through a longer filter is heard for seconds."""
+STEEP = (4.0, 1.0, 0.25)
+"""s²: how steep the noise of captured rates is taken to be: below half a hertz it may be of any
+colour. A filter that is steeper is longer, and sees nothing that is so near to a gap."""
+
+TORN = 0.1
+"""Share of the points that gaps may take before a shorter filter is tried."""
 
 HAND = 2.0
 """Hz below which most of what a hand does is."""
@@ -620,20 +622,26 @@ class ComparisonProblem:
         at = slice(None) if self.judged is None else self.judged
         steep = steepest_beside(state.rate)
         accel = find_colour(self.time[at], left[at, :3], self.interval, self.band, steepest=steep)
-        mat = state.mat_ns if self.captured else None
-        if mat is not None:
-            gyro = self._captured_colour(state, left, accel)
+        for steepest in STEEP if self.captured else ():
+            gyro = self._captured_colour(state, left, accel, steepest)
             if gyro.square * self.band**2 < 1.0:
-                mat = None  # its noise is not that of angles
-        if mat is None:
+                self.captured = False  # its noise is not that of angles
+                break
+            colours = [accel, gyro]
+            blur = whitening(self.time, colours, self.interval, self.band, state.mat_ns)
+            if len(blur.seen) > (1.0 - TORN) * len(self.time):
+                break
+        if not self.captured:
             gyro = find_colour(self.time, left[:, 3:], self.interval, self.band, steepest=steep)
-        colours = [accel, gyro]
-        blur = whitening(self.time, colours, self.interval, self.band, mat)
+            colours = [accel, gyro]
+            blur = whitening(self.time, colours, self.interval, self.band)
         self.blur = self._judging(blur)
         self.colours = colours
         self.known = self._known(*(own.density for own in colours))
 
-    def _captured_colour(self, state: State, left: FloatArray, accel: Colour) -> Colour:
+    def _captured_colour(
+        self, state: State, left: FloatArray, accel: Colour, steepest: float
+    ) -> Colour:
         """Return the colour of what rates err by in a frame that does not turn.
 
         What captured angles err by rates err by there, however a body turns. As slow as a hand is
@@ -651,7 +659,13 @@ class ComparisonProblem:
         for again in (True, False):
             rate = np.einsum("nij,nj->ni", mat, noise[:, 3:])
             gyro = find_colour(
-                self.time, rate, self.interval, self.band, steepest=STEEP, least=own[1], long=True
+                self.time,
+                rate,
+                self.interval,
+                self.band,
+                steepest=steepest,
+                least=own[1],
+                long=True,
             )
             if again:
                 blur = whitening(self.time, [accel, gyro], self.interval, self.band, mat)
