@@ -418,7 +418,7 @@ class ComparisonProblem:
         Beside differences of these densities where they are slow, SI/√Hz.
         """
         own = self.still.densities
-        if own is None and self.captured:
+        if own is None and self.blur.mat_ns is not None:
             own = accel, gyro  # where it never rests both are all that is known
         if own is None or self.colours is None or not np.isfinite(accel + gyro):
             return None
@@ -540,7 +540,7 @@ class ComparisonProblem:
             self._suppose(late)
             self.rows()
         self._suppose(())
-        if self.known is not None and self.captured:
+        if self.known is not None and self.blur.mat_ns is not None:
             self.wander = self._wander()
         state = self.state()
         check_motion(state, self.measured, self.residual(state))
@@ -622,41 +622,30 @@ class ComparisonProblem:
         at = slice(None) if self.judged is None else self.judged
         steep = steepest_beside(state.rate)
         accel = find_colour(self.time[at], left[at, :3], self.interval, self.band, steepest=steep)
-        for steepest in STEEP if self.captured else ():
-            gyro = self._captured_colour(state, left, accel, steepest)
-            if gyro.square * self.band**2 < 1.0:
-                self.captured = False  # its noise is not that of angles
-                break
-            colours = [accel, gyro]
-            blur = whitening(self.time, colours, self.interval, self.band, state.mat_ns)
-            if len(blur.seen) > (1.0 - TORN) * len(self.time):
-                break
-        if not self.captured:
+        found = self._in_one_frame(state, left, accel) if self.captured else None
+        if found is None:
             gyro = find_colour(self.time, left[:, 3:], self.interval, self.band, steepest=steep)
-            colours = [accel, gyro]
-            blur = whitening(self.time, colours, self.interval, self.band)
+            found = gyro, whitening(self.time, [accel, gyro], self.interval, self.band)
+        gyro, blur = found
         self.blur = self._judging(blur)
-        self.colours = colours
-        self.known = self._known(*(own.density for own in colours))
+        self.colours = [accel, gyro]
+        self.known = self._known(*(own.density for own in self.colours))
 
-    def _captured_colour(
-        self, state: State, left: FloatArray, accel: Colour, steepest: float
-    ) -> Colour:
-        """Return the colour of what rates err by in a frame that does not turn.
+    def _in_one_frame(
+        self, state: State, left: FloatArray, accel: Colour
+    ) -> tuple[Colour, Blur] | None:
+        """Return the colour of rates in a frame that does not turn, and what makes it white.
 
-        What captured angles err by rates err by there, however a body turns. As slow as a hand is
-        what no model has yet: what effects can explain of that is no noise.
+        What captured angles err by rates err by there, however a body turns. None if that is not
+        what most of the noise is.
         """
         mat = state.mat_ns
         assert mat is not None
-        columns = [
-            (name, values)
-            for name, values in self._shape_columns(self.setup.model.felt(state), left)
-            if name.startswith("gyro")
-        ]
-        own = (0.0, 0.0) if self.still.densities is None else self.still.densities
-        noise = left
-        for again in (True, False):
+        every = self._shape_columns(self.setup.model.felt(state), left)
+        columns = [(name, values) for name, values in every if name.startswith("gyro")]
+        least = 0.0 if self.still.densities is None else self.still.densities[1]
+
+        def seen(noise: FloatArray, steepest: float) -> tuple[Colour, Blur]:
             rate = np.einsum("nij,nj->ni", mat, noise[:, 3:])
             gyro = find_colour(
                 self.time,
@@ -664,14 +653,22 @@ class ComparisonProblem:
                 self.interval,
                 self.band,
                 steepest=steepest,
-                least=own[1],
+                least=least,
                 long=True,
             )
-            if again:
-                blur = whitening(self.time, [accel, gyro], self.interval, self.band, mat)
-                # Of what is fast a column of the truth has the noise of the differences.
-                noise = left - smoothed(self.time, explained_by(left, columns, blur), HAND)
-        return gyro
+            return gyro, whitening(self.time, [accel, gyro], self.interval, self.band, mat)
+
+        for steepest in STEEP:
+            _, rough = seen(left, steepest)
+            # As slow as a hand is what no model has yet: what effects can explain of that is no
+            # noise. Of what is fast a column of the truth has the noise of the differences.
+            slow = smoothed(self.time, explained_by(left, columns, rough), HAND)
+            gyro, blur = seen(left - slow, steepest)
+            if gyro.square * self.band**2 < 1.0:
+                return None
+            if len(blur.seen) > (1.0 - TORN) * len(self.time):
+                break
+        return gyro, blur
 
     def _carried(self, state: State) -> list[Column]:
         if not self.carries:
