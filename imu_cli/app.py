@@ -144,6 +144,13 @@ def main() -> NoReturn:
             gc.freeze()
     except KeyboardInterrupt:
         sys.exit(130)
+    except RuntimeError as error:
+        # Python before 3.12 wraps what interrupts the making of a class, as modules are imported.
+        if isinstance(error.__cause__, KeyboardInterrupt):
+            sys.exit(130)
+        if isinstance(error.__cause__, SystemExit):
+            sys.exit(error.__cause__.code)
+        raise
     except SystemExit as end:
         # Rich and click end with 1, which says a bug, when the reader of our output went away.
         if not isinstance(end.__context__, BrokenPipeError):

@@ -27,12 +27,31 @@ def test_an_error_that_nobody_reads_keeps_its_exit_code() -> None:
     assert process.returncode == 3
 
 
-def test_an_interrupt_of_what_is_being_imported_ends_with_its_exit_code(tmp_path: Path) -> None:
-    """Modules that make dataclasses run `exec`; `python -m` ended by the signal then."""
+@pytest.mark.parametrize(
+    ("raised", "code"), [("KeyboardInterrupt", 130), ("SystemExit(143)", 143), ("ValueError", 1)]
+)
+@pytest.mark.parametrize("where", ["exec", "set_name"])
+def test_an_interrupt_of_what_is_being_imported_ends_with_its_exit_code(
+    where: str, raised: str, code: int, tmp_path: Path
+) -> None:
+    """Dataclasses run `exec`, which `python -m` ended by; `__set_name__` wraps what is raised."""
     (tmp_path / "interrupted.py").write_text(
-        "import imu_cli.app as cli\ncli.app = lambda: exec('raise KeyboardInterrupt')\ncli.main()\n"
+        "import imu_cli.app as cli\n"
+        "class Named:\n"
+        "    def __set_name__(self, owner, name):\n"
+        f"        raise {raised}\n"
+        "def make():\n"
+        f"    if {where!r} == 'exec':\n"
+        f"        exec('raise {raised}')\n"
+        "    class Made:\n"
+        "        made = Named()\n"
+        "cli.app = make\n"
+        "cli.main()\n"
     )
     command = [sys.executable, "-m", "interrupted"]
     paths = os.pathsep.join([str(tmp_path), *sys.path])
-    found = subprocess.run(command, env={**os.environ, "PYTHONPATH": paths}, check=False)
-    assert found.returncode == 130
+    found = subprocess.run(
+        command, env={**os.environ, "PYTHONPATH": paths}, check=False, capture_output=True
+    )
+    assert found.returncode == code
+    assert (b"Traceback" in found.stderr) == (code == 1)
