@@ -36,6 +36,13 @@ FAST = 0.98
 """Share of the samples that turn slower than the motion at its fastest."""
 
 
+SURE = 4.0
+"""Square of the standard errors by which the colour of noise must need another power."""
+
+ALIKE_BESIDE = 1.0 + 2.0 * (2.0 / 3.0) ** 2 + 2.0 * (1.0 / 6.0) ** 2
+"""What spectra through a Hann window vary by where they are smooth, relative to one frequency's
+variance: neighbours are alike."""
+
 LOOSE = 30.0
 """How large, in its typical size, an effect may be that is no noise."""
 
@@ -268,10 +275,17 @@ def find_colour(
     f = frequency[own]
     density = density[own] * np.square(1.0 + (f / band) ** 8)
     design = np.stack((np.ones(len(f)), f**2, f**4), axis=1)
-    expected = density
-    for _ in range(3):
-        found = nnls(design / expected[:, None], density / expected)[0]
-        expected = design @ found
+    fits = []
+    for powers in ([0, 1], [0, 2], [0, 1, 2]):
+        found, expected = np.zeros(3), density
+        for _ in range(3):
+            found[powers] = nnls(design[:, powers] / expected[:, None], density / expected)[0]
+            expected = design @ found
+        fits.append((float(np.square(density / expected - 1.0).sum()), found, expected))
+    # Both powers of the frequency leave open what is slow: one of them is enough for most.
+    simple, both = min(fits[:2], key=lambda fit: fit[0]), fits[2]
+    error = ALIKE_BESIDE / np.log(2.0) ** 2 / (even.sum() * left.shape[1])  # of medians, squared
+    _, found, expected = both if simple[0] - both[0] > SURE * error else simple
     # Half of the squares of a frequency are below log 2 of their mean.
     unit = 2.0 * interval / np.log(2.0) / np.square(window).sum()
     slow = max(float(found[0]), float(found[1]) / steepest, float(expected[-1]) / STEEPEST)

@@ -621,7 +621,14 @@ class ComparisonProblem:
         left = self.residual(state)
         at = slice(None) if self.judged is None else self.judged
         steep = steepest_beside(state.rate)
-        accel = find_colour(self.time[at], left[at, :3], self.interval, self.band, steepest=steep)
+        accel = find_colour(
+            self.time[at],
+            left[at, :3],
+            self.interval,
+            self.band,
+            steepest=steep,
+            least=self._least(0),
+        )
         found = self._in_one_frame(state, left, accel) if self.captured else None
         if found is None:
             gyro = find_colour(self.time, left[:, 3:], self.interval, self.band, steepest=steep)
@@ -630,6 +637,10 @@ class ComparisonProblem:
         self.blur = self._judging(blur)
         self.colours = [accel, gyro]
         self.known = self._known(*(own.density for own in self.colours))
+
+    def _least(self, triad: int) -> float:
+        """Return the density of a triad's own noise, SI/√Hz; 0 if no rest tells."""
+        return 0.0 if self.still.densities is None else self.still.densities[triad]
 
     def _in_one_frame(
         self, state: State, left: FloatArray, accel: Colour
@@ -643,7 +654,6 @@ class ComparisonProblem:
         assert mat is not None
         every = self._shape_columns(self.setup.model.felt(state), left)
         columns = [(name, values) for name, values in every if name.startswith("gyro")]
-        least = 0.0 if self.still.densities is None else self.still.densities[1]
 
         def seen(noise: FloatArray, steepest: float) -> tuple[Colour, Blur]:
             rate = np.einsum("nij,nj->ni", mat, noise[:, 3:])
@@ -653,7 +663,7 @@ class ComparisonProblem:
                 self.interval,
                 self.band,
                 steepest=steepest,
-                least=least,
+                least=self._least(1),
                 long=True,
             )
             return gyro, whitening(self.time, [accel, gyro], self.interval, self.band, mat)

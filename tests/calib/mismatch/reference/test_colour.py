@@ -73,6 +73,22 @@ def test_what_captured_angles_err_by_is_white_in_one_frame() -> None:
     assert find_colour(time, room, STEP, BAND, least=1.0).density < 0.1
 
 
+@pytest.mark.parametrize("power", [1, 2])
+def test_slow_noise_is_found_below_what_grows_with_frequency(power: int) -> None:
+    """With both powers open what is slow was left to chance."""
+    found = []
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        white, fast = rng.normal(size=(2, 9600, 3)) / np.sqrt(2.0 * STEP)
+        for _ in range(power):
+            fast = np.gradient(fast, STEP, axis=0) / (2 * np.pi)
+        time = STEP * np.arange(len(white))
+        found.append(find_colour(time, smoothed(time, white + 0.4 * fast, 5.0), STEP, 5.0))
+    assert np.mean([c.density for c in found]) == pytest.approx(1.0, rel=0.15)
+    assert np.std([c.density for c in found]) < 0.15
+    assert np.median([[c.square, c.fourth][2 - power] for c in found]) == 0.0
+
+
 @pytest.mark.parametrize("framed", [False, True])
 def test_what_columns_explain_is_no_noise(framed: bool) -> None:
     rng, n = np.random.default_rng(5), 3000
