@@ -30,7 +30,13 @@ import numpy as np
 from scipy.special import logsumexp, softmax
 
 from calib.mismatch.findings.diagnosis import Interval
-from calib.mismatch.hypotheses.candidates import FLUCTUATING, GAIN, GAIN_IN_TIME, Candidate
+from calib.mismatch.hypotheses.candidates import (
+    DELAY,
+    FLUCTUATING,
+    GAIN,
+    GAIN_IN_TIME,
+    Candidate,
+)
 from calib.mismatch.hypotheses.factors import log_bayes_factor, log_bayes_factors
 from calib.mismatch.hypotheses.shared import likely_share
 from calib.mismatch.hypotheses.slipped import place_slip
@@ -183,7 +189,7 @@ def of_place(first: IntArray, last: IntArray, number: int, stays: float) -> Floa
 
 def _may_stay(candidate: Candidate) -> bool:
     """Whether it may have changed at a moment for good: a bias that did is a step by name."""
-    return candidate.name == GAIN and not candidate.shape
+    return candidate.name in (GAIN, DELAY) and not candidate.shape
 
 
 def of_windows(white: FloatArray, y: FloatArray, first: IntArray, last: IntArray) -> FloatArray:

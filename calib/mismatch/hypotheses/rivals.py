@@ -17,6 +17,7 @@ import numpy as np
 
 from calib.effects import effects
 from calib.mismatch.hypotheses.candidates import (
+    DELAY,
     FLUCTUATING,
     GAIN,
     GAIN_IN_TIME,
@@ -65,6 +66,7 @@ from calib.mismatch.hypotheses.windows import (
     is_step,
     make_slots,
     own_signal,
+    own_slope,
     throughout,
     typical_size,
 )
@@ -85,7 +87,8 @@ _KINDS = {
     GAIN: 0.08,
     GAIN_IN_TIME: 0.02,
     FLUCTUATING: 0.14,
-    "wave in a window": 0.11,
+    "wave in a window": 0.1,
+    DELAY: 0.01,
     THROUGHOUT: 0.03,
     "time": 0.02,
     "temperature": 0.02,
@@ -132,11 +135,13 @@ _Draft = tuple[str, str, IntArray, Mapping[str, Any]]
 class _Layout(NamedTuple):
     """Where columns are in the stack: the first `width` are those in windows of the first channel.
 
-    Of these `slots` are parts of time, the others the signal in each segment; then come the other
-    channels'. ``smooth`` has what a rival follows, the channel, and its columns ``[first, stop)``.
+    Of these `slots` are parts of time, then come the signal and, beside a truth, its slope in each
+    of the `segments`; and then the other channels'. ``smooth`` has what a rival follows, the
+    channel, and its columns ``[first, stop)``.
     """
 
     slots: int
+    segments: int
     width: int
     smooth: tuple[tuple[str, int, int, int], ...]
 
@@ -147,7 +152,7 @@ def add_rivals(stack: Stack, rows: Rows, *, skip: tuple[str, ...] = ()) -> None:
     ``skip`` names those that are not tried (``time`` where the clock is wrong).
     """
     slots = make_slots(rows)
-    layout = _add_columns(stack, rows, slots)
+    layout = _add_columns(stack, rows, slots, delays=DELAY not in skip)
     times = rows.interval.tobytes(), slots.middle.tobytes(), slots.first.tobytes()
     banks, weights = _sorted(*times, layout, skip)
     for bank in banks:
@@ -173,7 +178,7 @@ def add_rivals(stack: Stack, rows: Rows, *, skip: tuple[str, ...] = ()) -> None:
         )
 
 
-def _add_columns(stack: Stack, rows: Rows, slots: Slots) -> _Layout:
+def _add_columns(stack: Stack, rows: Rows, slots: Slots, *, delays: bool) -> _Layout:
     """Add the columns of all rivals: those in windows, then smooth functions of something."""
     state, follow = rows.state, list[tuple[str, int, int, int]]()
     touched = [rows.touched([c]) for c in range(len(CHANNELS))]
@@ -183,7 +188,10 @@ def _add_columns(stack: Stack, rows: Rows, slots: Slots) -> _Layout:
         stack.columns.add(size * in_slots, touched[c])
         signal = in_segments(rows, c, own_signal(state, c))
         stack.columns.add(size * signal, touched[c])
-    width = in_slots.shape[1] + signal.shape[1]
+        if delays:
+            stack.columns.add(size * in_segments(rows, c, own_slope(state, c)), touched[c])
+    segments = signal.shape[1]
+    width = in_slots.shape[1] + (2 if delays else 1) * segments
     stretches = Stretches.of(rows)
     before = [*history(rows, stretches), *of_use(rows, stretches), *lagging(rows)]
     followed = [*smooth(state), *before]
@@ -203,7 +211,7 @@ def _add_columns(stack: Stack, rows: Rows, slots: Slots) -> _Layout:
         ends = index[0] + np.cumsum([0, *(columns.shape[1] for _, columns in found)])
         for (label, _), (first, last) in zip(found, pairwise(ends.tolist()), strict=True):
             follow.append((label, c, first, last))
-    return _Layout(in_slots.shape[1], width, tuple(follow))
+    return _Layout(in_slots.shape[1], segments, width, tuple(follow))
 
 
 @lru_cache(maxsize=1)
@@ -231,7 +239,8 @@ def _sorted(
     # Beside the bias, a window that is open at one end is a step of it, which has a name.
     steps = {"accel_bias_step", "gyro_bias_step"} <= effects().keys() - set(skip)
     local, joint = (
-        [w for w in items if not (steps and is_step(w, len(times)))] for items in (local, joint)
+        [w for w in items if w.name not in skip and not (steps and is_step(w, len(times)))]
+        for items in (local, joint)
     )
     waves = throughout(times, slots[0])
     alone = *_drafts(1, layout, slots[1], local), *_waves(layout, waves)
@@ -290,6 +299,9 @@ def _drafts(many: int, layout: _Layout, first: IntArray, local: list[Local]) -> 
         low, high = slots[a], slots[b]
         if item.name in GAINS:
             low, high = layout.slots + a, layout.slots + b
+        elif item.name == DELAY:
+            later_on = layout.slots + layout.segments
+            low, high = later_on + a, later_on + b
         index = every[low:high]
         about = {
             "summed": item.mixing is None,

@@ -14,6 +14,7 @@ from scipy import sparse
 from calib.effects import effects
 from calib.effects.base import State
 from calib.mismatch.hypotheses.candidates import (
+    DELAY,
     FLUCTUATING,
     GAIN,
     GAIN_IN_TIME,
@@ -27,6 +28,9 @@ from calib.types import FloatArray, IntArray
 FAST = 3.0
 """A brisk turn by hand, rad/s: what rates are scaled by."""
 
+PACE = 3.0
+"""1/s: how fast signals change in a turn by hand, relative to what they reach."""
+
 TURNED = "turned axes in a window"
 """A triad that a mounting, or glue, lets turn against the other: ``v x signal``, v small."""
 
@@ -38,6 +42,7 @@ WINDOWED = (
     GAIN,
     FLUCTUATING,
     "wave in a window",
+    DELAY,
     TURNED,
     SLIPPED,
 )
@@ -168,6 +173,7 @@ def in_windows(
         time = middle[first[a] : first[b]]
         yield Local("bias in a window", (a, b), (start, stop), {}, None)
         yield Local(GAIN, (a, b), (start, stop), {}, None)
+        yield Local(DELAY, (a, b), (start, stop), {}, None)
         if b - a >= FLUCTUATION:
             ramp = function_of_time(RAMP, interval[a:b].mean(axis=1), start, stop)
             yield Local(GAIN, (a, b), (start, stop), dict(RAMP), ramp)
@@ -277,6 +283,8 @@ def carried(state: State, candidate: Candidate) -> list[list[tuple[int, FloatArr
         return [[(c, np.full(len(state.time), k)) for c, k in zip(channels, each, strict=True)]]
     if candidate.name == GAIN:
         return [[(c, own_signal(state, c)) for c in channels]]
+    if candidate.name == DELAY:
+        return [[(c, own_slope(state, c)) for c in channels]]
     if candidate.name == TURNED:
         signal = np.stack([own_signal(state, c) for c in channels], axis=1)
         turned = [np.cross(axis, signal) for axis in np.eye(3)]
@@ -382,6 +390,12 @@ def gains_in_time(interval: FloatArray) -> Iterator[Local]:
 def own_signal(state: State, c: int) -> FloatArray:
     """Return a channel's own signal (n,), in g or brisk turns."""
     return state.force[:, c] / state.gravity if c < 3 else state.rate[:, c - 3] / FAST
+
+
+def own_slope(state: State, c: int) -> FloatArray:
+    """Return how fast a channel's own signal changes, (n,), relative to a turn by hand."""
+    size, slope = (state.gravity, state.force_dot) if c < 3 else (FAST, state.rate_dot)
+    return np.asarray(slope[:, c % 3] / (PACE * size))
 
 
 def nearby_windows(rows: Rows, candidate: Candidate) -> Iterator[tuple[float, float]]:

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.special import logsumexp
 
 from calib.mismatch.hypotheses.answers import evidence_near, grouped, leading, nearby
-from calib.mismatch.hypotheses.candidates import Candidate
+from calib.mismatch.hypotheses.candidates import DELAY, Candidate
 from calib.mismatch.hypotheses.families import add_catalogue, is_step
 from calib.mismatch.hypotheses.rivals import add_rivals
 from calib.mismatch.hypotheses.score import Stack
@@ -83,7 +83,10 @@ def chance(e_value: float) -> float:
 def make_stack(rows: Rows, *, skip: tuple[str, ...], reference: bool) -> Stack:
     """Return every candidate: the catalogue and its rivals."""
     stack = Stack(len(rows.residual))
-    add_rivals(stack, rows, skip=skip)
+    # What is late between two rests comes to the same angle: closures hardly know of it. And where
+    # a truth is noisy its slope is so most of all.
+    delays = reference and not rows.clustered
+    add_rivals(stack, rows, skip=skip if delays else (*skip, DELAY))
     add_catalogue(stack, rows, skip=skip, reference=reference)
     return stack
 

@@ -10,7 +10,7 @@ import pytest
 from calib.effects import get_effect
 from calib.effects.base import State, Term
 from calib.mismatch import diagnose_recording
-from calib.mismatch.hypotheses.candidates import GAIN, GAIN_IN_TIME, Candidate
+from calib.mismatch.hypotheses.candidates import DELAY, GAIN, GAIN_IN_TIME, Candidate
 from calib.mismatch.hypotheses.followed import own_rate
 from calib.mismatch.hypotheses.rivals import FADED, FADING, FROM_START, RIVAL
 from calib.mismatch.hypotheses.score import Stack
@@ -44,8 +44,8 @@ def test_rivals_share_one_prior_and_a_window_is_the_same_column_wherever_it_come
     rows = made.rows()
     stack = make_stack(rows, skip=(), reference=False)
     assert sum(c.weight for c in stack if not c.physical) <= RIVAL + 1e-9
-    # Beside a truth alone does a sensor slip in its mount.
-    names = [name for name in WINDOWED if name != SLIPPED]
+    # Beside a truth alone does a sensor slip in its mount, or a channel come late for a while.
+    names = [name for name in WINDOWED if name not in (SLIPPED, DELAY)]
     longest = [max(rivals(stack, name), key=lambda c: len(c.index)) for name in names]
     assert {len(c.channels) for c in longest} == {1, 3}
     for candidate in longest:
@@ -54,6 +54,18 @@ def test_rivals_share_one_prior_and_a_window_is_the_same_column_wherever_it_come
         # The grid takes functions of time as constant in a part of a segment; ends do not matter.
         like = np.square((on_grid * exact).sum()) / np.square(on_grid).sum() / (exact**2).sum()
         assert like > 0.95, candidate.name
+
+
+def test_a_delay_in_a_window_is_tried_beside_a_truth_alone():
+    _, made = problem()
+    rows = made.rows()
+    assert not rivals(make_stack(rows, skip=(), reference=False), DELAY)
+    stack = make_stack(rows, skip=(), reference=True)
+    assert sum(c.weight for c in stack if not c.physical) <= RIVAL + 1e-9
+    longest = max(rivals(stack, DELAY), key=lambda c: len(c.index))
+    on_grid, exact = stack.of(longest), window_columns(rows, longest)
+    like = np.square((on_grid * exact).sum()) / np.square(on_grid).sum() / (exact**2).sum()
+    assert like > 0.95
 
 
 def test_what_fades_from_the_start_is_warming_up_but_faster():
@@ -163,7 +175,7 @@ def test_nearby_windows_lie_around_a_window_and_make_no_step_of_a_bias():
     rows = made.rows()
     stack = make_stack(rows, skip=(), reference=False)
     ends = rows.interval[0, 0], rows.interval[-1, 1]
-    for name in (n for n in WINDOWED if n not in (TURNED, SLIPPED)):
+    for name in (n for n in WINDOWED if n not in (TURNED, SLIPPED, DELAY)):
         for candidate in rivals(stack, name)[::97]:
             assert candidate.interval is not None
             near = list(nearby_windows(rows, candidate))

@@ -73,6 +73,22 @@ def test_nothing_but_baseline_noise_and_another_start_is_consistent():
     assert found.summary["alignment"]["offset"] == pytest.approx(SHOWN, abs=1e-4)
 
 
+@pytest.mark.parametrize(("start", "stop"), [(0.3, 0.6), (0.55, 1.0)])
+def test_an_axis_that_is_late_for_a_while_is_unexplained_there(start: float, stop: float) -> None:
+    """It was a clock, an offset, a skew and a nonlinearity; or it was not seen at all."""
+    real = recorded()
+    begin, end = np.array([start, stop]) * real.time[-1]
+    slope = np.gradient(real.gyro[:, 1], real.time)
+    within = (real.time >= begin) & (real.time <= end)
+    gyro = real.gyro - 1e-3 * (slope * within)[:, None] * [0.0, 1.0, 0.0]
+    found = diagnose_against(replace(real, gyro=gyro), simulation(), gravity=GRAVITY)
+    assert not found.findings
+    (left,) = found.unexplained
+    assert (left.follows, left.channels) == ("delay in a window", ("gyro.y",))
+    (first, last), *_ = left.intervals
+    assert min(last, end) - max(first, begin) > 0.5 * (max(last, end) - min(first, begin))
+
+
 def test_columns_are_made_anew_where_the_alignment_moved():
     real = recorded()
     seen = look_at_samples(real, find_poses(real))
