@@ -311,6 +311,8 @@ class Effect(ABC):
     indivisible: bool = False
     """Whether its parameters are those of one vector in a frame whose axes say nothing of the
     sensor: they are there together, or not at all."""
+    together: tuple[tuple[str, ...], ...] = ()
+    """Sets of parameters of which one is there; by default any, all, or those that are alike."""
     from_moment: bool = False
     """Whether its one shape is a moment, from which on it acts as it would from the start."""
     from_power_on: bool = False

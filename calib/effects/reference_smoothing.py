@@ -14,28 +14,31 @@ from calib.types import FloatArray
 TYPICAL = 1.0 / (2.0 * np.pi * 15.0) ** 2
 """s²: a low-pass that takes a half away at 15 Hz."""
 
-STRONGEST = 1.0 / (2.0 * np.pi * 3.0) ** 2
-"""s²: at 3 Hz it takes hand motion itself."""
+STRONGEST = 1.0 / (2.0 * np.pi * 2.0) ** 2
+"""s²: at 2 Hz it takes hand motion itself."""
 
 
 class ReferenceSmoothing(Effect):
-    """A low-pass without delay took ``k d²/dt²`` from angles and positions in the room's frame.
+    """A low-pass without delay took ``k d²/dt² - m d⁴/dt⁴`` from quaternions and positions.
 
-    With the rate w, its derivative and the acceleration a in the frame of the room::
+    With the rate w, dots for its derivatives, and the acceleration a, in the frame of the room::
 
-        w_m -= mat_sn orientation d²w/dt²
-        f_m -= mat_sn position d²a/dt² + orientation f x (mat_sn dw/dt)
+        v = m (w... + w.. x w - (w . w.) w - |w|² w. / 2) - k w.
+        w_m += mat_sn dv/dt
+        f_m += mat_sn (position_fourth d⁴a/dt⁴ - position d²a/dt²) + f x mat_sn v
 
-    That is the beginning of what any such low-pass does: of ``1 / (1 + k (2 pi f)²)`` a half is
-    left at f = 1 / (2 pi sqrt(k)), 159 Hz over the root of k in ms². No sensor does it: a sensor's
-    low-pass comes late, and acts in its own frame.
+    of which k is ``orientation``, m ``orientation_fourth``; v is ``2 (m d⁴q/dt⁴ - k d²q/dt²) q*``.
+    That is the beginning of what any such low-pass does: of ``1 / (1 + k (2 pi f)² + m (2 pi f)⁴)``
+    with k alone a half is left at 159 Hz over the root of k in ms², and with m alone (a Butterworth
+    of second order forwards and backwards) at 159 Hz over the fourth root of m in ms⁴. No sensor
+    does it: a sensor's low-pass comes late, and acts in its own frame.
     """
 
     slug = "reference_smoothing"
     title = "smoothing of the reference"
     equation = (
-        "w_m -= mat_sn orientation d²w/dt², "
-        "f_m -= mat_sn position d²a/dt² + orientation f x (mat_sn dw/dt)"
+        "w_m += mat_sn dv/dt, f_m += mat_sn (position_fourth d⁴a/dt⁴ - position d²a/dt²) "
+        "+ f x mat_sn v, v = 2 (orientation_fourth d⁴q/dt⁴ - orientation d²q/dt²) q*"
     )
     source = "Captured motion is usually low-passed forwards and backwards at 6 to 20 Hz"
     kind = "setup"
@@ -45,6 +48,26 @@ class ReferenceSmoothing(Effect):
         ),
         Parameter(
             "position", "s²", TYPICAL, CHANNELS[:3], reference_only=True, least=0.0, most=STRONGEST
+        ),
+        Parameter(
+            "orientation_fourth",
+            "s⁴",
+            TYPICAL**2,
+            CHANNELS,
+            reference_only=True,
+            least=0.0,
+            most=STRONGEST**2,
+            refining=True,
+        ),
+        Parameter(
+            "position_fourth",
+            "s⁴",
+            TYPICAL**2,
+            CHANNELS[:3],
+            reference_only=True,
+            least=0.0,
+            most=STRONGEST**2,
+            refining=True,
         ),
     )
     follows = "how fast rate and acceleration change in the room"
@@ -56,6 +79,11 @@ class ReferenceSmoothing(Effect):
     )
     rivals = ("bandwidth", "accel_size_effect")
     reads = ("mat_ns",)
+    together = tuple(
+        own
+        for both in (("orientation", "position"), ("orientation_fourth", "position_fourth"))
+        for own in ((both[0],), (both[1],), both)
+    )
 
     def columns(self, state: State, shape: Mapping[str, float]) -> dict[str, Column]:
         """Return what is missing of both; nothing if orientation is not known."""
@@ -69,14 +97,24 @@ class ReferenceSmoothing(Effect):
         def in_sensor(values: FloatArray) -> FloatArray:
             return np.asarray(np.einsum("nij,ni->nj", mat, values))
 
-        slope = state.derivative(in_room(state.rate))
-        bend = state.derivative(state.derivative(in_room(state.force)))
+        def turned(by: FloatArray) -> Column:
+            return {
+                **triad_column("accel", np.cross(state.force, in_sensor(by))),
+                **triad_column("gyro", in_sensor(state.derivative(by))),
+            }
+
+        w, force = in_room(state.rate), [in_room(state.force)]
+        slope = state.derivative(w)
+        bend = state.derivative(slope)
+        for _ in range(4):
+            force.append(state.derivative(force[-1]))
+        along, square = ((w * v).sum(axis=1, keepdims=True) for v in (slope, w))
+        fourth = state.derivative(bend) + np.cross(bend, w) - along * w - 0.5 * square * slope
         return {
-            "orientation": {
-                **triad_column("accel", -np.cross(state.force, in_sensor(slope))),
-                **triad_column("gyro", -in_sensor(state.derivative(slope))),
-            },
-            "position": triad_column("accel", -in_sensor(bend)),
+            "orientation": turned(-slope),
+            "position": triad_column("accel", -in_sensor(force[2])),
+            "orientation_fourth": turned(fourth),
+            "position_fourth": triad_column("accel", in_sensor(force[4])),
         }
 
 

@@ -96,6 +96,9 @@ def _add(
         index = dict(zip(columns, number, strict=False))
         every = tuple(columns)
         subsets = [(every, 1.0)] if effect.indivisible else _subsets(every, channels, refining)
+        if effect.together:
+            some = [own for own in effect.together if set(own) <= set(every)]
+            subsets = [(own, 1.0 / len(some)) for own in some]
         for names, share in subsets:
             touched: tuple[str, ...] = tuple(dict.fromkeys(c for n in names for c in channels[n]))
             stack.add(

@@ -71,6 +71,9 @@ QUIET = 0.1
 STILL = 0.05
 """rad/s below which a motion is at rest; from `MOVES` on it moves."""
 
+RESTS = 100
+"""Slow samples at rest that tell how loud the noise is: 1 in 10."""
+
 ENOUGH = 300
 """Samples of either kind that tell how loud the noise is: 1 in 20."""
 
@@ -217,6 +220,8 @@ def noise_beside_exact(
     shows it as well, and if differences so high that no motion is in them are quiet.
     """
     other = truth.recording
+    if truth.quat is not None and _sways(real, other):
+        return None  # it was smoothed: what is left of its noise is slow
     noise = noise_of(real)
     if (noise_of(other) <= QUIET * noise).all():
         return noise
@@ -224,6 +229,24 @@ def noise_beside_exact(
     if (fastest_noise(other) > QUIET * noise).any():
         return None
     return noise if _shows_all(real, truth, alignment, mat, float(noise[1])) else None
+
+
+def _sways(real: Recording, other: Recording) -> bool:
+    """Whether rates of a truth are restless at rest, below `NARROWEST`, beside a recording's noise.
+
+    Not if either is at rest for too short a time.
+    """
+    levels = []
+    for own in (real, other):
+        step = max(1, round(0.25 / NARROWEST / own.interval))
+        rate = thinned(low_passed(own, NARROWEST), step).gyro
+        speed = np.linalg.norm(rate - _at_rest(rate, step * own.interval), axis=1)
+        change = np.abs(np.diff(rate, n=2, axis=0))
+        still = np.convolve(speed < STILL, np.ones(3), mode="valid") > 2.5
+        if still.sum() < RESTS:
+            return False
+        levels.append(float(np.median(change[still])))
+    return levels[1] > QUIET * levels[0]
 
 
 def _shows_all(

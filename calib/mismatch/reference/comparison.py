@@ -71,6 +71,7 @@ from calib.mismatch.reference.step import robust_step
 from calib.mismatch.reference.stilled import gradient_in, resting, stilled
 from calib.mismatch.reference.struck import struck
 from calib.mismatch.reference.truths import RecordingTruth
+from calib.mismatch.reference.unsmoothed import smoothed_by, smoothing
 from calib.mismatch.reference.visible import catalogue_shapes
 from calib.mismatch.reference.windowed import make_rows, swayed_by
 from calib.mismatch.reference.witnessed import between, shared, witnessed
@@ -240,6 +241,7 @@ class ComparisonProblem:
         self.shapes: Shapes | None = None
         self.colours: list[Colour] | None = None
         self.known: Known | None = None
+        self.smoothed: dict[str, float] = {}
         self.wander = 0.0
         self.swayed: tuple[Shapes, FloatArray] | None = None
         self._at: tuple[Setup, State] | None = None
@@ -327,9 +329,10 @@ class ComparisonProblem:
         state = self.state()
         left = self.residual(state)
         rate, mat = state.rate, state.mat_ns
+        noise = left - smoothed_by(state, self.smoothed)
         if self.known is not None:
             gain = np.maximum(self._gain(), LEAST_GAIN)
-            state = witnessed(state, left / gain, self.known)
+            state = witnessed(state, noise / gain, self.known)
         elif self.still.densities is not None:
             state = shared(state, self.measured)
         elif self.white is not None:
@@ -348,7 +351,7 @@ class ComparisonProblem:
             if self.noisy:
                 rough = scatter(
                     felt,
-                    left,
+                    noise,
                     columns,
                     blur=self.blur,
                     resolved=not self.unresolved,
@@ -359,10 +362,10 @@ class ComparisonProblem:
                 rough = silenced(self.unknown)
             still = self.time[np.minimum(self.still.settled, len(self.time) - 1)]
             self.shapes = find_shapes(
-                self.time, left, columns, blur=self.blur, scatter=rough, still=still
+                self.time, noise, columns, blur=self.blur, scatter=rough, still=still
             )
-        noise = np.median(self.shapes.noise, axis=0).reshape(2, 3).mean(axis=1)
-        known = self._known(*np.sqrt(2.0 * self.interval * noise).tolist())
+        level = np.median(self.shapes.noise, axis=0).reshape(2, 3).mean(axis=1)
+        known = self._known(*np.sqrt(2.0 * self.interval * level).tolist())
         steady = None
         if known is not None:
             steady = steadied(
@@ -619,6 +622,9 @@ class ComparisonProblem:
         """Look from here on through what makes the noise that is left white."""
         state = self.state()
         left = self.residual(state)
+        if self.captured:
+            self.smoothed = smoothing(state, left, placed=self.judged is None)
+            left = left - smoothed_by(state, self.smoothed)
         at = slice(None) if self.judged is None else self.judged
         steep = steepest_beside(state.rate)
         accel = find_colour(

@@ -17,10 +17,12 @@ def catalogue_shapes(state: State) -> Iterator[tuple[str, FloatArray]]:
     for slug, effect in effects().items():
         if effect.is_readout or any(s.low is None or s.high is None for s in effect.shape):
             continue
-        sizes = {p.name: p.typical for p in effect.parameters}
+        # What a higher order adds is as noisy as it is steep, and much like the lower ones.
+        sizes = {p.name: p.typical for p in effect.parameters if not p.refining}
         for shape in _few_shapes(slug):
-            for parameter, column in effect.columns(state, shape).items():
-                for channel, values in column.items():
+            columns = effect.columns(state, shape)
+            for parameter in (name for name in columns if name in sizes):
+                for channel, values in columns[parameter].items():
                     yield channel, sizes[parameter] * values
 
 

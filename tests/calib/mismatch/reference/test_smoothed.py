@@ -16,6 +16,7 @@ from calib.model import SensorModel
 from calib.recording import Recording
 from calib.rotation import quat_from_rotvec, quat_multiply
 from calib.simulate import simulate
+from calib.simulation.bench import bench_protocol
 from calib.simulation.kinematics import Motion
 from calib.simulation.noise import CONSUMER
 from calib.simulation.referenced import motion_from_reference
@@ -77,6 +78,34 @@ def test_smoothing_is_named_alone_and_by_its_size():
     made = found.calibration(real, gravity=Gravity(GRAVITY, "given"))
     assert not made.model.terms
     assert [e.effect for e in made.events if e.effect != "time_offset"] == [item.effect]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("cutoff", [6.0, 10.0])
+def test_a_butterworth_both_ways_is_smoothing_and_nothing_else(cutoff: float) -> None:
+    """It takes nothing with the square of the frequency: gravity, clocks and signs took its place.
+
+    Twice of second order it leaves ``1 / (1 + (f / cutoff)^4)``.
+    """
+    rng = np.random.default_rng(3)
+    motion = bench_protocol(rng, poses=14, first_pose=3.0, pose_duration=(2.0, 4.0))
+    real = simulate(motion, SensorModel(), CONSUMER, rng=rng, rate=100.0)
+    time = np.arange(0.5, motion.duration - 0.5, 1.0 / RATE)
+    turning, path = motion.kinematics(time)
+    assert path is not None
+    shake = quat_from_rotvec(rng.normal(0.0, np.radians(0.05), (len(time), 3)))
+    seen = np.hstack((quat_multiply(turning.quat, shake), path.position))
+    seen[:, 4:] += rng.normal(0.0, 1e-4, path.position.shape)
+    seen = sosfiltfilt(butter(2, cutoff, fs=RATE, output="sos"), seen, axis=0)
+    quat = seen[:, :4] / np.linalg.norm(seen[:, :4], axis=1, keepdims=True)
+    found = diagnose_reference(real, ReferenceMotion(time, quat, seen[:, 4:]), gravity=GRAVITY)
+    named = {f.effect: f for f in found.findings}
+    assert set(named) <= {"reference_smoothing", "time_offset"}
+    assert not found.unexplained
+    item = named["reference_smoothing"]
+    # What positions lost shows less: a hand that turns a sensor hardly moves it.
+    size = item.parameters["orientation_fourth"].value
+    assert size == pytest.approx((2 * np.pi * cutoff) ** -4, rel=0.2)
 
 
 @pytest.mark.long
