@@ -155,6 +155,8 @@ class State:
         low-pass is not what a low-pass leaves of it, as it has products of the rate.
     length : (n,) array, s, or None
         Time about each over which it is a mean; 0, and None, for what is a sample.
+    captured : State or None
+        The same as a reference showed it, where that was smoothed and this is what it lost.
     """
 
     time: FloatArray
@@ -172,6 +174,7 @@ class State:
     gravity: float = G
     known_gradient: FloatArray | None = None
     length: FloatArray | None = None
+    captured: State | None = None
 
     def since(self, moment: float | FloatArray) -> FloatArray:
         """Return the share of each time, (n,), that is after a moment: 0 or 1 for samples."""

@@ -103,7 +103,8 @@ class ReferenceSmoothing(Effect):
                 **triad_column("gyro", in_sensor(state.derivative(by))),
             }
 
-        w, force = in_room(state.rate), [in_room(state.force)]
+        seen = state if state.captured is None else state.captured
+        w, force = in_room(seen.rate), [in_room(seen.force)]
         slope = state.derivative(w)
         bend = state.derivative(slope)
         for _ in range(4):

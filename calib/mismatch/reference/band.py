@@ -380,15 +380,19 @@ def limited(real: Recording, truth: RecordingTruth, bandwidth: float, spoilt: Bo
     """
     thin = max(1, int(1.0 / (KEPT * bandwidth * real.interval)))
     kept, wide = low_passed(real, bandwidth), widened(real, bandwidth, spoilt)
+    return Matched(thinned(kept, thin), narrowed(truth, bandwidth), wide[::thin], band=bandwidth)
+
+
+def narrowed(truth: RecordingTruth, bandwidth: float) -> RecordingTruth:
+    """Return a truth through the low-pass of `limited`."""
     other = truth.recording
     gradient = truth.state(other.time).gradient.reshape(-1, 9)
-    narrow = replace(
+    return replace(
         truth,
         recording=low_passed(other, bandwidth),
         spoilt=widened(other, bandwidth, truth.spoilt),
         gradient=smoothed(other.time, gradient, bandwidth).reshape(-1, 3, 3),
     )
-    return Matched(thinned(kept, thin), narrow, wide[::thin], band=bandwidth)
 
 
 def widened(recording: Recording, bandwidth: float, spoilt: BoolArray | None) -> BoolArray:

@@ -65,13 +65,14 @@ from calib.mismatch.reference.setup import (
     Setup,
 )
 from calib.mismatch.reference.shapes import Shapes, find_shapes
+from calib.mismatch.reference.sharpened import Sharpen, Sharpened, completed, dulled, lost_by
 from calib.mismatch.reference.slips import find_slips
 from calib.mismatch.reference.steadied import Steady, steadied
 from calib.mismatch.reference.step import robust_step
 from calib.mismatch.reference.stilled import gradient_in, resting, stilled
 from calib.mismatch.reference.struck import struck
 from calib.mismatch.reference.truths import RecordingTruth
-from calib.mismatch.reference.unsmoothed import smoothed_by, smoothing
+from calib.mismatch.reference.unsmoothed import SLUG, smoothing
 from calib.mismatch.reference.visible import catalogue_shapes
 from calib.mismatch.reference.windowed import make_rows, swayed_by
 from calib.mismatch.reference.witnessed import between, shared, witnessed
@@ -151,6 +152,8 @@ class ComparisonProblem:
     own_axes : bool
         Whether the accelerometer may be turned against the frame of the truth, all nine numbers of
         its matrix being fitted.
+    sharpen : Sharpen, optional
+        What makes the truth what it was before it was smoothed, if it may have been.
     notes : mapping, optional
         What was done to the truth before, for the summary.
     """
@@ -179,10 +182,14 @@ class ComparisonProblem:
         other: tuple[FloatArray, FloatArray] | None = None,
         white: FloatArray | None = None,
         own_axes: bool = False,
+        sharpen: Sharpen | None = None,
         notes: Mapping[str, object] | None = None,
     ) -> None:
         self.notes = notes or {}
         self.truth, self.gravity = truth, gravity
+        self.sharpened = Sharpened(truth, sharpen)
+        self._states: list[tuple[Setup, dict[str, float], State]] = []
+        self.smoothed: dict[str, float] = {}
         self.turned = mat_sr is not None
         self.index = _common(real, truth, alignment, spoilt)
         self.time = real.time[self.index]
@@ -232,7 +239,7 @@ class ComparisonProblem:
         )
         if self.given:
             beside = [*self.alignments, *GYRO_TERM] if self.full_gyro else self.alignments
-            self.further = further_of(self.given, self._state(), beside=beside)
+            self.further = further_of(self.given, self._state({}), beside=beside)
         kinds = [n.split(".")[1] for n in (*self.names, *self.alignments)]
         loose = [*(LOOSE[k] for k in kinds), *(f.loose for f in self.further)]
         self.loose = np.append(loose, own)
@@ -241,10 +248,8 @@ class ComparisonProblem:
         self.shapes: Shapes | None = None
         self.colours: list[Colour] | None = None
         self.known: Known | None = None
-        self.smoothed: dict[str, float] = {}
         self.wander = 0.0
         self.swayed: tuple[Shapes, FloatArray] | None = None
-        self._at: tuple[Setup, State] | None = None
         self.fit()
 
     @property
@@ -266,13 +271,20 @@ class ComparisonProblem:
 
     def state(self) -> State:
         """Return the true state at the recording's times, in frame s."""
-        if self._at is None or self._at[0] is not self.setup:
-            self._at = self.setup, self._state()
-        return self._at[1]
+        return self._at(lost_by(self.setup.model))
 
-    def _state(self) -> State:
+    def _at(self, lost: Mapping[str, float]) -> State:
+        """Return the state if the truth was smoothed by so much."""
+        for setup, sizes, state in self._states:
+            if setup is self.setup and sizes == lost:
+                return state
+        state = self._state(lost)
+        self._states = [*self._states[-1:], (self.setup, dict(lost), state)]
+        return state
+
+    def _state(self, lost: Mapping[str, float]) -> State:
         model, alignment, mat, errors = self.setup
-        state = self.truth.state(alignment.times(self.time))
+        state = self.sharpened.before(lost).state(alignment.times(self.time))
         given = state.angular_acceleration
         state = replace(
             self.warmth.put_into(state),
@@ -327,9 +339,14 @@ class ComparisonProblem:
     def rows(self) -> Rows:
         """Return recording minus model of the truth."""
         state = self.state()
-        left = self.residual(state)
+        left = noise = self.residual(state)
         rate, mat = state.rate, state.mat_ns
-        noise = left - smoothed_by(state, self.smoothed)
+        said = lost_by(self.setup.model)
+        lost = completed(said, self.smoothed)
+        if lost != said:
+            # What is not said yet has been seen: columns are those of the motion as it was.
+            state = self._at(lost)
+            noise = self.residual(state, lost)
         if self.known is not None:
             gain = np.maximum(self._gain(), LEAST_GAIN)
             state = witnessed(state, noise / gain, self.known)
@@ -339,9 +356,13 @@ class ComparisonProblem:
             state = between(state, left, self.white)
         ramp = round(1.0 / (self.band * self.interval)) if self.band else 0
         state = stilled(state, self.still.rests, ramp=ramp)
+        if lost and self.sharpened.sharpen is not None:
+            step = self.truth.recording.interval
+            seen = dulled(state, lost, band=self.band, interval=step)
+            state = replace(state, captured=seen)
         # The sensor's errors act on what it feels where it is. Of a motion that is not resolved
         # that is not known: it would be noise, and the same in many columns.
-        felt = state if self.unresolved else self.setup.model.felt(state)
+        felt = state if self.unresolved else self.sharpened.sensor(self.setup.model).felt(state)
         late = self._late()
         if self.shapes is None:
             columns = list(self._shape_columns(felt, left))
@@ -447,10 +468,11 @@ class ComparisonProblem:
         noise = np.concatenate((rows.expected_variance(), rows.white_diagonal))
         return float((np.ravel(seen) / noise).sum())
 
-    def residual(self, state: State) -> FloatArray:
-        """Return recording minus model, (n, 6)."""
-        predicted = self.setup.model.distort(state)
-        gyro = self._late_gyro(state) if self._gyro_delay() else predicted.gyro
+    def residual(self, state: State, lost: Mapping[str, float] | None = None) -> FloatArray:
+        """Return recording minus model, (n, 6), of a truth that was smoothed as the model says."""
+        predicted = self.sharpened.sensor(self.setup.model).distort(state)
+        lost = lost_by(self.setup.model) if lost is None else lost
+        gyro = self._late_gyro(state, lost) if self._gyro_delay() else predicted.gyro
         return np.asarray(self.measured - np.hstack((predicted.accel, gyro)))
 
     def left(self) -> tuple[FloatArray, FloatArray] | None:
@@ -478,13 +500,17 @@ class ComparisonProblem:
         left = self.residual(self.state())[:, 3:] / self._gain()[3:]
         return find_slips(self.time, left, self.measured[:, 3:], self.unknown, self.interval)
 
-    def _late_gyro(self, state: State) -> FloatArray:
+    def _late_gyro(self, state: State, lost: Mapping[str, float]) -> FloatArray:
         """Return what a gyroscope that is late puts out: the motion before, as the truth has it.
 
         A cubic between samples as few as these may be would lose some of it.
         """
-        model, alignment, mat, _ = self.setup
-        before = self.truth.state(alignment.times(self.time - self._gyro_delay()))
+        alignment, mat, model = (
+            self.setup.alignment,
+            self.setup.mat_sr,
+            self.sharpened.sensor(self.setup.model),
+        )
+        before = self.sharpened.before(lost).state(alignment.times(self.time - self._gyro_delay()))
         given = before.angular_acceleration
         moved = replace(
             state,
@@ -535,7 +561,8 @@ class ComparisonProblem:
             arm = arm + further
             if np.linalg.norm(arm) <= SEEN:
                 arm = np.zeros(3)
-            self._suppose((*late, arm_term(arm)) if arm.any() else late)
+            known = (Term(SLUG, self.smoothed),) if self.smoothed else ()
+            self._suppose((*late, *known, *((arm_term(arm),) if arm.any() else ())))
         if moved > SAME or arm.any() or self.late:
             self.shapes = None
         if self.late:
@@ -622,9 +649,12 @@ class ComparisonProblem:
         """Look from here on through what makes the noise that is left white."""
         state = self.state()
         left = self.residual(state)
-        if self.captured:
+        if self.sharpened.sharpen is not None:
             self.smoothed = smoothing(state, left, placed=self.judged is None)
-            left = left - smoothed_by(state, self.smoothed)
+        if self.smoothed:
+            self._suppose((*self.rough, Term(SLUG, self.smoothed)))
+            state = self.state()
+            left = self.residual(state)
         at = slice(None) if self.judged is None else self.judged
         steep = steepest_beside(state.rate)
         accel = find_colour(
@@ -658,7 +688,7 @@ class ComparisonProblem:
         """
         mat = state.mat_ns
         assert mat is not None
-        every = self._shape_columns(self.setup.model.felt(state), left)
+        every = self._shape_columns(self.sharpened.sensor(self.setup.model).felt(state), left)
         columns = [(name, values) for name, values in every if name.startswith("gyro")]
 
         def seen(noise: FloatArray, steepest: float) -> tuple[Colour, Blur]:
@@ -735,6 +765,8 @@ class ComparisonProblem:
             for channel, values in column.items():
                 yield channel, f.typical * values
         yield from catalogue_shapes(state)
+        if self.smoothed:
+            yield from get_effect(SLUG).contribution(state, self.smoothed).items()
 
 
 def _common(

@@ -8,6 +8,7 @@ are findings (`time_offset`, `clock_scale`, `reference_misalignment`), and so ar
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import NamedTuple
@@ -23,17 +24,18 @@ from calib.mismatch.reference.against import OWN_AXES, at_rest, undetermined, un
 from calib.mismatch.reference.alignment import Alignment, align
 from calib.mismatch.reference.alike import check_apart, misleads
 from calib.mismatch.reference.axes import has_the_others
-from calib.mismatch.reference.band import BEYOND, Matched, limited, matched
+from calib.mismatch.reference.band import BEYOND, Matched, limited, matched, narrowed
 from calib.mismatch.reference.carried import known_errors, settled
 from calib.mismatch.reference.comparison import ComparisonProblem
 from calib.mismatch.reference.conclusion import conclude
 from calib.mismatch.reference.corners import FEWEST
-from calib.mismatch.reference.filters import low_passed, smoothed
+from calib.mismatch.reference.filters import filtered, low_passed, smoothed
 from calib.mismatch.reference.misread import MisreadError, misread
 from calib.mismatch.reference.mounted import UNLIKE, mounting
 from calib.mismatch.reference.oriented import oriented_at_rests
 from calib.mismatch.reference.seldom import TooFewError, check_enough
 from calib.mismatch.reference.shaken import noise_beside
+from calib.mismatch.reference.sharpened import Sharpen, sharpening
 from calib.mismatch.reference.sized import with_scale
 from calib.mismatch.reference.swaps import swapped
 from calib.mismatch.reference.truths import DEGREE, LONG_STEP, RecordingTruth, is_uneven, near
@@ -206,10 +208,17 @@ class ReferenceMotion:
         position = None if self.position is None else values[:, 4:]
         return replace(self, time=even, quat=values[:, :4], position=position)
 
-    def truth(self, *, gravity: float, bandwidth: float | None = None) -> RecordingTruth:
+    def truth(
+        self,
+        *,
+        gravity: float,
+        bandwidth: float | None = None,
+        sharper: Callable[[FloatArray], FloatArray] | None = None,
+    ) -> RecordingTruth:
         """Return what a perfect sensor at its point, in its frame, would have recorded.
 
-        With ``bandwidth`` (Hz) orientations and positions pass a low-pass before all else.
+        With ``bandwidth`` (Hz) orientations and positions pass a low-pass before all else, and then
+        what makes them ``sharper``, a response to frequencies (m,), Hz: (m, 2) of both.
         """
         # A third of a second to import.
         from scipy.interpolate import PchipInterpolator, make_interp_spline
@@ -234,6 +243,9 @@ class ReferenceMotion:
             good = good | holes
         if bandwidth is not None:
             values = smoothed(time, values, bandwidth)
+        if sharper is not None:
+            of_each = [0] * 4 + [1] * (values.shape[1] - 4)
+            values = filtered(time, values, lambda f: sharper(f)[:, of_each])
         # A cubic spline would lose 2 % of the acceleration of a tremor.
         since = time - time[0]
         turning = turning_along(spline_through(time, values[:, :4]), since)
@@ -397,6 +409,9 @@ def compared(
             check_enough(real, reference.truth(gravity=gravity), common)
     if common.jumps is not None and common.jumps.any():
         notes[JUMPS] = _left_out(real.time, common.jumps, common.jumps)
+    sharpen: Sharpen | None = None
+    if isinstance(reference, ReferenceMotion) and common.band and not _commanded(reference):
+        sharpen = partial(_sharpened, reference, gravity, common.band)
     compare = partial(
         ComparisonProblem,
         common.real,
@@ -414,6 +429,7 @@ def compared(
         unknown=common.unknown,
         other=other,
         white=white,
+        sharpen=sharpen,
         notes=notes,
     )
     problem = compare()
@@ -426,8 +442,7 @@ def compared(
     if common.blur:
         # Where samples do not resolve the motion, one that is lost cannot be told from motion.
         skip.append("dropped_samples")
-    if isinstance(reference, ReferenceMotion) and reference.position is None and reference.placed:
-        # A table is commanded, not captured.
+    if isinstance(reference, ReferenceMotion) and _commanded(reference):
         skip.append("reference_smoothing")
     return problem, tuple(skip), reference
 
@@ -461,6 +476,21 @@ def _captured(
         kept = limited(real, truth, common.band, spoilt)
         common = kept._replace(folded=common.folded, jumps=common.jumps, jerky=common.jerky)
     return common, alignment, mat, notes, reference
+
+
+def _commanded(reference: ReferenceMotion) -> bool:
+    """Whether it is the motion of a table, which is commanded and not captured."""
+    return reference.position is None and reference.placed
+
+
+def _sharpened(
+    reference: ReferenceMotion, gravity: float, band: float, sizes: Mapping[str, float]
+) -> RecordingTruth:
+    """Return a captured motion in a band, with what a smoothing of these sizes took put back."""
+    interval = float(np.median(np.diff(reference.time)))
+    response = partial(sharpening, sizes=sizes, band=band, interval=interval)
+    truth = reference.truth(gravity=gravity, bandwidth=BEYOND * band, sharper=response)
+    return narrowed(truth, band)
 
 
 def _refuse_misread(real: Recording, truth: RecordingTruth, alignment: Alignment) -> None:

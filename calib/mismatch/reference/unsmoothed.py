@@ -25,6 +25,9 @@ from calib.types import FloatArray
 
 SLUG = "reference_smoothing"
 
+SURE = 3.0
+"""Standard errors, those of white noise, below which a size is none."""
+
 ANGLES = ("orientation", "orientation_fourth")
 PLACES = ("position", "position_fourth")
 """Of what is missing of angles, which shows on the gyroscope alone, and of positions."""
@@ -67,34 +70,38 @@ def _fitting(
     names: tuple[str, ...],
     first: int,
 ) -> dict[str, float]:
-    """Return the size of that power of the frequency that leaves least on a triad; none at best.
+    """Return the size of that power of the frequency that a triad shows; none at best.
 
-    A filter begins with one of them: both at once say little of each.
+    A filter begins with one of them: both at once say little of each. It is the one beside which
+    both instruments see less, however noisy the capture is; and there is none where what is
+    left without it is less.
     """
     most = {p.name: p.most for p in get_effect(SLUG).parameters}
     beside, known = _beside(state, first), _beside(seen, first)
-    found, least = dict[str, float](), float(np.square(y).sum())
-    for name in names:
+    both = [_made(measured, {name: 1.0}, first) for name in names]
+    every = np.stack([*known, *both]).reshape(-1, y.size)
+    size = np.linalg.norm(every, axis=1)
+    if not size.all():
+        return {}  # it does not move
+    every = every / size[:, None]
+    basis = np.linalg.qr(every.T)[0]
+    found, least, gains = dict[str, float](), np.inf, False
+    for k, name in enumerate(names):
+        own = [*range(len(known)), len(known) + k]
         x = np.stack([*beside, _made(captured, {name: 1.0}, first)]).reshape(-1, y.size)
-        z = np.stack([*known, _made(measured, {name: 1.0}, first)]).reshape(-1, y.size)
-        size = np.linalg.norm(z, axis=1)
-        if not size.all():
-            continue  # it does not move
-        z = z / size[:, None]
-        sizes = np.linalg.lstsq(z @ x.T / size, z @ y.ravel(), rcond=1e-9)[0] / size
-        left = float(np.square(y.ravel() - sizes @ x).sum())
-        own = float(sizes[-1])
-        if left < least and 0.0 < own <= (most[name] or np.inf):
-            found, least = {name: own}, left
-    return found
-
-
-def smoothed_by(state: State, sizes: Mapping[str, float]) -> FloatArray:
-    """Return what smoothing of these sizes leaves of recording minus model, (n, 6)."""
-    if not sizes:
-        return np.zeros((len(state.time), len(CHANNELS)))
-    columns = get_effect(SLUG).columns(state, {})
-    return np.hstack([_made(columns, sizes, first) for first in (0, 3)])
+        z = every[own]
+        match = np.linalg.pinv(z @ x.T / size[own], rcond=1e-9)
+        sizes = match @ (z @ y.ravel()) / size[own]
+        left = y.ravel() - sizes @ x
+        error = np.linalg.norm(match[-1] @ z) / size[own][-1] * left.std()
+        told = float(sizes[-1])
+        seen_of = float(np.square(basis.T @ left).sum())
+        if not SURE * error < told <= (most[name] or np.inf):
+            continue
+        gains = gains or float(left @ left) < float(np.square(y).sum())
+        if seen_of < least:
+            found, least = {name: told}, seen_of
+    return found if gains else {}
 
 
 def _beside(state: State, first: int) -> list[FloatArray]:

@@ -9,6 +9,7 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.signal import butter, sosfiltfilt
 
 from calib.calibration import Gravity
+from calib.effects.base import Term
 from calib.mismatch import ReferenceMotion, diagnose_reference
 from calib.mismatch.reference.referencemode import compare_reference
 from calib.mismatch.samples.samples import look_at_samples
@@ -80,16 +81,14 @@ def test_smoothing_is_named_alone_and_by_its_size():
     assert [e.effect for e in made.events if e.effect != "time_offset"] == [item.effect]
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("cutoff", [6.0, 10.0])
-def test_a_butterworth_both_ways_is_smoothing_and_nothing_else(cutoff: float) -> None:
-    """It takes nothing with the square of the frequency: gravity, clocks and signs took its place.
-
-    Twice of second order it leaves ``1 / (1 + (f / cutoff)^4)``.
-    """
+def benched() -> tuple[Motion, np.random.Generator]:
+    """Return a sensor that a hand turns from pose to pose."""
     rng = np.random.default_rng(3)
-    motion = bench_protocol(rng, poses=14, first_pose=3.0, pose_duration=(2.0, 4.0))
-    real = simulate(motion, SensorModel(), CONSUMER, rng=rng, rate=100.0)
+    return bench_protocol(rng, poses=14, first_pose=3.0, pose_duration=(2.0, 4.0)), rng
+
+
+def low_passed(motion: Motion, rng: np.random.Generator, cutoff: float) -> ReferenceMotion:
+    """Return what cameras saw through a Butterworth of second order there and back."""
     time = np.arange(0.5, motion.duration - 0.5, 1.0 / RATE)
     turning, path = motion.kinematics(time)
     assert path is not None
@@ -98,7 +97,19 @@ def test_a_butterworth_both_ways_is_smoothing_and_nothing_else(cutoff: float) ->
     seen[:, 4:] += rng.normal(0.0, 1e-4, path.position.shape)
     seen = sosfiltfilt(butter(2, cutoff, fs=RATE, output="sos"), seen, axis=0)
     quat = seen[:, :4] / np.linalg.norm(seen[:, :4], axis=1, keepdims=True)
-    found = diagnose_reference(real, ReferenceMotion(time, quat, seen[:, 4:]), gravity=GRAVITY)
+    return ReferenceMotion(time, quat, seen[:, 4:])
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("cutoff", [4.0, 6.0, 10.0])
+def test_a_butterworth_both_ways_is_smoothing_and_nothing_else(cutoff: float) -> None:
+    """It takes nothing with the square of the frequency: gravity, clocks and signs took its place.
+
+    Twice of second order it leaves ``1 / (1 + (f / cutoff)^4)``.
+    """
+    motion, rng = benched()
+    real = simulate(motion, SensorModel(), CONSUMER, rng=rng, rate=100.0)
+    found = diagnose_reference(real, low_passed(motion, rng, cutoff), gravity=GRAVITY)
     named = {f.effect: f for f in found.findings}
     assert set(named) <= {"reference_smoothing", "time_offset"}
     assert not found.unexplained
@@ -106,6 +117,23 @@ def test_a_butterworth_both_ways_is_smoothing_and_nothing_else(cutoff: float) ->
     # What positions lost shows less: a hand that turns a sensor hardly moves it.
     size = item.parameters["orientation_fourth"].value
     assert size == pytest.approx((2 * np.pi * cutoff) ** -4, rel=0.2)
+
+
+@pytest.mark.long
+def test_a_sample_that_is_lost_is_found_beside_smoothing():
+    """Unless motion is sharpened first: beside smoothed motion it was a gain in a window."""
+    motion, rng = benched()
+    moment = 0.5 * motion.duration
+    model = SensorModel(terms=(Term("dropped_samples", {"count": 1.0, "moment": moment}),))
+    real = simulate(motion, model, CONSUMER, rng=rng, rate=100.0)
+    found = diagnose_reference(real, low_passed(motion, rng, 6.0), gravity=GRAVITY)
+    named = {f.effect: f for f in found.findings}
+    assert set(named) <= {"reference_smoothing", "time_offset", "dropped_samples"}
+    assert not found.unexplained
+    lost = named["dropped_samples"].parameters
+    assert lost["count"].value == 1.0
+    size = named["reference_smoothing"].parameters["orientation_fourth"].value
+    assert size == pytest.approx((2 * np.pi * 6.0) ** -4, rel=0.1)
 
 
 @pytest.mark.long

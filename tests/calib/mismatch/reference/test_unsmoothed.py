@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter1d
 
+from calib.effects import get_effect
 from calib.effects.base import State
-from calib.mismatch.reference.unsmoothed import smoothed_by, smoothing
+from calib.mismatch.reference.unsmoothed import SLUG, smoothing
+from calib.recording import CHANNELS
 from calib.rotation import integrate_rate, mat_from_quat
 
 STEP, GRAVITY = 0.01, 9.80665
@@ -25,6 +27,14 @@ def moved(seed: int = 1, n: int = 6000) -> State:
     return State(time=time, force=force, rate=rate, mat_ns=mat, gravity=GRAVITY)
 
 
+def lost(state: State, sizes: dict[str, float]) -> np.ndarray:
+    """Return what smoothing of these sizes leaves of recording minus model, (n, 6)."""
+    out = np.zeros((len(state.time), len(CHANNELS)))
+    for channel, values in get_effect(SLUG).contribution(state, sizes).items():
+        out[:, CHANNELS.index(channel)] = values
+    return out
+
+
 @pytest.mark.parametrize(
     "sizes",
     [
@@ -37,7 +47,7 @@ def moved(seed: int = 1, n: int = 6000) -> State:
 )
 def test_sizes_are_found_in_noise_that_columns_have_as_well(sizes: dict[str, float]) -> None:
     true, rng = moved(), np.random.default_rng(2)
-    left = smoothed_by(true, sizes)
+    left = lost(true, sizes)
     # What the sensor has besides is no smoothing: gains, an arm, white noise.
     left[:, 3:] += 0.01 * true.rate
     left[:, :3] += 0.02 * true.gradient[:, :, 1] + rng.normal(0.0, 0.02, true.force.shape)
@@ -51,7 +61,7 @@ def test_sizes_are_found_in_noise_that_columns_have_as_well(sizes: dict[str, flo
         assert found[name] == pytest.approx(size, rel=0.15)
     # Whatever else is found takes next to nothing.
     more = {name: size for name, size in found.items() if name not in sizes}
-    assert smoothed_by(true, more).std() < 0.1 * max(smoothed_by(true, sizes).std(), 0.05)
+    assert lost(true, more).std() < 0.1 * max(lost(true, sizes).std(), 0.05)
 
 
 def test_nothing_is_missing_of_what_does_not_move() -> None:
@@ -64,4 +74,9 @@ def test_nothing_is_missing_of_what_does_not_move() -> None:
         gravity=GRAVITY,
     )
     assert smoothing(still, np.zeros((n, 6))) == {}
-    assert not smoothed_by(still, {}).any()
+
+
+def test_what_chance_makes_is_none() -> None:
+    true, rng = moved(), np.random.default_rng(4)
+    found = [smoothing(true, rng.normal(0.0, 0.02, (6000, 6))) for _ in range(10)]
+    assert found == [{}] * 10
