@@ -330,6 +330,13 @@ class Effect(ABC):
         An empty dict means that the state lacks what the effect is a function of (no temperature).
         """
 
+    def regressor_of(self, name: str) -> tuple[str, str] | None:
+        """Return the label and the unit of `regressor` for one of its parameters."""
+        if self.regressor is None:
+            return None
+        label, unit = self.regressor
+        return label.format(axis=name[-1]), unit
+
     def reach(self, parameters: Mapping[str, float], *, interval: float) -> int:
         """Return how many samples on either side of one its correction looks at.
 

@@ -85,6 +85,11 @@ class ReferenceSmoothing(Effect):
         for own in ((both[0],), (both[1],), both)
     )
 
+    def regressor_of(self, name: str) -> tuple[str, str] | None:
+        if name.endswith("_fourth"):
+            return "fourth derivative in the room", "{unit}/s⁴"
+        return super().regressor_of(name)
+
     def columns(self, state: State, shape: Mapping[str, float]) -> dict[str, Column]:
         """Return what is missing of both; nothing if orientation is not known."""
         mat = state.mat_ns

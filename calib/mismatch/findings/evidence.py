@@ -45,13 +45,14 @@ class Regressor(NamedTuple):
 
         Its ``parameters`` (p,) have these ``sizes``, and one unit of each adds the columns (m, p).
         """
-        if effect.regressor is None or not len(parameters):
+        if not len(parameters):
             return None
         name = parameters[int(np.argmax(np.abs(sizes) * np.linalg.norm(columns, axis=0)))]
-        label, unit = effect.regressor
+        if (regressor := effect.regressor_of(name)) is None:
+            return None
         channels = next(p.channels for p in effect.parameters if p.name == name)
         values = columns[:, list(parameters).index(name)]
-        return cls(label.format(axis=name[-1]), unit, values, channels)
+        return cls(*regressor, values, channels)
 
     def in_turns(self, unit: str) -> str | None:
         """Return its unit where closures in some unit add it up; None if they show other things."""

@@ -27,6 +27,9 @@ GAINS = (GAIN, GAIN_IN_TIME)
 DELAY = "delay in a window"
 """What follows the slope of a signal: a bus or a filter that holds a channel up for a while."""
 
+OWN_COLUMNS = {**dict.fromkeys(GAINS, GAIN), DELAY: DELAY}
+"""Whose columns rivals have that do not have those of a part as it is."""
+
 FLUCTUATING = "fluctuation in a window"
 """What jumps about, or swings; on three axes each may do so by itself, or have its share of one."""
 
@@ -233,10 +236,10 @@ def _makes(
     candidates: Sequence[Candidate], group: IntArray, channel: IntArray
 ) -> Iterator[Alike | Sums]:
     alike: dict[tuple[int, ...], list[int]] = {}
-    joint: dict[tuple[int, bool, bool], dict[tuple[int, ...], list[int]]] = {}
+    joint: dict[tuple[int, str], dict[tuple[int, ...], list[int]]] = {}
     for i, c in enumerate(candidates):
         if c.summed or c.mixing is not None:
-            same = joint.setdefault((int(channel[i]), c.name in GAINS, c.name == DELAY), {})
+            same = joint.setdefault((int(channel[i]), OWN_COLUMNS.get(c.name, "")), {})
             single = (mixing := c.mixing) is None or mixing.shape[1] == 1
             size = () if mixing is None or single else (int(group[i]), *mixing.shape)
             same.setdefault(size, []).append(i)

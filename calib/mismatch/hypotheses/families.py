@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Hashable, Iterator, Mapping
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
 from itertools import product
 
 import numpy as np
@@ -95,10 +95,14 @@ def _add(
     for shape, columns in found:
         index = dict(zip(columns, number, strict=False))
         every = tuple(columns)
-        subsets = [(every, 1.0)] if effect.indivisible else _subsets(every, channels, refining)
+        subsets: Iterable[tuple[tuple[str, ...], float]]
         if effect.together:
             some = [own for own in effect.together if set(own) <= set(every)]
             subsets = [(own, 1.0 / len(some)) for own in some]
+        elif effect.indivisible:
+            subsets = [(every, 1.0)]
+        else:
+            subsets = _subsets(every, channels, refining)
         for names, share in subsets:
             touched: tuple[str, ...] = tuple(dict.fromkeys(c for n in names for c in channels[n]))
             stack.add(

@@ -101,7 +101,10 @@ class Blur(NamedTuple):
                 continue
             for k in range(3):
                 mine = [values for i, values in own if i == k]
-                seen.append(mine if self.clear else [matrix @ values for values in mine])
+                if mine and not self.clear:
+                    # All at once, which takes half of the time.
+                    mine = list(np.ascontiguousarray((matrix @ np.stack(mine, axis=1)).T))
+                seen.append(mine)
         return seen
 
     def _in_one_frame(self, columns: list[tuple[int, FloatArray]]) -> list[list[FloatArray]]:

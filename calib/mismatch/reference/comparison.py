@@ -20,11 +20,10 @@ from calib.effects.observed import observed
 from calib.errors import NoCommonMotionError
 from calib.faults import noise_at_rest, resolution, values_of
 from calib.mismatch.findings.diagnosis import Unexplained
-from calib.mismatch.noise.noise import estimate_levels, expected_levels
 from calib.mismatch.reference.alignment import LEAST_OVERLAP, Alignment
 from calib.mismatch.reference.alike import check_motion, check_units
 from calib.mismatch.reference.band import BEYOND
-from calib.mismatch.reference.captured import SLOW_ANGLES, Known, known_noise
+from calib.mismatch.reference.captured import Known, known_noise
 from calib.mismatch.reference.carried import (
     NAMES,
     SEEN,
@@ -39,16 +38,14 @@ from calib.mismatch.reference.colour import (
     WHITE,
     Blur,
     Colour,
-    explained_by,
-    find_colour,
     gaussian,
-    steepest_beside,
     whitening,
 )
-from calib.mismatch.reference.filters import FELT, smoothed
+from calib.mismatch.reference.filters import FELT
 from calib.mismatch.reference.floor import with_rounding
 from calib.mismatch.reference.given import Further, further_columns, further_of, moved_terms
 from calib.mismatch.reference.lateness import LATE, delaying, liveliest, rough_delay
+from calib.mismatch.reference.noises import Differences, find_noise, wandering
 from calib.mismatch.reference.scatter import scatter, silenced
 from calib.mismatch.reference.sensed import (
     ALWAYS_MOVING,
@@ -95,16 +92,6 @@ STEPS = 8
 COLOURED = 4
 """Step of the first fit before which the colour of noise is looked for: a sensor that swings is not
 where it belongs after two, and what it is off by is no noise."""
-
-STEEP = (4.0, 1.0, 0.25)
-"""s²: how steep the noise of captured rates is taken to be: below half a hertz it may be of any
-colour. A filter that is steeper is longer, and sees nothing that is so near to a gap."""
-
-TORN = 0.1
-"""Share of the points that gaps may take before a shorter filter is tried."""
-
-HAND = 2.0
-"""Hz below which most of what a hand does is."""
 
 LONG = 0.2
 """m: how far off the point that a truth describes a sensor may be where the motion does not tell:
@@ -368,12 +355,12 @@ class ComparisonProblem:
             columns = list(self._shape_columns(felt, left))
             if late is not None:
                 columns = [(c, late @ v if c.startswith("gyro") else v) for c, v in columns]
-            rough = None
+            views, rough = self.blur.see_columns(columns), None
             if self.noisy:
                 rough = scatter(
                     felt,
                     noise,
-                    columns,
+                    views,
                     blur=self.blur,
                     resolved=not self.unresolved,
                     folded=self.folded,
@@ -383,7 +370,7 @@ class ComparisonProblem:
                 rough = silenced(self.unknown)
             still = self.time[np.minimum(self.still.settled, len(self.time) - 1)]
             self.shapes = find_shapes(
-                self.time, noise, columns, blur=self.blur, scatter=rough, still=still
+                self.time, noise, views, blur=self.blur, scatter=rough, still=still
             )
         level = np.median(self.shapes.noise, axis=0).reshape(2, 3).mean(axis=1)
         known = self._known(*np.sqrt(2.0 * self.interval * level).tolist())
@@ -588,14 +575,9 @@ class ComparisonProblem:
         return self.swayed[1]
 
     def _wander(self) -> float:
-        """Return the variance of slow errors of captured angles beside what may be found, rad²."""
+        """Return by how much captured angles wander, rad²."""
         rows = self.rows()
-        shapes = self._shape_columns(rows.state, self.residual(self.state()))
-        found = [rows.column({channel: values}) for channel, values in shapes]
-        mean = np.hstack((rows.baseline, rows.nuisance, np.stack(found, axis=1)))
-        levels = estimate_levels(rows, mean, expected_levels(rows)).values
-        names = [component.name for component in rows.components]
-        return float(levels[names.index(SLOW_ANGLES)])
+        return wandering(rows, self._shape_columns(rows.state, self.residual(self.state())))
 
     def _arm_columns(self, rows: Rows) -> FloatArray:
         """Return what an arm does to the rows, (m, 3); (m, 0) where no forces are compared."""
@@ -655,66 +637,13 @@ class ComparisonProblem:
             self._suppose((*self.rough, Term(SLUG, self.smoothed)))
             state = self.state()
             left = self.residual(state)
-        at = slice(None) if self.judged is None else self.judged
-        steep = steepest_beside(state.rate)
-        accel = find_colour(
-            self.time[at],
-            left[at, :3],
-            self.interval,
-            self.band,
-            steepest=steep,
-            least=self._least(0),
-        )
-        found = self._in_one_frame(state, left, accel) if self.captured else None
-        if found is None:
-            gyro = find_colour(self.time, left[:, 3:], self.interval, self.band, steepest=steep)
-            found = gyro, whitening(self.time, [accel, gyro], self.interval, self.band)
-        gyro, blur = found
+        densities = self.still.densities or (0.0, 0.0)
+        seen = Differences(state, left, self.interval, self.band, densities, self.judged)
+        felt = self.sharpened.sensor(self.setup.model).felt(state)
+        columns = self._shape_columns(felt, left) if self.captured else None
+        self.colours, blur = find_noise(seen, columns)
         self.blur = self._judging(blur)
-        self.colours = [accel, gyro]
         self.known = self._known(*(own.density for own in self.colours))
-
-    def _least(self, triad: int) -> float:
-        """Return the density of a triad's own noise, SI/√Hz; 0 if no rest tells."""
-        return 0.0 if self.still.densities is None else self.still.densities[triad]
-
-    def _in_one_frame(
-        self, state: State, left: FloatArray, accel: Colour
-    ) -> tuple[Colour, Blur] | None:
-        """Return the colour of rates in a frame that does not turn, and what makes it white.
-
-        What captured angles err by rates err by there, however a body turns. None if that is not
-        what most of the noise is.
-        """
-        mat = state.mat_ns
-        assert mat is not None
-        every = self._shape_columns(self.sharpened.sensor(self.setup.model).felt(state), left)
-        columns = [(name, values) for name, values in every if name.startswith("gyro")]
-
-        def seen(noise: FloatArray, steepest: float) -> tuple[Colour, Blur]:
-            rate = np.einsum("nij,nj->ni", mat, noise[:, 3:])
-            gyro = find_colour(
-                self.time,
-                rate,
-                self.interval,
-                self.band,
-                steepest=steepest,
-                least=self._least(1),
-                long=True,
-            )
-            return gyro, whitening(self.time, [accel, gyro], self.interval, self.band, mat)
-
-        for steepest in STEEP:
-            _, rough = seen(left, steepest)
-            # As slow as a hand is what no model has yet: what effects can explain of that is no
-            # noise. Of what is fast a column of the truth has the noise of the differences.
-            slow = smoothed(self.time, explained_by(left, columns, rough), HAND)
-            gyro, blur = seen(left - slow, steepest)
-            if gyro.square * self.band**2 < 1.0:
-                return None
-            if len(blur.seen) > (1.0 - TORN) * len(self.time):
-                break
-        return gyro, blur
 
     def _carried(self, state: State) -> list[Column]:
         if not self.carries:

@@ -62,7 +62,7 @@ class Scatter(NamedTuple):
 def scatter(
     state: State,
     left: FloatArray,
-    columns: list[tuple[str, FloatArray]],
+    views: list[list[FloatArray]],
     *,
     blur: Blur,
     resolved: bool,
@@ -77,8 +77,8 @@ def scatter(
         At the n points.
     left : (n, 6) array
         Recording minus model.
-    columns : list of (channel, (n,) values)
-        What the differences can have besides, each in its typical size.
+    views : lists of (m,) arrays, of six channels
+        What the differences can have besides, each in its typical size, as the blur sees it.
     blur : Blur
         What their differences are seen through. What they scatter more than always is white.
     resolved : bool
@@ -97,11 +97,11 @@ def scatter(
     variance = np.empty((len(parts), len(CHANNELS)))
     shown = np.ones((len(blur.seen), len(CHANNELS)))
     same = np.ones(len(parts))
-    every = [*columns, *((name, same) for name in CHANNELS)]
+    always = blur.see_columns([(name, same) for name in CHANNELS])
     left = blur.see(left)
-    for c, own in enumerate(blur.see_columns(every)):
+    for c, own in enumerate(views):
         matrix = blur.matrices[c // 3]
-        design, y = np.stack(own, axis=1), left[:, c]
+        design, y = np.stack([*own, *always[c]], axis=1), left[:, c]
         heard = np.stack([_spread(part, blur.heard[c // 3]) for part in parts.T], axis=1)
         seen = heard[blur.seen] if blur.whitens else matrix.power(2) @ heard
         counts = blur.counts(c)

@@ -176,7 +176,7 @@ def cut(
 def find_shapes(
     time: FloatArray,
     left: FloatArray,
-    columns: list[tuple[str, FloatArray]],
+    views: list[list[FloatArray]],
     *,
     blur: Blur,
     scatter: Scatter | None = None,
@@ -189,7 +189,8 @@ def find_shapes(
     time : (n,) array, s
     left : (n, 6) array
         Recording minus model.
-    columns : list of (channel, (n,) values)
+    views : lists of (m,) arrays, of six channels
+        Columns, as the blur sees them.
     blur : Blur
         Windows and shapes are of the m points that it leaves.
     scatter : Scatter, optional
@@ -212,7 +213,7 @@ def find_shapes(
     found: list[tuple[float, int, int, FloatArray]] = []
     slow: list[dict[int, Slow]] = [{} for _ in CHANNELS]
     left = blur.see(left)
-    for c, mine in enumerate(blur.see_columns(columns)):
+    for c, mine in enumerate(views):
         # Window by window they stay near the processor.
         parts = [
             np.stack([values[a:b] for values in mine]) / size[a:b, c]

@@ -64,7 +64,7 @@ def windows(
 ) -> tuple[Rows, np.ndarray]:
     """Return the rows of windows, and their squares relative to the variance that they state."""
     rows = make_rows(
-        find_shapes(state.time, left, columns, blur=blur, scatter=rough),
+        find_shapes(state.time, left, blur.see_columns(columns), blur=blur, scatter=rough),
         state,
         left,
         names=("gyro.bias.x",),
@@ -81,7 +81,8 @@ def test_the_variance_of_samples_is_found_beside_what_effects_explain(tumbled):
     for c, name in enumerate(CHANNELS):
         for channel, values in columns:
             left[:, c] += 2.0 * values * (channel == name)
-    found = scatter(tumbled, left, columns, blur=blurred(tumbled), resolved=False).variance
+    blur = blurred(tumbled)
+    found = scatter(tumbled, left, blur.see_columns(columns), blur=blur, resolved=False).variance
     for own in (variance[:, 0] < 0.02, variance[:, 0] > 1.0):
         assert np.allclose(np.median(found[own] / variance[own], axis=0), 1.0, atol=0.2)
 
@@ -93,7 +94,8 @@ def test_what_is_folded_into_the_band_scatters_where_there_is_something_beyond_i
     left = np.sqrt(variance) * rng.normal(size=(N, 6))
     seen = {"blur": blurred(tumbled), "resolved": True, "folded": tremor}
     still = replace(tumbled, vibration=None)
-    found = scatter(still, left, shown(still), **seen).variance
+    views = blurred(tumbled).see_columns(shown(still))
+    found = scatter(still, left, views, **seen).variance
     for own in (tremor[:, 0] == 0.0, tremor[:, 0] > 0.0):
         assert np.allclose(np.median(found[own] / variance[own], axis=0), 1.0, atol=0.2)
 
@@ -117,7 +119,11 @@ def test_beyond_the_band_is_what_is_fast_and_no_noise():
 def test_rows_within_a_turn_are_as_noisy_as_they_say(tumbled, known):
     left, _ = noisy(tumbled, np.random.default_rng(3))
     blur, columns = blurred(tumbled), shown(tumbled)
-    rough = scatter(tumbled, left, columns, blur=blur, resolved=False) if known else None
+    rough = (
+        scatter(tumbled, left, blur.see_columns(columns), blur=blur, resolved=False)
+        if known
+        else None
+    )
     rows, ratio = windows(tumbled, left, columns, blur, rough)
     early = rows.interval[rows.segment, 1] < 280.0
     if known:
@@ -141,7 +147,7 @@ def test_a_window_that_is_shaken_in_part_is_as_noisy_as_it_says(tumbled, colour)
     state = replace(tumbled, vibration=np.tile(1.0 * shaken[:, None], (1, 3)))
     blur = whitening(time, [colour, colour], STEP, band)
     columns = shown(state)
-    rough = scatter(state, left, columns, blur=blur, resolved=True)
+    rough = scatter(state, left, blur.see_columns(columns), blur=blur, resolved=True)
     rows, ratio = windows(state, left, columns, blur, rough)
     for kind in (Kind.MEAN, Kind.CONTRAST):
         assert 0.7 < np.mean(ratio[rows.kind == kind]) < 1.4
@@ -159,7 +165,7 @@ def test_what_a_sensor_that_nothing_shakes_hears_of_its_own_noise_is_no_vibratio
     state = replace(tumbled, vibration=heard)
     blur = whitening(tumbled.time, [colour, colour], STEP, band)
     columns = shown(state)
-    rough = scatter(state, left, columns, blur=blur, resolved=True)
+    rough = scatter(state, left, blur.see_columns(columns), blur=blur, resolved=True)
     rows, ratio = windows(state, left, columns, blur, rough)
     for c in range(len(CHANNELS)):
         for kind in (Kind.MEAN, Kind.CONTRAST):
@@ -176,7 +182,7 @@ def test_what_shakes_is_heard_beside_it_as_the_low_pass_spreads_it(tumbled):
     state = replace(tumbled, vibration=np.tile(np.square(loud)[:, None] / 3.0, (1, 3)))
     blur = whitening(tumbled.time, [colour, colour], STEP, band)
     left, columns = smoothed(STEP * np.arange(len(left)), left, band), shown(state)
-    rough = scatter(state, left, columns, blur=blur, resolved=True)
+    rough = scatter(state, left, blur.see_columns(columns), blur=blur, resolved=True)
     _, ratio = windows(state, left, columns, blur, rough)
     # Of 2000 rows; beside what shakes, noise would be a thousand times what it is elsewhere.
     assert np.sqrt(ratio.max()) < 6.0
@@ -255,6 +261,6 @@ def test_points_through_which_nothing_is_seen_show_no_share_of_it(tumbled: State
     left = noisy(tumbled, np.random.default_rng(2))[0]
     resting = np.linalg.norm(tumbled.rate, axis=1) < 1e-3
     blur = blurred(tumbled).judging(resting)
-    found = scatter(tumbled, left, shown(tumbled), blur=blur, resolved=False)
+    found = scatter(tumbled, left, blur.see_columns(shown(tumbled)), blur=blur, resolved=False)
     assert np.isfinite(found.variance).all()
     assert np.isfinite(found.seen).all()

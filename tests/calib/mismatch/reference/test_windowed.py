@@ -55,7 +55,7 @@ def rows_of(
     state = State(time, np.tile([0.0, 0.0, 9.8], (len(time), 1)), rate)
     columns = [(c, rate[:, i % 3]) for i, c in enumerate(CHANNELS)]
     return make_rows(
-        find_shapes(time, left, columns, blur=blur),
+        find_shapes(time, left, blur.see_columns(columns), blur=blur),
         state,
         left,
         names=("gyro.bias.x",),
@@ -113,11 +113,11 @@ def test_white_noise_has_the_variance_that_rows_say_blurred_or_not():
 def test_the_noise_of_windows_of_few_points_is_not_taken_for_less():
     """The median of squares is below their mean: of ten points by 7 %."""
     rng, time = np.random.default_rng(11), 0.1 * np.arange(12 * 80)
-    columns = [(c, np.sin(time)) for c in CHANNELS]
+    columns, blur = [(c, np.sin(time)) for c in CHANNELS], gaussian(time, 0.0, 0.1)
     found = []
     for _ in range(10):
         left = rng.normal(size=(len(time), 6))
-        shapes = find_shapes(time, left, columns, blur=gaussian(time, 0.0, 0.1))
+        shapes = find_shapes(time, left, blur.see_columns(columns), blur=blur)
         found.append(np.median(shapes.noise, axis=0))
     assert np.mean(found) == pytest.approx(1.0, abs=0.03)
 
@@ -232,10 +232,9 @@ def test_a_window_that_says_nothing_has_no_say_in_the_noise():
     rng = np.random.default_rng(1)
     time = np.arange(0.0, 60.0, 0.05)
     left = rng.normal(0, 0.1, (len(time), 6))
-    columns = [(name, np.sin(time)) for name in CHANNELS]
-    found = find_shapes(
-        time, left, columns, blur=gaussian(time, 0.0, 0.05), scatter=silenced(time < 5.0)
-    )
+    columns, blur = [(name, np.sin(time)) for name in CHANNELS], gaussian(time, 0.0, 0.05)
+    views = blur.see_columns(columns)
+    found = find_shapes(time, left, views, blur=blur, scatter=silenced(time < 5.0))
     assert np.isfinite(found.noise).all()
     np.testing.assert_allclose(found.noise[0] / found.noise[-1], NOTHING_SAID, rtol=1e-6)
 
@@ -250,13 +249,13 @@ def test_rows_go_to_what_hardly_shows_and_not_to_what_is_plain_without_them(monk
     blur = gaussian(time, 0.0, 0.05)
 
     def kept() -> float:
-        found = find_shapes(time, left, columns, blur=blur)
+        found = find_shapes(time, left, blur.see_columns(columns), blur=blur)
         windows = zip(found.first[found.segment], found.last[found.segment], strict=True)
         parts = [weak[a:b] for a, b in windows]
         return sum(float(x @ v) ** 2 for x, v in zip(parts, found.vectors, strict=True))
 
     monkeypatch.setattr(shapes, "SHAPES", 900)
-    found = find_shapes(time, left, columns, blur=blur)
+    found = find_shapes(time, left, blur.see_columns(columns), blur=blur)
     whole = sum(
         float(np.var(weak[a:b]) * (b - a)) for a, b in zip(found.first, found.last, strict=True)
     )
@@ -274,6 +273,8 @@ def test_an_accelerometer_that_is_judged_in_parts_may_have_samples_that_say_noth
     # In one stretch, and where rests are of one sample.
     for judged in (time < 12.0, np.arange(600) % 40 == 0):
         blur = gaussian(time, 0.0, 0.05).judging(judged)
-        found = find_shapes(time, left, columns, blur=blur, scatter=silenced(time < 2.0))
+        found = find_shapes(
+            time, left, blur.see_columns(columns), blur=blur, scatter=silenced(time < 2.0)
+        )
         assert np.isfinite(found.noise).all()
         assert all(np.isfinite(vector).all() for vector in found.vectors)
