@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 
 from calib.mismatch.noise.noise import Whitener, make_whitener
+from calib.mismatch.rows.arrow import Factor
 from calib.mismatch.rows.rows import Kind, Rows
 from calib.recording import CHANNELS
 from calib.types import BoolArray, FloatArray, IntArray
@@ -207,7 +208,7 @@ def _telling_rows(
 def _squares(rows: Rows, whitener: Whitener, residual: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the held-out error of each row squared, and the square that noise alone leaves."""
     left, basis = whitener.project(residual), whitener.basis
-    factor = whitener.factor.dense()
+    factor = _of_its_own(whitener.factor)
     fold = fold_of(rows)
     square, floor = np.zeros(len(left)), np.zeros(len(left))
     for k in range(FOLDS):
@@ -226,6 +227,18 @@ def _squares(rows: Rows, whitener: Whitener, residual: FloatArray) -> tuple[Floa
         spread = np.square(_colour(rows, factor, whitener.scale, own, along)) @ more
         floor[own] = np.maximum(spread + _variance(rows, factor, whitener.scale, own), 0.0)
     return square, floor
+
+
+def _of_its_own(factor: Factor) -> FloatArray:
+    """Return the triangle of the covariance that closures have where rests beside them are known.
+
+    But for a walk they have it with nothing at rest, unless a hand holds the sensor: what it turned
+    on average in a rest is told there, as rates are in a turn.
+    """
+    out = factor.dense()
+    others = np.setdiff1d(np.arange(len(out)), factor.border)
+    out[np.ix_(factor.border, others)] = 0.0
+    return out
 
 
 def _variance(rows: Rows, factor: FloatArray, scale: FloatArray, own: IntArray) -> FloatArray:

@@ -6,6 +6,7 @@ How much it drifts is a level that `noise` estimates; how much to expect is said
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -261,6 +262,11 @@ class DriftKernels(NamedTuple):
             linalg.block_diag(walk, np.diag(length[halved] / (12.0 * DRIFT_TIME))),
         )
 
+    def beside(self, number: int) -> DriftKernels:
+        """Return the same beside a `number` of things that do not drift."""
+        none = np.zeros((number, number))
+        return DriftKernels(*(linalg.block_diag(kernel, none) for kernel in self))
+
 
 def drift_components(
     channel: str, pieces: sparse.csr_matrix, kernels: DriftKernels, drift: float, spread: float
@@ -308,7 +314,8 @@ def lean_components(
     rest : (n,) array of int
         Their segments.
     pieces : six sparse (n_dense, s) matrices
-        Response to a constant on each channel in each segment.
+        Response to a constant on each channel in each segment. Of a sensor that is held, the last n
+        columns are that of closures to how it turns in each cell on average.
     """
     n = len(rows)
     kernel = lean.of_force()
@@ -320,7 +327,10 @@ def lean_components(
     for c in range(3, 6):
         index = np.flatnonzero(np.diff(pieces[c].indptr))
         own = np.zeros((pieces[c].shape[1],) * 2)
-        own[np.ix_(rest, rest)] = lean.covariance(c)
+        # What closures feel of the same turns, of a sensor that is held, comes last.
+        places = (rest, np.arange(len(own) - n, len(own))) if lean.held.any() else (rest,)
+        for a, b in product(places, places):
+            own[np.ix_(a, b)] = lean.covariance(c)
         out.append(Component(f"{CHANNELS[c]} {LEAN}", index, pieces[c][index], own, *prior))
     return out
 

@@ -10,11 +10,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
 from calib.effects.base import SLOPE_WINDOW, line_slope, windows
 from calib.mismatch.rows.closure import Spans
+from calib.mismatch.rows.density import quiet_density
 from calib.poses import Poses, average_poses
 from calib.recording import Recording
 from calib.rests import misfits, unmoved
@@ -68,6 +70,22 @@ UNCLOCKED = 600.0
 windows that it is fitted through are made for recordings of ten minutes."""
 
 
+class Held(NamedTuple):
+    """In which ``poses`` (k,) a hand holds the sensor, whose gyroscope tells how it sways.
+
+    Variances along an axis of its ``velocity``, (m/s)², and ``acceleration``, (m/s²)², (k,).
+    """
+
+    poses: BoolArray
+    velocity: FloatArray
+    acceleration: FloatArray
+
+    def of_means(self, lasts: FloatArray) -> FloatArray:
+        """Return the variance of a mean acceleration over times (k,): how velocity has changed."""
+        changed = 2.0 * self.velocity / np.square(np.maximum(lasts, 1e-9))
+        return np.asarray(np.minimum(changed, self.acceleration))
+
+
 @dataclass(frozen=True, eq=False)
 class Grid:
     """Points (means over ``[edge, edge + count)`` samples), and the segments that they belong to.
@@ -99,6 +117,10 @@ class Grid:
         line through a thirtieth of that: neither is known how long heat takes through a package.
     began : float, s
         When the recording did, be its first pose used or not: warm-up is counted from there.
+    density : (6,) array, optional
+        One-sided power density of the noise, where in the spectrum hands do little.
+    held : Held, optional
+        How a hand holds the sensor at rest.
     before, after : (s,) arrays of int
         Pose at either end of a segment: the same for a cell of a rest, neighbours for a turn.
     """
@@ -122,6 +144,8 @@ class Grid:
     n_poses: int
     began: float
     temperature_slope: FloatArray | None = None
+    density: FloatArray | None = None
+    held: Held | None = None
 
     @property
     def is_rest(self) -> BoolArray:
@@ -416,6 +440,7 @@ def _fill(
         n_poses=len(poses),
         began=began,
         temperature_slope=slope,
+        density=quiet_density(recording, poses),
     )
 
 

@@ -25,7 +25,7 @@ References
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -74,6 +74,8 @@ class Lean:
         Variance of the angle by which it creeps, for q of one.
     sway : Sway
         How it sways beside that.
+    held : (poses,) array of bool
+        Those in which its gyroscope tells how far it is turned at either end.
     """
 
     up: FloatArray
@@ -84,6 +86,7 @@ class Lean:
     size: FloatArray
     creep: float = 0.0
     sway: Sway = WALK
+    held: BoolArray = field(default_factory=lambda: np.zeros(0, bool))
 
     @classmethod
     def of(
@@ -95,13 +98,15 @@ class Lean:
         size: FloatArray | None = None,
         creep: float = 0.0,
         sway: Sway = WALK,
+        held: BoolArray | None = None,
     ) -> Lean:
         """Return the lean in cells of poses; `up` is that of each pose, (poses, 3)."""
         first = np.full(len(up), np.inf)
         np.minimum.at(first, pose, interval[:, 0])
         begin, length = interval[:, 0] - first[pose], np.ptp(interval, axis=1)
         size = np.ones(len(up)) if size is None else size
-        return cls(up[pose], begin, length, pose, gravity, size, creep, sway)
+        held = np.zeros(len(up), bool) if held is None else held
+        return cls(up[pose], begin, length, pose, gravity, size, creep, sway, held)
 
     @property
     def told(self) -> bool:
@@ -187,7 +192,7 @@ class Lean:
     def at_ends(self) -> FloatArray:
         """Return the variance of the angle at either end of each pose about its mean, (poses,).
 
-        For q of one, in rad².
+        For q of one, in rad²; none where the gyroscope has told it.
         """
         length = np.zeros(len(self.size))
         np.maximum.at(length, self.pose, self.begin + self.length)
@@ -200,7 +205,8 @@ class Lean:
             share = _fading(length / self.sway.back)
             spread = self.sway.back / np.maximum(length, 1e-9) * (1.0 - share)
             angle = self.sway.back * (0.5 - share + spread)
-        return np.asarray(self.size * (angle + self.sway.steady * np.square(length) / 4.0 + crept))
+        angle = angle + self.sway.steady * np.square(length) / 4.0 + crept
+        return np.asarray(np.where(self.held, 0.0, self.size * angle))
 
 
 def _fading(lasts: FloatArray) -> FloatArray:

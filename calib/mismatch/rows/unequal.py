@@ -19,7 +19,7 @@ from calib.mismatch.rows.grid import Grid
 from calib.mismatch.rows.lean import STEADY, TIMES, WALK, Sway
 from calib.mismatch.rows.sway import SURE, follow, follows, how_it_sways
 from calib.stillness import moving_median
-from calib.types import FloatArray, IntArray
+from calib.types import BoolArray, FloatArray, IntArray
 
 PARTS = 3
 """Of a rest, in which rates are compared with each other."""
@@ -57,6 +57,7 @@ class Leans(NamedTuple):
     size: FloatArray | None = None
     creep: float = 0.0
     sway: Sway = WALK
+    held: BoolArray | None = None
 
 
 class _Pose(NamedTuple):
@@ -70,6 +71,11 @@ class _Pose(NamedTuple):
     def follows(self) -> bool:
         """Whether gravity moved as the rate says."""
         return follows(self.seen, self.wanted)
+
+    @property
+    def seems(self) -> bool:
+        """Whether it likely did, where others certainly did."""
+        return follows(self.seen, self.wanted, sure=TOLD)
 
     @property
     def open(self) -> bool:
@@ -110,13 +116,16 @@ def how_it_leans(grid: Grid, noise: FloatArray, *, least: float) -> Leans:
     for k, p in zip(some, poses, strict=True):
         # Most may have no more of it than noise. What creeps, most do.
         beside = usual if creep else expected
-        if p.lean > FAR * usual and (p.follows or (leans and p.open)):
+        if p.lean > FAR * usual and (p.follows or (leans and (p.open or p.seems))):
             size[k] = max(p.lean / beside, 1.0)
         elif sway.expected and not creep:
             size[k] = min(FAR**2 * p.lean / beside, 1.0)
+    held = np.zeros(grid.n_poses, bool)
     if sway.expected:
         creep = creep * per_second / expected
-    return Leans(size, creep, sway)
+        for k, p in zip(some, poses, strict=True):
+            held[k] = p.lean <= FAR**2 * expected * size[k]
+    return Leans(size, creep, sway, held)
 
 
 def _creep(

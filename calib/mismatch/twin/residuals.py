@@ -11,6 +11,7 @@ from scipy.special import chdtri
 
 from calib.effects import get_effect
 from calib.effects.base import State, TransformEffect
+from calib.mismatch.noise.handheld import moved_by_hand
 from calib.mismatch.noise.sampling import sampling_components
 from calib.mismatch.noise.sensornoise import (
     DRIFT,
@@ -27,6 +28,7 @@ from calib.mismatch.rows.closure import (
     covariance_of_turns,
 )
 from calib.mismatch.rows.grid import Grid
+from calib.mismatch.rows.held import HeldTurns
 from calib.mismatch.rows.lean import Lean
 from calib.mismatch.rows.rows import SAMPLING, UNKNOWN, Component, Kind, Rows
 from calib.mismatch.rows.unequal import Leans
@@ -60,7 +62,8 @@ class Linear:
     """Recording minus twin, and its derivatives, as `Rows` have them; without what noise does.
 
     ``names`` are the baseline's parameters, ``closed`` the closures of the turns, and ``turning``
-    what measured signals at their points of either triad count in them, (5, n, 3).
+    what measured signals at their points of either triad count in them, (5, n, 3). What ``held``
+    turns feel of the rests beside them is taken out.
     """
 
     names: tuple[str, ...]
@@ -71,6 +74,7 @@ class Linear:
     layout: Layout
     closed: Closures
     turning: tuple[FloatArray, FloatArray]
+    held: HeldTurns | None
 
     @cached_property
     def baseline(self) -> FloatArray:
@@ -91,7 +95,7 @@ def linearise(grid: Grid, twin: Twin, *, headed: bool = False) -> Linear:
     explained = _explained(grid, twin, state)
     model = twin.model
     predicted = np.hstack((model.accel.distort(state.force), model.gyro.distort(state.rate)))
-    inverse = (np.linalg.inv(model.accel.matrix), np.linalg.inv(model.gyro.matrix))
+    inverse = [np.asarray(np.linalg.inv(t.matrix)) for t in (model.accel, model.gyro)]
     layout = Layout.of(grid)
     rows, ends, cell = layout.rows, layout.ends, layout.cell
     residual = np.zeros(layout.number)
@@ -123,6 +127,10 @@ def linearise(grid: Grid, twin: Twin, *, headed: bool = False) -> Linear:
     turning = (closed.accel_weights @ inverse[0], closed.gyro_weights @ inverse[1])
     undone = np.add.reduceat(np.einsum("rni,ni->rn", turning[1], drift), spans.start, axis=1)
     residual[ends] = closed.residual + undone.T
+    held = None
+    if grid.held is not None:
+        held = HeldTurns.of(grid, closed, twin.up, inverse[1], state.rate[points])
+        residual[ends] -= held.turned
     for j in (0, 1):
         nuisance[ends, 2 * before[:, None] + j] += closed.before[:, :, j]
         nuisance[ends, 2 * after[:, None] + j] += closed.after[:, :, j]
@@ -130,7 +138,7 @@ def linearise(grid: Grid, twin: Twin, *, headed: bool = False) -> Linear:
         layout.functional(c, turning[c // 3][:, :, c % 3], len(grid.time))
         for c in range(len(CHANNELS))
     )
-    return Linear(twin.names, residual, nuisance, functional, state, layout, closed, turning)
+    return Linear(twin.names, residual, nuisance, functional, state, layout, closed, turning, held)
 
 
 def _baseline(
@@ -170,6 +178,8 @@ def build_rows(
     by_force, by_rate = linear.turning
     of_turns = covariance_of_turns(by_force, noise[points][:, :3], spans)
     of_turns += covariance_of_turns(by_rate, noise[points][:, 3:], spans)
+    if linear.held is not None and len(points):
+        of_turns += linear.held.covariance(np.median(noise[points, 3:], axis=0))
     state = closing(grid, twin, linear, noise, of_turns)
     dense = int((layout.kind != Kind.CONTRAST).sum())
     signals = linear.state.force[points], linear.state.rate[points]
@@ -179,6 +189,11 @@ def build_rows(
     white, diagonal = np.diag(each[:dense]), each[dense:]
     white[layout.ends[:, :, None], layout.ends[:, None]] = of_turns
     pieces = tuple(_in_segments(f, layout.segment, grid) for f in linear.functional)
+    if linear.held is not None:
+        felt = linear.held.responses(layout.ends, layout.number)
+        none = [sparse.csr_matrix(felt[0].shape)] * 3
+        both = zip(pieces, (*none, *felt), strict=True)
+        pieces = tuple(sparse.hstack(pair, format="csr") for pair in both)
     components = _components(
         grid,
         pieces,
@@ -194,6 +209,8 @@ def build_rows(
     components += tuple(
         lean_components(lean, layout.rows[0], layout.rest, [p[:dense] for p in pieces])
     )
+    if grid.held is not None:
+        components += (moved_by_hand(grid, layout.rows[0, :, :3]),)
     if len(layout.turns):
         beside = np.stack((grid.before[layout.turns], grid.after[layout.turns]))
         parts = closed.before, closed.after
@@ -360,6 +377,9 @@ def _components(
     # One-sided density squared: variance of a mean, times its length, times two.
     density = np.median(2 * noise[rest] * grid.count[rest, None] * step, axis=0)
     kernels = DriftKernels.of(grid.interval, np.flatnonzero(~grid.is_rest))
+    if grid.held is not None and grid.density is not None:
+        density = grid.density
+        kernels = kernels.beside(int(grid.is_rest.sum()))
     cause = SAMPLING if step > TREMBLING else ""
     out = []
     for c, name in enumerate(CHANNELS):

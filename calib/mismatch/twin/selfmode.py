@@ -10,6 +10,7 @@ import numpy as np
 from calib.calibration import parameter_unit
 from calib.effects import get_effect, shape_of
 from calib.effects.base import PRESENCE, State, Term
+from calib.mismatch.noise.handheld import held_by_hand, noise_of_held
 from calib.mismatch.noise.leaning import leaning
 from calib.mismatch.noise.rounded import Rounding
 from calib.mismatch.noise.sensornoise import LEANING, sample_noise
@@ -53,6 +54,12 @@ class SelfProblem:
         self.noise = sample_noise(grid)
         self.spread = spread
         self.leans = how_it_leans(grid, self.noise, least=LEANING)
+        if grid.density is None:
+            self.leans = self.leans._replace(held=None)
+        if self.leans.held is not None and self.leans.size is not None and self.leans.held.any():
+            held = held_by_hand(grid, self.leans.held, self.leans.size)
+            self.grid = grid = replace(grid, held=held)
+            self.noise = noise_of_held(grid, self.noise)
         start = start_twin(grid, model, gravity=gravity, full_gyro=full_gyro)
         self.twin: Twin = fit_twin(grid, start, self.noise)
         self.given = () if model is None else model.terms
@@ -77,6 +84,11 @@ class SelfProblem:
         Where the signal moves on by a count and more from sample to sample, rounding is noise of a
         twelfth of a count² on top of that before. Counts that do not change at rest show none.
         """
+        if self.grid.held is not None and any(c >= 3 for c in coarse):
+            # Rates that stick to a count do not tell how a hand sways.
+            self.grid, self.leans = replace(self.grid, held=None), self.leans._replace(held=None)
+            self.noise = sample_noise(self.grid)
+            self.twin = fit_twin(self.grid, self.twin, self.noise, drop=self.drop)
         self.coarse, self.restless = coarse, restless
         turns = self.grid.pose < 0
         self.noise = self.noise.copy()
