@@ -10,12 +10,14 @@ diagnosis.
 further kinds outside the catalogue: what a channel hears of the motion of other axes; ``--parts
 drifting`` clean recordings of parts that drift many times as far as most, ``slow`` clean ones of 10
 to 50 samples a second, in fine or coarse counts or in none. With ``--wide`` every recording has
-another protocol, another rate and a part of its own.
+another protocol, another rate and a part of its own. With ``--held`` a hand holds the sensor in its
+rests too, and sways: effects are as large as on a table.
 """
 
 from __future__ import annotations
 
 import argparse
+import copy
 import os
 import sys
 import time
@@ -41,7 +43,7 @@ from calib.mismatch.hypotheses.families import effect_columns, shape_grid
 from calib.mismatch.noise.contrast import contrast_variance
 from calib.mismatch.noise.coupling import drift_in_contrasts, foretold
 from calib.mismatch.noise.noise import Whitener, make_whitener
-from calib.mismatch.noise.sensornoise import DRIFT_TIME
+from calib.mismatch.noise.sensornoise import DRIFT_TIME, LEAN
 from calib.mismatch.rows.grid import Grid, make_grid
 from calib.mismatch.rows.rows import Rows
 from calib.mismatch.rows.underway import under_way
@@ -82,6 +84,7 @@ class Case:
     power: float
     seed: int
     wide: bool = False
+    held: bool = False
 
 
 @dataclass(frozen=True)
@@ -144,8 +147,11 @@ def main() -> int:
     parser.add_argument("--powers", type=float, nargs="*", default=[25, 50, 100, 200])
     parser.add_argument("--parts", nargs="*", default=["single", "clean", "pairs", "outside"])
     parser.add_argument("--wide", action="store_true", help="protocols, rates and parts apart")
+    parser.add_argument("--held", action="store_true", help="held in a hand, in rests too")
     parser.add_argument("--verbose", action="store_true")
     args = parser.parse_args()
+    if args.held and (args.wide or "slow" in args.parts):
+        parser.error("--held goes with the usual protocol")
     seeds, clean, powers = args.seeds, args.clean, args.powers
     if args.quick:
         seeds, clean, powers = 1, 12, [50.0, 100.0]
@@ -172,7 +178,7 @@ def main() -> int:
                 for n in kinds
                 for s in range(max(2, seeds))
             ]
-    cases = [replace(case, wide=args.wide) for case in cases]
+    cases = [replace(case, wide=args.wide, held=args.held) for case in cases]
     return report(list(run_all(cases, args.jobs, verbose=args.verbose)))
 
 
@@ -233,6 +239,7 @@ def run(case: Case) -> Result:
     elif case.wide:
         bench = wide_bench(rng, vibration)
     else:
+        again = copy.deepcopy(rng)
         motion = bench_protocol(rng, poses=30, power_on=0.0, vibration=vibration)
         bench = Bench(motion, CONSUMER, RATE)
     if case.kind == "drifting":
@@ -273,9 +280,16 @@ def run(case: Case) -> Result:
                     return replace(result, shown=False)
                 truth[name] = term
     model = replace(model, terms=tuple(truth.values()))
-    recording = bench.record(model, noise_seed) if truth else clean
+    if case.held:
+        # The same poses and turns, in a hand that sways by tenths of a degree.
+        sway, tremor = np.exp(rng.uniform(np.log(0.3), np.log(1.5))), rng.uniform(0.0, 0.15)
+        motion = bench_protocol(
+            again, poses=30, power_on=0.0, vibration=vibration, sway=sway, hold_tremor=tremor
+        )
+        bench = replace(bench, motion=motion)
+    recording = bench.record(model, noise_seed) if truth or case.held else clean
     if disturbed:
-        accel, gyro = clean.accel.copy(), clean.gyro.copy()
+        accel, gyro = recording.accel.copy(), recording.gyro.copy()
         for channel, values in disturbed.items():
             (accel if channel.startswith("accel") else gyro)[:, CHANNELS.index(channel) % 3] += (
                 values
@@ -500,7 +514,8 @@ def true_levels(rows: Rows, noise: NoiseModel) -> np.ndarray:
         triad, _, label = component.name.partition(".")
         flicker, walk = known.get(triad, (0.0, 0.0))
         size = {"flicker": flicker, "walk": walk * np.sqrt(DRIFT_TIME)}.get(label[2:], 0.0)
-        out.append(max(size**2, 1e-6 * component.expected))
+        least = 1.0 if component.group == LEAN and rows.lean and rows.lean.told else 1e-6
+        out.append(max(size**2, least * component.expected))
     return np.array(out)
 
 
