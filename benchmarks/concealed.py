@@ -282,7 +282,7 @@ def run(case: Case) -> Result:
     model = replace(model, terms=tuple(truth.values()))
     if case.held:
         # The same poses and turns, in a hand that sways by tenths of a degree.
-        sway, tremor = np.exp(rng.uniform(np.log(0.3), np.log(1.5))), rng.uniform(0.0, 0.15)
+        sway, tremor = np.exp(rng.uniform(np.log(0.3), np.log(1.5))), rng.uniform(0.05, 0.2)
         motion = bench_protocol(
             again, poses=30, power_on=0.0, vibration=vibration, sway=sway, hold_tremor=tremor
         )

@@ -64,12 +64,13 @@ def noise_of_held(grid: Grid, noise: FloatArray) -> FloatArray:
     still = np.flatnonzero(grid.pose >= 0)
     step = float(np.median(grid.length[still] / grid.count[still]))
     out = np.asarray(grid.density / (2.0 * step * grid.count[:, None]))
-    pose, held = grid.pose[still], grid.held
-    lasts = np.asarray(np.bincount(pose, grid.length[still], grid.n_poses), np.float64)
-    out[still, :3] += (held.of_means(lasts) * lasts)[pose, None] / grid.length[still, None]
-    brief = still[lasts[pose] < BRIEF]
+    pose, cell = grid.pose[still], (np.cumsum(grid.is_rest) - 1)[grid.segment[still]]
+    lasts = np.asarray(np.bincount(cell, grid.length[still]), np.float64)
+    moved = grid.held.of(grid.before[grid.is_rest]).of_means(lasts)
+    out[still, :3] += (moved * lasts)[cell, None] / grid.length[still, None]
+    brief = still[np.bincount(pose, grid.length[still], grid.n_poses)[pose] < BRIEF]
     out[brief, :3] = np.maximum(out[brief, :3], noise[brief, :3])
-    beside = ~(held.poses[grid.before] & held.poses[grid.after])
+    beside = ~(grid.held.poses[grid.before] & grid.held.poses[grid.after])
     others = beside[grid.segment]
     out[others] = np.maximum(out[others], noise[others])
     return out
@@ -82,9 +83,7 @@ def moved_by_hand(grid: Grid, rows: IntArray) -> Component:
     """
     held, lasts = grid.held, np.ptp(grid.interval[grid.is_rest], axis=1)
     assert held is not None
-    place = grid.before[grid.is_rest]
-    cells = Held(held.poses[place], held.velocity[place], held.acceleration[place])
-    size = np.repeat(cells.of_means(lasts), 3)
+    size = np.repeat(held.of(grid.before[grid.is_rest]).of_means(lasts), 3)
     return Component.alone("accel in a hand", rows.ravel(), size, expected=MORE, spread=UNKNOWN)
 
 

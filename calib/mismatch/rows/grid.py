@@ -80,6 +80,10 @@ class Held(NamedTuple):
     velocity: FloatArray
     acceleration: FloatArray
 
+    def of(self, poses: IntArray) -> Held:
+        """Return the same of some poses."""
+        return Held(self.poses[poses], self.velocity[poses], self.acceleration[poses])
+
     def of_means(self, lasts: FloatArray) -> FloatArray:
         """Return the variance of a mean acceleration over times (k,): how velocity has changed."""
         changed = 2.0 * self.velocity / np.square(np.maximum(lasts, 1e-9))
