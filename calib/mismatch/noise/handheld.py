@@ -104,7 +104,6 @@ def _motion(grid: Grid, size: FloatArray) -> tuple[float, float]:
             own = np.square((total[lag:] - total[:-lag]) / lag)
             white = 1.0 / (lag * length.mean()) - 1.0 / length.sum()
             white *= 0.5 * grid.density[:3].mean()
-            # The louder, the more a pose tells of it.
             # Means over half of a rest are closer to its mean than those of a longer one.
             share = 1.0 - (lag / (b - a)) ** 2
             # The louder, the more a pose tells of it.
