@@ -15,7 +15,7 @@ from __future__ import annotations
 import numpy as np
 
 from calib.gravity import STANDARD_GRAVITY
-from calib.stillness import Blocks, Units, moving_mean, spans_of, spill
+from calib.stillness import Blocks, Units, moving_mean, spans_of, spill, sway
 from calib.types import FloatArray
 
 SCALES = (2, 5, 10, 20)
@@ -81,12 +81,15 @@ def without_pushes(
             seen, signals = segments, [turned_back(blocks, off, *s, units.rate) for s in segments]
             # Of a hand the shortest means tell, of which a push has the fewest.
             short = np.array([_levels(contrasts(own, SCALES[0]), floor) for own in signals])
+            # A slow one turns the sensor as well.
+            turns = np.array([[sway(off[a:b])] for a, b in segments])
         moves = [contrasts(own, scale) for own in signals]
         known = [_levels(own, floor) for own in moves if len(own)]
         if not known:
             break
         usual = np.median(known, axis=0)
-        sways = np.fmax(short / np.nanmedian(short, axis=0), 1.0)
+        turning = turns / max(float(np.median(turns)), 1e-300)
+        sways = np.fmax(np.fmax(short / np.nanmedian(short, axis=0), turning), 1.0)
         carried = LEAST * units.gravity / STANDARD_GRAVITY / (scale * blocks.duration) ** 2
         left: list[tuple[int, int]] = []
         for (a, b), signal, own, times in zip(segments, signals, moves, sways, strict=True):

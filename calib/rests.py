@@ -17,6 +17,7 @@ import numpy as np
 
 from calib.pushed import without_pushes
 from calib.stillness import (
+    CHI_SQUARED,
     TREMOR_RATE,
     WIDTH,
     Blocks,
@@ -25,6 +26,7 @@ from calib.stillness import (
     moving_median,
     runs,
     spill,
+    sway,
 )
 from calib.swung import without_swings
 from calib.types import BoolArray, FloatArray, IntArray
@@ -125,8 +127,8 @@ def refine(
         for scale in scales:
             level = n_rate * max(NORM / np.sqrt(scale), LASTING) + spread
             segments = _split(segments, partial(_rate_moved, off, scale=scale, level=level))
-        segments = _join(blocks, off, segments, (n_force, n_rate), units)
-        found += [(*segment, ONSET * n_rate) for segment in segments]
+        for a, b in _join(blocks, off, segments, (n_force, n_rate), units):
+            found.append((a, b, ONSET * max(n_rate, sway(off[a:b]))))
     spans = _trim(blocks.gyro, off, found, least, units)
     if len(scales) > 1:  # with none that take long, time means nothing
         spans = without_swings(blocks, off, spans, least=least, units=units)
@@ -151,7 +153,9 @@ def _still(off: FloatArray, segments: list[tuple[int, int]], step: float) -> lis
     )
     rate = np.linalg.norm(halves.mean(axis=1), axis=1)
     brief = length < min(BRIEF * float(np.median(length)), LONG_REST)
-    noise = np.median([scatter(off[a:b], step) for a, b in np.array(segments)[~brief]])
+    noise = np.median(
+        [max(scatter(off[a:b], step), sway(off[a:b])) for a, b in np.array(segments)[~brief]]
+    )
     usual = NORM * noise / np.sqrt(length)
     turns = rate > usual + 3.0 * np.median(rate[~brief])
     turns |= np.linalg.norm(np.ptp(halves, axis=1), axis=1) > 2.0 * usual
@@ -297,8 +301,7 @@ def _followed(
 def scatter(values: FloatArray, step: float) -> float:
     """Return the standard deviation of one axis of the block means, from block to block."""
     square = np.square(np.diff(values, axis=0)).sum(axis=1)
-    # 2.366 is the median of chi-square with three degrees of freedom.
-    return max(float(np.sqrt(np.median(square) / (2 * 2.366))), float(step / np.sqrt(12)))
+    return max(float(np.sqrt(np.median(square) / (2 * CHI_SQUARED))), float(step / np.sqrt(12)))
 
 
 def _split(
@@ -408,7 +411,7 @@ def _swings(off: FloatArray, units: Units) -> bool:
     half = len(off) // 2
     change = off[-half:].mean(axis=0) - off[:half].mean(axis=0)
     second = np.square(np.diff(off, 2, axis=0)).sum(axis=1)
-    noise = np.sqrt(np.median(second) / (6 * 2.366)) if len(second) else 0.0
+    noise = np.sqrt(np.median(second) / (6 * CHI_SQUARED)) if len(second) else 0.0
     usual = REVERSAL / units.rate + NORM * np.sqrt(2 / half) * noise
     return bool(max(np.linalg.norm(change), 2 * np.linalg.norm(off.mean(axis=0))) > usual)
 

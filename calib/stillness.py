@@ -28,6 +28,8 @@ by far more."""
 MOST_SHAKEN = 0.6
 """What those changes are at most, in g: 1 g of shaking on every axis, blocks having ten samples."""
 CHUNK = 1 << 20
+CHI_SQUARED = 2.366
+"""Median of chi-square with three degrees of freedom."""
 PART = 1 << 13
 """Medians that are found at a time: each has a window of its own."""
 
@@ -204,6 +206,16 @@ def spill(mask: BoolArray, windows: BoolArray, width: int) -> None:
     """Set in `mask`, in place, every block that lies in one of the windows."""
     for k in range(width):
         mask[k : k + len(windows)] |= windows
+
+
+def sway(off: FloatArray) -> float:
+    """Return the usual deviation of one axis of rates (n, 3) from their median, in their unit.
+
+    A hand that sways slowly turns hardly faster from block to block: it shows here alone.
+    """
+    return float(
+        np.median(np.linalg.norm(off - np.median(off, axis=0), axis=1)) / np.sqrt(CHI_SQUARED)
+    )
 
 
 def moving_median(values: FloatArray, width: int) -> FloatArray:

@@ -6,7 +6,11 @@ from numpy.testing import assert_allclose
 
 from calib import Recording
 from calib.live_statics import LiveStatics
+from calib.model import SensorModel
 from calib.poses import average_poses
+from calib.simulate import simulate
+from calib.simulation.bench import bench_protocol
+from calib.simulation.noise import CONSUMER
 from calib.statics import find_poses
 from calib.types import FloatArray
 
@@ -311,3 +315,21 @@ def test_a_table_that_turns_about_the_vertical_is_not_at_rest() -> None:
     poses = find_poses(recording)
     assert len(poses) == 18
     assert np.abs(poses.gyro).max() < 0.01
+
+
+@pytest.mark.parametrize("swayed", [0.3, 1.0])
+@pytest.mark.parametrize("sway", [0.3, 1.0])
+@pytest.mark.parametrize("seed", range(3))
+def test_a_hand_that_sways_without_a_tremor_holds_still(
+    seed: int, sway: float, swayed: float
+) -> None:
+    """Its rate is far above the gyroscope's noise, and hardly changes from block to block."""
+    rng = np.random.default_rng(seed)
+    motion = bench_protocol(rng, poses=20, temperature=None, sway=sway, swayed=swayed)
+    poses = find_poses(simulate(motion, SensorModel(), CONSUMER, rng=rng, rate=100.0))
+    rests = [s for s in motion.segments if s.kind == "static"]
+    inside = [sum(s.start <= a and b <= s.stop for a, b in poses.interval) for s in rests]
+    assert sum(inside) == len(poses)
+    assert sum(n > 0 for n in inside) >= 17
+    length = sum(s.stop - s.start for s in rests)
+    assert np.diff(poses.interval, axis=1).sum() > 0.7 * length
