@@ -86,7 +86,7 @@ def find_sway(recording: Recording, poses: Poses, accel: Triad, gyro: Triad) -> 
     gyroscope's noise in x, whether the pose swayed or not. From all poses together that gives the
     noise, and ``gain = 1 - noise / x.x``. The gain is 0 unless both sensors agree that the
     direction moved: the slope of y on x is above 1/2, and positive at a false discovery rate of
-    `SIGNIFICANCE` [1]_.
+    `SIGNIFICANCE` [1]_, or above 1/2 where x has no less power than in such a pose.
 
     References
     ----------
@@ -116,7 +116,10 @@ def find_sway(recording: Recording, poses: Poses, accel: Triad, gyro: Triad) -> 
     noise = max(0.0, float((energy - common).sum() / max(float(walk.sum()), 1e-300)))
     gain = np.zeros(k)
     if passed.size:
-        sways = order[: passed[-1] + 1]
+        sure = order[: passed[-1] + 1]
+        # One that turns as much as such a pose, and whose gravity follows, sways as well.
+        power = energy / np.maximum(walk, 1e-300)
+        sways = (power >= power[sure].min()) & (common > 0.5 * energy)
         gain[sways] = np.maximum(0.0, 1 - noise * walk[sways] / energy[sways])
     return Sway(gain, noise)
 
