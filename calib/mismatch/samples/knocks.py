@@ -15,6 +15,9 @@ from calib.types import BoolArray
 PART = 16
 """Samples in which the power of a channel is looked at."""
 
+FREEDOM = PART - 2
+"""Of what is left of it beside a straight line."""
+
 CHANCE = 1e-4
 """How often noise alone makes a part as loud on one channel."""
 
@@ -28,9 +31,12 @@ QUIET = 0.2
 def knocked(recording: Recording, poses: Poses) -> BoolArray:
     """Return which samples of rests are of a knock, (n,) bool.
 
-    Parts of a rest are compared with the quiet ones of this rest: one in which noise is louder
-    throughout, or which has a line, has none that stands out.
+    Parts of a rest, each without its straight line, by which a hand sways, are compared with the
+    quiet ones of this rest: one in which noise is louder throughout, or which has a line, has none
+    that stands out.
     """
+    line = np.vander(np.linspace(-1.0, 1.0, PART), 2)
+    ring = np.eye(PART) - line @ np.linalg.pinv(line)
     out = np.zeros(len(recording.time), bool)
     for a, b in zip(poses.start, poses.stop, strict=True):
         number = (b - a) // PART
@@ -38,10 +44,10 @@ def knocked(recording: Recording, poses: Poses) -> BoolArray:
             continue
         part = slice(a, a + number * PART)
         values = np.hstack((recording.accel[part], recording.gyro[part]))
-        power = values.reshape(number, PART, 6).var(axis=1)
+        power = np.square(ring @ values.reshape(number, PART, 6)).sum(axis=1) / FREEDOM
         usual = np.quantile(power, QUIET, axis=0)
         ratio = np.divide(power, usual, out=np.ones_like(power), where=usual > 0)
-        loud = fdtrc(PART - 1, (PART - 1) * number / 2, ratio) < CHANCE
+        loud = fdtrc(FREEDOM, FREEDOM * number / 2, ratio) < CHANCE
         knock = loud.sum(axis=1) >= TOGETHER
         # It began, and fades, beside the parts that stand out.
         knock = np.convolve(knock, np.ones(3), mode="same") > 0
