@@ -74,6 +74,9 @@ MISSED = 0.01
 CAP = 6.0
 """Times the usual noise beyond which a single value counts no more: those are pulses."""
 
+LARGEST_OF = 1.25
+"""What the largest of three medians of noise nearby is, times that of all of it."""
+
 LONE = 3.5
 """The same of one that no neighbour goes with, for what takes more samples than one."""
 
@@ -195,23 +198,38 @@ def _off_course(values: FloatArray, poses: Poses) -> tuple[FloatArray, BoolArray
     sample. Where a rest is louder than usual (something shakes it), or a moment of one (a hand is
     still there), those that stand out of that are so: the others are noise.
     """
-    off = np.abs(values[1:-1] - 0.5 * (values[:-2] + values[2:]))
+    off = _off(values)
     padded = np.pad(off, ((1, 1), (0, 0)))
     beside = np.maximum(padded[:-2], padded[2:])
-    # One sample has half of its size on either side; an edge has as much on one.
-    usual = ROBUST * np.median(off, axis=0)
-    level = np.tile(usual, (len(off), 1))
-    for a, b in zip(poses.start, poses.stop, strict=True):
-        own = slice(max(a - 1, 0), b - 1)
-        if b - a > 4:
-            level[own] = np.maximum(level[own], ROBUST * np.median(off[own], axis=0))
-    step, about = counts_at(values, _step(values))[1:-1], level_nearby(off.T).T
-    level = np.maximum(level, ROBUST * np.where(about > step, about, 0.0))
+    step = counts_at(values, _step(values))[1:-1]
     # To the next count and back is what noise does where counts are coarse: off by halves of one,
     # which the decimals of a file know but roughly.
-    apart = off > np.maximum(1.5 * beside, 1.75 * step)
-    alone, lone = (apart & (off > least * level) for least in (CAP, LONE))
+    jumps = off > 1.75 * step
+    level = _at_rest(off, poses)
+    # One sample has half of its size on either side, and noise; an edge has as much on one.
+    alone = jumps & (off > CAP * level) & (off + level > 1.5 * beside)
+    # What is left without these is louder where something shakes, and where a hand is still there.
+    about = level_nearby(_off(_without_lone(values, alone)).T).T
+    level = np.maximum(level, ROBUST / LARGEST_OF * np.where(about > step, about, 0.0))
+    alone &= off > CAP * level
+    lone = jumps & (off > LONE * level) & (off > 1.5 * beside)
     return off, alone, lone
+
+
+def _off(values: FloatArray) -> FloatArray:
+    """Return how far each of (n, k) values is off the mean of its neighbours, (n - 2, k)."""
+    return np.abs(values[1:-1] - 0.5 * (values[:-2] + values[2:]))
+
+
+def _at_rest(off: FloatArray, poses: Poses) -> FloatArray:
+    """Return how far samples of a rest usually are off, and of this one if more, (n - 2, k)."""
+    rests = [slice(max(a - 1, 0), b - 1) for a, b in zip(poses.start, poses.stop, strict=True)]
+    rests = [own for own in rests if own.stop - own.start > 3]
+    still = np.concatenate([off[own] for own in rests]) if rests else off
+    level = np.tile(ROBUST * np.median(still, axis=0), (len(off), 1))
+    for own in rests:
+        level[own] = np.maximum(level[own], ROBUST * np.median(off[own], axis=0))
+    return level
 
 
 def _step(values: FloatArray) -> FloatArray:

@@ -226,6 +226,20 @@ def test_single_samples_off_course_anywhere_are_a_disturbance_if_they_matter(
             assert item.p_value < 1e-6
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_single_samples_off_course_by_twice_their_reach_are_one_in_a_part(seed: int) -> None:
+    """Noise on either side hides no more than a few of them."""
+    real = simulated(seed=70 + seed, poses=18)
+    rng = np.random.default_rng(seed)
+    begin, end = 0.25 * real.time[-1], 0.6 * real.time[-1]
+    at = rng.choice(np.flatnonzero((real.time > begin) & (real.time < end)), 40, replace=False)
+    accel = real.accel.copy()
+    accel[at, 2] += 12.0 * rng.choice([-1.0, 1.0], len(at)) * SIGMA[0]
+    (found,) = look_within(replace(real, accel=accel), find_poses(real))
+    assert (found.channels, found.follows) == (("accel.z",), OFF_COURSE)
+    assert overlap(found.intervals[0], (begin, end)) > 0.6
+
+
 @pytest.mark.parametrize("elsewhere", [0, 6])
 def test_single_samples_off_course_in_one_part_are_a_disturbance_there(elsewhere: int) -> None:
     real = simulated(seed=64, poses=18)
