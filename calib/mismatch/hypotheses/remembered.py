@@ -35,7 +35,7 @@ LOADED = "its load before: play, or friction"
 """What has play, or sticks, depends on how it was loaded before."""
 
 FORGETS = np.geomspace(0.5, 8.0, 5)
-"""s in which a gyroscope forgets a turn."""
+"""s in which a gyroscope forgets a turn, or an accelerometer a load."""
 
 LATE = np.geomspace(10.0, 160.0, 5)
 """s by which what follows a temperature is late."""
@@ -221,6 +221,24 @@ def after_turns(rows: Rows, stretches: Stretches, c: int) -> Iterator[tuple[str,
         yield "time since the last turn", np.exp(-state.since_turn / memory)[:, None] * own
     for known in lately(rows, rate[:, None], PASSES):
         yield "time since the last turn", known
+
+
+def creeping(rows: Rows, stretches: Stretches, axis: int) -> Iterator[tuple[str, FloatArray]]:
+    """Yield what an accelerometer may have of a new load on its axis, while it fades, (n, 1).
+
+    What it carries creeps by a part of what its load has changed by, or its gain is another one
+    until it has settled.
+    """
+    state, rests = stretches.state, stretches.rests
+    if state.since_turn is None or state.turning is None or len(rests) < 2:
+        return
+    load = state.force[:, axis : axis + 1] / state.gravity
+    yield from (("the pose before", load - old) for old in lately(rows, load, FORGETS))
+    # Nothing was before the first rest.
+    after = ((stretches.pose > 0) & ~state.turning)[:, None]
+    for memory in FORGETS.tolist():
+        fades = np.exp(-state.since_turn / memory)[:, None]
+        yield "time since the last turn", after * fades * load
 
 
 def lagging(rows: Rows) -> Iterator[tuple[str, FloatArray]]:

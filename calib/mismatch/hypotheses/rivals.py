@@ -44,6 +44,7 @@ from calib.mismatch.hypotheses.remembered import (
     LOADED,
     Stretches,
     after_turns,
+    creeping,
     history,
     lagging,
     of_use,
@@ -205,7 +206,7 @@ def _add_columns(stack: Stack, rows: Rows, slots: Slots, *, delays: bool) -> _La
             *loaded[c % 3],
             *past_levels(rows, c),
         ]
-        own += after_turns(rows, stretches, c) if c >= 3 else ()
+        own += (creeping if c < 3 else after_turns)(rows, stretches, c)
         found = [(label, rows.columns(c, values)) for label, values in [*followed, *own]]
         index = stack.columns.add(size * np.hstack([columns for _, columns in found]), touched[c])
         ends = index[0] + np.cumsum([0, *(columns.shape[1] for _, columns in found)])

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from calib.mismatch.hypotheses.remembered import (
     FORGETS,
@@ -14,6 +15,7 @@ from calib.mismatch.hypotheses.remembered import (
     PASSES,
     Stretches,
     after_turns,
+    creeping,
     lag_of,
     lately,
     side_of,
@@ -59,6 +61,37 @@ def test_after_turns_nothing_is_left_before_the_first_and_while_it_turns() -> No
         rest = (grid.pose == 3) & ~grid.turning
         assert (np.diff(values[rest, 0]) < 0).all()
         np.testing.assert_allclose(np.abs(values[rest, 1]), values[rest, 2])
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("creeps", [False, True])
+def test_an_accelerometer_that_takes_a_load_slowly_remembers_it(creeps: bool) -> None:
+    real = recording(seed=8, poses=24)
+    since, _ = _last_turns(real, np.zeros(len(real)))
+    own, memory = load(real, 0), 1.3
+    error = np.exp(-since / memory) * own
+    if creeps:
+        step = real.interval / memory
+        behind = own - lfilter([step], [1.0, step - 1.0], own, zi=[(1.0 - step) * own[0]])[0]
+        error = np.asarray(behind)
+    follows = "the pose before" if creeps else "time since the last turn"
+    assert left_of(with_added(real, {"accel.x": 0.02 * error})) == [(follows, ("accel.x",))]
+
+
+def test_a_load_is_forgotten_in_rests_and_there_is_none_before_the_first_turn() -> None:
+    grid, made = problem()
+    rows = made.rows()
+    found = [values for _, values in creeping(rows, Stretches.of(rows), 1)]
+    assert len(found) == 2 * len(FORGETS)
+    up = rows.state.force[:, 1]
+    for values in found:
+        np.testing.assert_allclose(values[(grid.pose == 0) & ~grid.turning], 0.0, atol=1e-3)
+        for pose in range(1, 6):
+            rest = (grid.pose == pose) & ~grid.turning
+            assert (np.diff(np.abs(values[rest, 0])) < 1e-6).all()
+    for values in found[len(FORGETS) :]:
+        assert not values[grid.turning].any()
+        assert (np.sign(values[~grid.turning, 0]) * np.sign(up[~grid.turning]) >= 0).all()
 
 
 def stuck(load: FloatArray, most: float) -> FloatArray:
