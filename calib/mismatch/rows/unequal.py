@@ -61,9 +61,13 @@ class Leans(NamedTuple):
 
 
 class _Pose(NamedTuple):
-    """How much a pose leans, rad²/s, and by how many standard errors gravity moved, and should."""
+    """How much a pose leans, rad²/s, and by how many standard errors gravity moved, and should.
+
+    And how long it lasts, s.
+    """
 
     lean: float
+    length: float
     seen: float
     wanted: float
 
@@ -113,12 +117,14 @@ def how_it_leans(grid: Grid, noise: FloatArray, *, least: float) -> Leans:
         after = EARLY if creep else 0.0
         sway = how_it_sways(grid, [points[k] for k in some], still, after=after)
     expected = sway.expected or least
+    swing = sway.back if np.isfinite(sway.back) else 0.0
     for k, p in zip(some, poses, strict=True):
         # Most may have no more of it than noise. What creeps, most do.
         beside = usual if creep else expected
         if p.lean > FAR * usual and (p.follows or (leans and (p.open or p.seems))):
             size[k] = max(p.lean / beside, 1.0)
-        elif sway.expected and not creep:
+        elif sway.expected and not creep and p.length >= PARTS * swing:
+            # Parts that last no longer than a swing are alike, however much it sways.
             size[k] = min(FAR**2 * p.lean / beside, 1.0)
     held = np.zeros(grid.n_poses, bool)
     if sway.expected:
@@ -196,5 +202,8 @@ def _look(grid: Grid, noise: FloatArray, points: IntArray, still: FloatArray) ->
     lean = (apart + off) / (3 * PARTS)
     sigma = np.sqrt(noise[points, :3])
     # Where the rate of a sensor at rest is hardly known, a steady turn is not either.
-    said = [_Pose(lean, *follow(time, force, rate - still, sigma, order=order)) for order in (0, 1)]
+    said = [
+        _Pose(lean, length, *follow(time, force, rate - still, sigma, order=order))
+        for order in (0, 1)
+    ]
     return next((p for p in said if p.follows), said[1])

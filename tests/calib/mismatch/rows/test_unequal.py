@@ -12,6 +12,7 @@ from calib.mismatch.noise.sensornoise import LEANING, sample_noise
 from calib.mismatch.rows.grid import make_grid
 from calib.mismatch.rows.unequal import how_it_leans
 from calib.model import SensorModel
+from calib.poses import average_poses
 from calib.recording import Recording
 from calib.simulate import simulate
 from calib.simulation.bench import bench_protocol
@@ -109,3 +110,19 @@ def test_nothing_is_named_for_a_sensor_also_turned(seed: int) -> None:
     found = diagnose_recording(also_turned(recording, angle), gravity=GRAVITY)
     assert [f.effect for f in found.findings] == []
     assert found.unexplained == ()
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_what_is_left_of_a_rest_in_a_hand_sways_as_the_others_do(seed: int) -> None:
+    """In three quarters of a second no hand turns back: the parts of that are alike."""
+    rng = np.random.default_rng(seed)
+    motion = bench_protocol(rng, poses=24, temperature=None, sway=1.5)
+    recording = simulate(motion, SensorModel(), CONSUMER, rng=rng, rate=100.0)
+    poses = find_poses(recording)
+    brief = np.arange(len(poses)) % 5 == 2
+    stop = np.where(brief, np.minimum(poses.start + 75, poses.stop), poses.stop)
+    grid = make_grid(recording, average_poses(recording, poses.start, stop))
+    found = how_it_leans(grid, sample_noise(grid), least=LEANING)
+    assert found.sway.expected
+    assert found.size is not None
+    assert (found.size[brief] >= 1.0).all()
