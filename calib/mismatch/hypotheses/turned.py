@@ -5,7 +5,7 @@ output ``s`` gains ``s x v``: in a window, or for good from a moment on, at once
 pace. A turn that was there throughout is a misalignment, which has a name; so has all but the first
 quarter of one, as far as a recording tells, and no window begins with the recording.
 
-Beside a truth both turn against that where the sensor slips in its mount. That they are turned
+Beside a truth both may turn against that, as the sensor slips in its mount. That they are turned
 throughout is a misalignment to the reference, which is fitted always: so a slip may be early.
 
 An accelerometer that turns at rest shows it at once, as gravity moves across it: it may turn in
@@ -57,7 +57,7 @@ def turned_axes(stack: Stack, rows: Rows, weight: float) -> Iterator[Candidate]:
     Their columns are added to the stack; their weights sum to `weight`. Windows of one length, and
     what is turned for good at once, and at a pace, have the same share.
     """
-    turning = ((SLIPPED, CHANNELS),) if rows.aligned else _TRIADS
+    turning = ((SLIPPED, CHANNELS), *_TRIADS) if rows.aligned else _TRIADS
     for name, triad in turning:
         slots = _slots(rows, triad)
         start = _starts(rows, slots)
@@ -69,7 +69,7 @@ def turned_axes(stack: Stack, rows: Rows, weight: float) -> Iterator[Candidate]:
             for a, b in windows(number)
             if a > 0 and b < number and b - a >= shortest
         ]
-        earliest = 0.0 if rows.aligned else EARLIEST
+        earliest = 0.0 if name == SLIPPED else EARLIEST
         for k in range(max(int(earliest * number), 1), number):
             found.append((0, (float(start[k]), end), plain[:, [k]], None))
             if k in slots.first:
@@ -135,7 +135,7 @@ def _add(
 
     And of a turn at a pace of two in the recording.
     """
-    touched = np.flatnonzero(np.isin(rows.channel, [*map(CHANNELS.index, triad), -1]))
+    touched = rows.touched([CHANNELS.index(c) for c in triad])
     time = rows.state.time
     pace = function_of_time(RAMP, time, float(time[0]), float(time[-1]))
     out = []
