@@ -23,6 +23,7 @@ from calib.mismatch.findings.diagnosis import (
     without_fit,
 )
 from calib.mismatch.findings.misclosed import misclosed
+from calib.mismatch.hypotheses.candidates import DELAY
 from calib.mismatch.hypotheses.places import gathered, joined
 from calib.mismatch.missing import (
     LEANING,
@@ -62,7 +63,7 @@ from calib.mismatch.search.explain import explain, verdict
 from calib.mismatch.search.jolted import jolted
 from calib.mismatch.search.proof import changes
 from calib.mismatch.search.search import Outcome, search
-from calib.mismatch.search.unclosed import odd_turns
+from calib.mismatch.search.unclosed import close_badly_in_a_row, odd_turns
 from calib.mismatch.timeless import CLOCKED, UNKNOWN_DRIFT, by_sample, is_rate, without_rates
 from calib.mismatch.twin.residuals import is_aliased
 from calib.mismatch.twin.selfmode import SelfProblem
@@ -263,9 +264,11 @@ def _searched(
     """Return what a search finds, its fit, and the single turns that do not close beside it.
 
     These are left out, and it searches once more: as noise of all turns they hide what else there
-    is. If not ``turns``, none is looked for.
+    is. If not ``turns``, none is looked for, and no channel that is late for a while.
     """
     place = problem.place()
+    if not turns or close_badly_in_a_row(problem.rows()):
+        skip = (*skip, DELAY)
     outcome, fit = _found(problem, skip=skip)
     odd = odd_turns(outcome) if turns else []
     if odd:

@@ -122,6 +122,10 @@ _OF_TRIADS = {
 }
 """The same for what three channels have at once: their supply, cable or package."""
 
+LATE = 12
+"""Segments in a window that a channel is late in without a truth, fewest: six turns. Of fewer that
+do not close, for any reason, some delay would make most."""
+
 FADING = np.geomspace(1.0, 16.0, 7)
 """s in which what disturbed the first rest fades: a hand has let go, a cable or a stand gives way.
 That is what warming up looks like; only it takes longer, and shows in other rests too."""
@@ -136,13 +140,14 @@ _Draft = tuple[str, str, IntArray, Mapping[str, Any]]
 class _Layout(NamedTuple):
     """Where columns are in the stack: the first `width` are those in windows of the first channel.
 
-    Of these `slots` are parts of time, then come the signal and, beside a truth, its slope in each
-    of the `segments`; and then the other channels'. ``smooth`` has what a rival follows, the
-    channel, and its columns ``[first, stop)``.
+    Of these `slots` are parts of time, then come the signal and its slope in each
+    of the `segments`; and then the other channels'. A channel is `late` in so many segments at
+    least. ``smooth`` has what a rival follows, the channel, and its columns ``[first, stop)``.
     """
 
     slots: int
     segments: int
+    late: int
     width: int
     smooth: tuple[tuple[str, int, int, int], ...]
 
@@ -212,7 +217,8 @@ def _add_columns(stack: Stack, rows: Rows, slots: Slots, *, delays: bool) -> _La
         ends = index[0] + np.cumsum([0, *(columns.shape[1] for _, columns in found)])
         for (label, _), (first, last) in zip(found, pairwise(ends.tolist()), strict=True):
             follow.append((label, c, first, last))
-    return _Layout(in_slots.shape[1], segments, width, tuple(follow))
+    late = LATE if rows.is_rest.any() else 1
+    return _Layout(in_slots.shape[1], segments, late, width, tuple(follow))
 
 
 @lru_cache(maxsize=1)
@@ -231,6 +237,7 @@ def _sorted(
     times = np.frombuffer(interval).reshape(-1, 2)
     slots = np.frombuffer(middle), np.frombuffer(first, np.int64)
     local = [*in_windows(times, *slots, CORNERS, waves=True), *gains_in_time(times)]
+    local = [w for w in local if w.name != DELAY or w.window[1] - w.window[0] >= layout.late]
     joint = [
         _of_triad(item, slots[1])
         for item in in_windows(times, *slots, MIDDLE, waves=False)

@@ -83,10 +83,8 @@ def chance(e_value: float) -> float:
 def make_stack(rows: Rows, *, skip: tuple[str, ...], reference: bool) -> Stack:
     """Return every candidate: the catalogue and its rivals."""
     stack = Stack(len(rows.residual))
-    # Without a truth a few turns in a row that do not close for any reason would be late. And where
-    # a truth is noisy its slope is so most of all.
-    delays = reference and not rows.clustered
-    add_rivals(stack, rows, skip=skip if delays else (*skip, DELAY))
+    # Where a truth is noisy its slope is so most of all.
+    add_rivals(stack, rows, skip=(*skip, DELAY) if rows.clustered else skip)
     add_catalogue(stack, rows, skip=skip, reference=reference)
     return stack
 

@@ -30,7 +30,13 @@ import numpy as np
 from scipy.special import chdtri, comb, fdtrc
 
 from calib.mismatch.findings.diagnosis import Interval, Unexplained
-from calib.mismatch.noise.noise import estimate_levels, expected_levels, make_whitener
+from calib.mismatch.noise.contrast import contrast_variance
+from calib.mismatch.noise.noise import (
+    estimate_levels,
+    expected_levels,
+    find_levels,
+    make_whitener,
+)
 from calib.mismatch.rows.rows import SAMPLING, Rows
 from calib.mismatch.search.accepted import Accepted, fitted
 from calib.mismatch.search.search import Outcome
@@ -57,6 +63,9 @@ they are alike."""
 TOGETHER, SELDOM = 3, 0.05
 """Odd turns that are said as one, at least, where so few would be as near each other by chance."""
 
+IN_A_ROW = "these "
+"""How what is said of such begins."""
+
 LEFT, NEAR = float(chdtri(3.0, 1e-3)), float(chdtri(2.0, 0.01))
 """What may be left of a turn's closures, squared, beside one reading at one moment, if that is what
 happened; and by how much more other moments and channels leave that may be it as well."""
@@ -72,6 +81,16 @@ class OddTurn(NamedTuple):
     segment: int
     size: str
     said: Unexplained
+
+
+def close_badly_in_a_row(rows: Rows) -> bool:
+    """Whether turns that follow each other do not close as the others do, beside nothing at all.
+
+    A channel that is late in a few would explain most of that, whatever it comes from.
+    """
+    levels = find_levels(rows, fitted(rows, []), expected_levels(rows)).values
+    bare = Outcome(rows, (), levels, contrast_variance(rows), 0.0, frozenset())
+    return any(turn.said.follows.startswith(IN_A_ROW) for turn in odd_turns(bare))
 
 
 def odd_turns(outcome: Outcome) -> list[OddTurn]:
@@ -130,7 +149,7 @@ def _gathered(rows: Rows, odd: list[OddTurn]) -> list[OddTurn]:
     )
     worst = min(order, key=lambda turn: turn.said.p_value)
     channels = tuple(c for c in CHANNELS if any(c in turn.said.channels for turn in order))
-    follows = f"these {k} turns: they do not close, by up to {worst.size}, and the others do"
+    follows = f"{IN_A_ROW}{k} turns: they do not close, by up to {worst.size}, and the others do"
     said = Unexplained(channels, ((start, stop),), follows, worst.said.p_value * chance)
     return [turn._replace(said=said) for turn in order]
 

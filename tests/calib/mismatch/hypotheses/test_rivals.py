@@ -12,7 +12,7 @@ from calib.effects.base import State, Term
 from calib.mismatch import diagnose_recording
 from calib.mismatch.hypotheses.candidates import DELAY, GAIN, GAIN_IN_TIME, Candidate
 from calib.mismatch.hypotheses.followed import own_rate
-from calib.mismatch.hypotheses.rivals import FADED, FADING, FROM_START, RIVAL
+from calib.mismatch.hypotheses.rivals import FADED, FADING, FROM_START, LATE, RIVAL
 from calib.mismatch.hypotheses.score import Stack
 from calib.mismatch.hypotheses.windows import (
     SLIPPED,
@@ -56,11 +56,12 @@ def test_rivals_share_one_prior_and_a_window_is_the_same_column_wherever_it_come
         assert like > 0.95, candidate.name
 
 
-def test_a_delay_in_a_window_is_tried_beside_a_truth_alone():
+def test_a_delay_in_a_window_takes_six_turns_without_a_truth():
     _, made = problem()
     rows = made.rows()
-    assert not rivals(make_stack(rows, skip=(), reference=False), DELAY)
-    stack = make_stack(rows, skip=(), reference=True)
+    stack = make_stack(rows, skip=(), reference=False)
+    assert min(len(c.index) for c in rivals(stack, DELAY)) == LATE == 12
+    assert not rivals(make_stack(rows, skip=(DELAY,), reference=False), DELAY)
     assert sum(c.weight for c in stack if not c.physical) <= RIVAL + 1e-9
     longest = max(rivals(stack, DELAY), key=lambda c: len(c.index))
     on_grid, exact = stack.of(longest), window_columns(rows, longest)
