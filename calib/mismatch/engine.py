@@ -48,6 +48,7 @@ from calib.mismatch.rows.grid import (
     steady,
     untouched,
 )
+from calib.mismatch.rows.lapped import lapped
 from calib.mismatch.rows.nudged import still_parts
 from calib.mismatch.rows.uncarried import uncarried
 from calib.mismatch.rows.underway import under_way
@@ -229,6 +230,7 @@ def _make_grid(thinned: Thinned, poses: Poses) -> tuple[Grid, BoolArray, tuple[s
     shortest = 0.0 if recording.clock == "invalid" else SHORTEST_CELL
     turns = under_way(recording, poses)
     grid = make_grid(recording, poses, turns=turns, shortest_cell=shortest, began=thinned.start)
+    grid = lapped(grid, recording)
     bad = _spoilt_turns(grid, recording, spoilt)
     count, number = int(bad.sum()), int((~grid.is_rest).sum())
     if count > number / 2:

@@ -14,6 +14,7 @@ from scipy import linalg, sparse
 
 from calib.effects.vibration import quiet_level
 from calib.mismatch.rows.grid import Grid, fast_power
+from calib.mismatch.rows.lapped import point_noise
 from calib.mismatch.rows.lean import Lean
 from calib.mismatch.rows.rows import Component
 from calib.recording import CHANNELS
@@ -61,46 +62,52 @@ def sample_noise(grid: Grid) -> FloatArray:
 
     Drift has no part in it. A rest that is clearly noisier than the others (vibration, a hand) has
     its own level, from successive differences of its points (quarter seconds), so that noise that
-    is correlated over a few samples counts in full.
+    is correlated over a few samples counts in full. Means over windows that fade have that of what
+    these leave; samples in the turns beside them do not.
     """
-    values = np.hstack((grid.accel, grid.gyro))
-    segment, pose = grid.segment, grid.pose
-    pair = (segment[1:] == segment[:-1]) & (pose[1:] >= 0)
-    gap = np.diff(grid.time)
-    # Across a hole in time the bias has drifted.
-    pair &= gap <= 3 * np.median(gap[pair]) if pair.any() else pair
-    weight = grid.count[1:] * grid.count[:-1] / (grid.count[1:] + grid.count[:-1])
-    square = np.square(np.diff(values, axis=0)) * weight[:, None]
-    own = np.empty((grid.n_poses, 6))
-    number = np.bincount(pose[1:][pair], minlength=grid.n_poses)
-    for c in range(6):
-        own[:, c] = np.bincount(pose[1:][pair], square[pair, c], grid.n_poses)
-    own /= np.maximum(number, 1)[:, None]
+    plain = grid if grid.lapped is None else grid.lapped.plain
+    own, number = point_noise(plain)
     usable = number >= 4
     # A level beyond four standard errors of its estimate is that of one rest by itself.
     limit = 1.0 + 4.0 * np.sqrt(2.0 / np.maximum(number, 1))
     known = usable if usable.any() else np.ones_like(usable)
     common = np.array([quiet_level(own[known, c], limit[known]) for c in range(6)])
-    least = 1e-12 * np.square(np.abs(values)).max(axis=0) + 1e-18
+    largest = np.abs(np.hstack((plain.accel, plain.gyro))).max(axis=0)
+    least = 1e-12 * np.square(largest) + 1e-18
     loud = usable[:, None] & (own > limit[:, None] * np.maximum(common, least))
     quiet = known[:, None] & ~loud
-    floor = np.maximum(_quiet_noise(grid, own, number, quiet), least)
-    ratio = np.where(usable[:, None], own / floor, 1.0)
+    floor = np.maximum(_quiet_noise(plain, own, number, quiet), least)
+    level = _levels(plain, own, number, floor, loud)
+    each = np.where((grid.near >= 0)[:, None], level[np.maximum(grid.near, 0)], floor)
+    for s in np.flatnonzero(~grid.is_rest).tolist():
+        loudest = np.maximum(level[grid.before[s]], level[grid.after[s]])
+        if (loudest > floor).any():
+            turn = np.arange(grid.first[s], grid.last[s])
+            turn = turn[grid.near[turn] < 0]
+            each[turn] = floor + _still_shaken(grid, s, turn, floor) * (loudest - floor)
+    if grid.lapped is not None:
+        own, number = point_noise(grid)
+        left = _levels(grid, own, number, floor, grid.lapped.poses[:, None] & (own > 0))
+        faded = (grid.pose >= 0) & grid.lapped.poses[grid.pose]
+        each[faded] = np.maximum(left, floor)[grid.pose[faded]]
+    return np.asarray(each / grid.count[:, None])
+
+
+def _levels(
+    grid: Grid, own: FloatArray, number: IntArray, floor: FloatArray, loud: BoolArray
+) -> FloatArray:
+    """Return the variance of a sample in each rest, (k, 6): its own where it is `loud` (k, 6).
+
+    ``own`` (k, 6) is that of so many differences, `number` (k,), and `floor` (6,) that of others.
+    """
+    ratio = np.where(loud, own / floor, 1.0)
     error = np.broadcast_to(3.0 / np.maximum(number, 1)[:, None], ratio.shape)
     for triad in (np.arange(6) < 3, np.arange(6) >= 3):
         mine = loud & triad
         ratio[mine] = shrunk(ratio[mine], error[mine])
     level = floor * np.where(loud, ratio, 1.0)
-    left = _averaged(grid, values, level, floor, loud)
-    level = np.where(loud, floor + left * (level - floor), level)
-    each = np.where((grid.near >= 0)[:, None], level[np.maximum(grid.near, 0)], floor)
-    for s in np.flatnonzero(~grid.is_rest).tolist():
-        loudest = np.maximum(level[grid.before[s]], level[grid.after[s]])
-        if (loudest > floor).any():
-            own = np.arange(grid.first[s], grid.last[s])
-            own = own[grid.near[own] < 0]
-            each[own] = floor + _still_shaken(grid, s, own, floor) * (loudest - floor)
-    return np.asarray(each / grid.count[:, None])
+    left = _averaged(grid, np.hstack((grid.accel, grid.gyro)), level, floor, loud)
+    return np.asarray(np.where(loud, floor + left * (level - floor), level))
 
 
 def _quiet_noise(grid: Grid, own: FloatArray, number: IntArray, quiet: BoolArray) -> FloatArray:

@@ -90,6 +90,18 @@ class Held(NamedTuple):
         return np.asarray(np.minimum(changed, self.acceleration))
 
 
+class Lapped(NamedTuple):
+    """In which ``poses`` (k,) points are means over windows that fade into each other.
+
+    ``alike`` (2m + 1,) is the covariance of white noise in two smoothed samples, m of them apart
+    or less, per variance of one; ``plain`` the grid in which no window fades.
+    """
+
+    poses: BoolArray
+    alike: FloatArray
+    plain: Grid
+
+
 @dataclass(frozen=True, eq=False)
 class Grid:
     """Points (means over ``[edge, edge + count)`` samples), and the segments that they belong to.
@@ -100,8 +112,8 @@ class Grid:
         Of the points; ``temperature`` is None where it was not measured.
     accel, gyro : (n, 3) arrays
         Measured means.
-    count : (n,) array of int
-        Samples in each point.
+    begin, count : (n,) arrays of int
+        First sample of each point, and how many there are.
     scatter : (n, 6) array
         Variance of the samples of each, about their mean; 0 for one sample.
     length : (n,) array, s
@@ -125,6 +137,8 @@ class Grid:
         One-sided power density of the noise, where in the spectrum hands do little.
     held : Held, optional
         How a hand holds the sensor at rest.
+    lapped : Lapped, optional
+        Where points at rest are means over windows that fade.
     before, after : (s,) arrays of int
         Pose at either end of a segment: the same for a cell of a rest, neighbours for a turn.
     """
@@ -133,6 +147,7 @@ class Grid:
     accel: FloatArray
     gyro: FloatArray
     temperature: FloatArray | None
+    begin: IntArray
     count: IntArray
     scatter: FloatArray
     length: FloatArray
@@ -150,6 +165,7 @@ class Grid:
     temperature_slope: FloatArray | None = None
     density: FloatArray | None = None
     held: Held | None = None
+    lapped: Lapped | None = None
 
     @property
     def is_rest(self) -> BoolArray:
@@ -429,6 +445,7 @@ def _fill(
         accel=accel,
         gyro=gyro,
         temperature=temperature,
+        begin=bounds[:, 0],
         count=count,
         scatter=np.maximum(scatter, 0.0) * (count / np.maximum(count - 1, 1))[:, None],
         length=length,

@@ -57,6 +57,10 @@ class SelfProblem:
         if grid.density is None:
             self.leans = self.leans._replace(held=None)
         if self.leans.held is not None and self.leans.size is not None and self.leans.held.any():
+            if grid.lapped is not None:
+                # How a hand has turned a sensor in a rest is told from one end of it to the other.
+                grid = grid.lapped.plain
+                self.noise = sample_noise(grid)
             held = held_by_hand(grid, self.leans.held, self.leans.size)
             self.grid = grid = replace(grid, held=held)
             self.noise = noise_of_held(grid, self.noise)
