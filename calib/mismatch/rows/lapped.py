@@ -9,6 +9,9 @@ by the square of a sine, nothing is left of what is much faster than 2 / L [1]_.
 So samples of such rests are averaged over a short such window before the points are. The points of
 a rest then overlap, and add up to one window that is flat, but for its ends.
 
+Nor does a window help where samples are taken unevenly: late by d, one is off by 2 pi f A d, and
+that is white. But if their times say so, a cubic spline through them knows what was between.
+
 References
 ----------
 .. [1] Harris, "On the use of windows for harmonic analysis with the discrete Fourier transform",
@@ -22,7 +25,9 @@ from dataclasses import replace
 import numpy as np
 
 from calib.mismatch.rows.grid import REST_STEP, Grid, Lapped
+from calib.mismatch.rows.underway import is_torn
 from calib.recording import Recording
+from calib.spline import spline_at
 from calib.types import BoolArray, FloatArray, IntArray
 
 SURE = 4.0
@@ -36,21 +41,26 @@ def lapped(grid: Grid, recording: Recording) -> Grid:
     """Return a grid whose rests, where that makes their means quieter, have windows that fade.
 
     Only rests that are shaken are looked at. What a hand does is as slow as a window is long:
-    means are no quieter there, and stay.
+    means are no quieter there, and stay. Samples are taken at even times, or at those that are
+    stated, by which of the two leaves less.
     """
     half = round(0.5 * REST_STEP / max(recording.interval, 1e-9))
-    shaken = _shaken(grid, half)
+    shaken = _shaken(grid, recording, half)
     if half < 1 or not shaken.any():
         return grid
     taper = np.hanning(2 * half + 3)[1:-1]
     taper /= taper.sum()
-    every = _with_windows(grid, recording, shaken, taper)
-    (plain, number), (fading, _) = point_noise(grid), point_noise(every)
-    limit = 1.0 + SURE * np.sqrt(2.0 / np.maximum(number, 1))
-    quieter = shaken & (plain[:, :3].sum(axis=1) > limit * fading[:, :3].sum(axis=1))
+    as_they_are = _with_windows(grid, recording, shaken, taper, resampled=False)
+    resampled = recording.clock != "invalid"
+    if resampled:
+        at_times = _with_windows(grid, recording, shaken, taper, resampled=True)
+        resampled = _power(at_times)[shaken].sum() < _power(as_they_are)[shaken].sum()
+    left = _power(at_times if resampled else as_they_are)
+    limit = 1.0 + SURE * np.sqrt(2.0 / np.maximum(point_noise(grid)[1], 1))
+    quieter = shaken & (_power(grid) > limit * left)
     if not quieter.any():
         return grid
-    return _with_windows(grid, recording, quieter, taper)
+    return _with_windows(grid, recording, quieter, taper, resampled=resampled)
 
 
 def point_noise(grid: Grid) -> tuple[FloatArray, IntArray]:
@@ -76,35 +86,55 @@ def point_noise(grid: Grid) -> tuple[FloatArray, IntArray]:
     return own / np.maximum(number, 1)[:, None], number
 
 
-def _shaken(grid: Grid, half: int) -> BoolArray:
-    """Return the rests that are shaken more than others, (poses,), and long enough to show it."""
+def _power(grid: Grid) -> FloatArray:
+    """Return the variance of a sample's force in each rest, as it counts in means, (poses,)."""
+    return np.asarray(point_noise(grid)[0][:, :3].sum(axis=1))
+
+
+def _shaken(grid: Grid, recording: Recording, half: int) -> BoolArray:
+    """Return the rests that are shaken more than others, (poses,).
+
+    And that are long enough to show it, with windows that are twice `half` a fading one, and whole.
+    """
     rest = np.flatnonzero(grid.pose >= 0)
+    pose = grid.pose[rest]
     moved = (grid.vibration[rest] != grid.vibration.min(axis=0)).any(axis=1)
     if not moved.any():
         return np.zeros(grid.n_poses, bool)
-    short = grid.count[rest] <= half + 1
-    number, moves, shorts = (
-        np.bincount(grid.pose[rest], own, grid.n_poses) for own in (rest >= 0, moved, short)
-    )
-    return np.asarray((moves > 0) & (shorts == 0) & (number > FEWEST))
+    out = np.bincount(pose, moved, grid.n_poses) > 0
+    out &= np.bincount(pose, grid.count[rest] <= half + 1, grid.n_poses) == 0
+    out &= np.bincount(pose, minlength=grid.n_poses) > FEWEST
+    if recording.clock != "invalid":
+        for k in np.flatnonzero(out).tolist():
+            own = rest[pose == k]
+            stop = int(grid.begin[own[-1]] + grid.count[own[-1]])
+            out[k] = not is_torn(recording, int(grid.begin[own[0]]), stop)
+    return np.asarray(out)
 
 
 def _with_windows(
-    grid: Grid, recording: Recording, poses: BoolArray, taper: FloatArray
+    grid: Grid, recording: Recording, poses: BoolArray, taper: FloatArray, *, resampled: bool
 ) -> Grid:
-    """Return a grid with means over windows that fade by a `taper` (2h + 1,) in some poses."""
+    """Return a grid with means over windows that fade by a `taper` (2h + 1,) in some poses.
+
+    Of the samples, or of what they say of even times if they are `resampled`.
+    """
     half = len(taper) // 2
     accel, gyro, count = grid.accel.copy(), grid.gyro.copy(), grid.count.copy()
     order = np.flatnonzero(grid.pose >= 0)
     for k in np.flatnonzero(poses).tolist():
         own = order[grid.pose[order] == k]
-        first, stop = int(grid.begin[own[0]]), int(grid.begin[own[-1]] + grid.count[own[-1]])
+        rest = slice(grid.begin[own[0]], grid.begin[own[-1]] + grid.count[own[-1]])
         # The ends of a rest are where its first and its last window fade.
-        edges = np.append(0, grid.begin[own[1:]] - first - half)
-        count[own] = np.diff(edges, append=stop - first - 2 * half)
-        for out, values in ((accel, recording.accel), (gyro, recording.gyro)):
-            smooth = np.stack([np.convolve(v, taper, "valid") for v in values[first:stop].T], axis=1)
-            out[own] = np.add.reduceat(smooth, edges, axis=0) / count[own, None]
+        edges = np.append(0, grid.begin[own[1:]] - rest.start - half)
+        count[own] = np.diff(edges, append=rest.stop - rest.start - 2 * half)
+        values = np.hstack((recording.accel[rest], recording.gyro[rest]))
+        if resampled:
+            time = recording.time[rest]
+            values = spline_at(time, values, np.linspace(time[0], time[-1], len(time)))
+        smooth = np.stack([np.convolve(v, taper, "valid") for v in values.T], axis=1)
+        means = np.add.reduceat(smooth, edges, axis=0) / count[own, None]
+        accel[own], gyro[own] = means[:, :3], means[:, 3:]
     length = grid.length * count / grid.count
     made = Lapped(poses, np.convolve(taper, taper[::-1]), grid)
     return replace(grid, accel=accel, gyro=gyro, count=count, length=length, lapped=made)
