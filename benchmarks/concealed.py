@@ -45,6 +45,7 @@ from calib.mismatch.noise.coupling import drift_in_contrasts, foretold
 from calib.mismatch.noise.noise import Whitener, make_whitener
 from calib.mismatch.noise.sensornoise import DRIFT_TIME, LEAN
 from calib.mismatch.rows.grid import Grid, make_grid
+from calib.mismatch.rows.lapped import lapped
 from calib.mismatch.rows.rows import Rows
 from calib.mismatch.rows.underway import under_way
 from calib.mismatch.search.accepted import fitted
@@ -401,7 +402,7 @@ def random_sensor(rng: np.random.Generator) -> SensorModel:
 def grid_of(recording: Recording) -> Grid:
     """Return the rests and turns of a recording, as a diagnosis has them."""
     poses = find_poses(recording)
-    return make_grid(recording, poses, turns=under_way(recording, poses))
+    return lapped(make_grid(recording, poses, turns=under_way(recording, poses)), recording)
 
 
 def oracle(clean: Recording, bench: Bench) -> tuple[Rows, Whitener, SelfProblem]:

@@ -14,7 +14,7 @@ from scipy import linalg, sparse
 
 from calib.effects.vibration import quiet_level
 from calib.mismatch.rows.grid import Grid, fast_power
-from calib.mismatch.rows.lapped import point_noise
+from calib.mismatch.rows.lapped import FEWEST, point_noise, surely_louder
 from calib.mismatch.rows.lean import Lean
 from calib.mismatch.rows.rows import Component
 from calib.recording import CHANNELS
@@ -67,9 +67,9 @@ def sample_noise(grid: Grid) -> FloatArray:
     """
     plain = grid if grid.lapped is None else grid.lapped.plain
     own, number = point_noise(plain)
-    usable = number >= 4
-    # A level beyond four standard errors of its estimate is that of one rest by itself.
-    limit = 1.0 + 4.0 * np.sqrt(2.0 / np.maximum(number, 1))
+    usable = number >= FEWEST
+    # A level that is surely louder is that of one rest by itself.
+    limit = surely_louder(number)
     known = usable if usable.any() else np.ones_like(usable)
     common = np.array([quiet_level(own[known, c], limit[known]) for c in range(6)])
     largest = np.abs(np.hstack((plain.accel, plain.gyro))).max(axis=0)
@@ -78,19 +78,28 @@ def sample_noise(grid: Grid) -> FloatArray:
     quiet = known[:, None] & ~loud
     floor = np.maximum(_quiet_noise(plain, own, number, quiet), least)
     level = _levels(plain, own, number, floor, loud)
-    each = np.where((grid.near >= 0)[:, None], level[np.maximum(grid.near, 0)], floor)
-    for s in np.flatnonzero(~grid.is_rest).tolist():
-        loudest = np.maximum(level[grid.before[s]], level[grid.after[s]])
-        if (loudest > floor).any():
-            turn = np.arange(grid.first[s], grid.last[s])
-            turn = turn[grid.near[turn] < 0]
-            each[turn] = floor + _still_shaken(grid, s, turn, floor) * (loudest - floor)
+    each = _of_points(grid, level, floor)
     if grid.lapped is not None:
         own, number = point_noise(grid)
         left = _levels(grid, own, number, floor, grid.lapped.poses[:, None] & (own > 0))
         faded = (grid.pose >= 0) & grid.lapped.poses[grid.pose]
         each[faded] = np.maximum(left, floor)[grid.pose[faded]]
     return np.asarray(each / grid.count[:, None])
+
+
+def _of_points(grid: Grid, level: FloatArray, floor: FloatArray) -> FloatArray:
+    """Return the variance of a sample at each point, (n, 6), by its `level` (k, 6) in rests.
+
+    In a turn it is `floor` (6,), and what goes on of what shakes the rests beside it.
+    """
+    each = np.where((grid.near >= 0)[:, None], level[np.maximum(grid.near, 0)], floor)
+    for s in np.flatnonzero(~grid.is_rest).tolist():
+        loudest = np.maximum(level[grid.before[s]], level[grid.after[s]])
+        if (loudest > floor).any():
+            own = np.arange(grid.first[s], grid.last[s])
+            own = own[grid.near[own] < 0]
+            each[own] = floor + _still_shaken(grid, s, own, floor) * (loudest - floor)
+    return np.asarray(each)
 
 
 def _levels(

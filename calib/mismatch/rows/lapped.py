@@ -30,9 +30,6 @@ from calib.recording import Recording
 from calib.spline import spline_at
 from calib.types import BoolArray, FloatArray, IntArray
 
-SURE = 4.0
-"""Standard errors of a level by which plain means are louder before others are taken."""
-
 FEWEST = 4
 """Differences of points that tell of the noise of a rest."""
 
@@ -56,8 +53,7 @@ def lapped(grid: Grid, recording: Recording) -> Grid:
         at_times = _with_windows(grid, recording, shaken, taper, resampled=True)
         resampled = _power(at_times)[shaken].sum() < _power(as_they_are)[shaken].sum()
     left = _power(at_times if resampled else as_they_are)
-    limit = 1.0 + SURE * np.sqrt(2.0 / np.maximum(point_noise(grid)[1], 1))
-    quieter = shaken & (_power(grid) > limit * left)
+    quieter = shaken & (_power(grid) > surely_louder(point_noise(grid)[1]) * left)
     if not quieter.any():
         return grid
     return _with_windows(grid, recording, quieter, taper, resampled=resampled)
@@ -84,6 +80,14 @@ def point_noise(grid: Grid) -> tuple[FloatArray, IntArray]:
     for c in range(6):
         own[:, c] = np.bincount(pose[1:][pair], square[pair, c], grid.n_poses)
     return own / np.maximum(number, 1)[:, None], number
+
+
+def surely_louder(number: IntArray) -> FloatArray:
+    """Return by what factor a variance from so many differences, (k,), is another one.
+
+    Beyond four standard errors of its estimate.
+    """
+    return np.asarray(1.0 + 4.0 * np.sqrt(2.0 / np.maximum(number, 1)))
 
 
 def _power(grid: Grid) -> FloatArray:
