@@ -123,9 +123,10 @@ def how_it_leans(grid: Grid, noise: FloatArray, *, least: float) -> Leans:
         beside = usual if creep else expected
         if p.lean > FAR * usual and (p.follows or (leans and (p.open or p.seems))):
             size[k] = max(p.lean / beside, 1.0)
-        elif sway.expected and not creep and p.length >= PARTS * swing:
-            # Parts that last no longer than a swing are alike, however much it sways.
-            size[k] = min(FAR**2 * p.lean / beside, 1.0)
+        elif sway.expected and not creep:
+            # Parts of less than a swing differ by as much less, however much it sways.
+            brief = max(PARTS * swing / p.length, 1.0)
+            size[k] = min(np.square(FAR * brief) * p.lean / beside, 1.0)
     held = np.zeros(grid.n_poses, bool)
     if sway.expected:
         creep = creep * per_second / expected
