@@ -50,6 +50,7 @@ from calib.mismatch.rows.grid import (
 )
 from calib.mismatch.rows.lapped import lapped
 from calib.mismatch.rows.nudged import still_parts
+from calib.mismatch.rows.rows import Rows
 from calib.mismatch.rows.uncarried import uncarried
 from calib.mismatch.rows.underway import under_way
 from calib.mismatch.samples.coarse import SHOWS, coarse_channels, unhidden_triads
@@ -268,24 +269,23 @@ def _searched(
     These are left out, and it searches once more: as noise of all turns they hide what else there
     is. If not ``turns``, none is looked for, and no channel that is late for a while.
     """
-    place = problem.place()
-    if not turns or close_badly_in_a_row(problem.rows()):
+    place, rows = problem.place(), problem.rows()
+    if not turns or close_badly_in_a_row(rows):
         skip = (*skip, DELAY)
-    outcome, fit = _found(problem, skip=skip)
+    outcome, fit = _found(problem, rows, skip=skip)
     odd = odd_turns(outcome) if turns else []
     if odd:
         problem.go_back(place)
         problem.jolted, problem.leaning = None, 1.0
         problem.leave_out([turn.segment for turn in odd])
-        outcome, fit = _found(problem, skip=skip)
+        outcome, fit = _found(problem, problem.rows(), skip=skip)
         odd += odd_turns(outcome)
     said = dict.fromkeys(turn.said for turn in odd)
     return outcome, fit, sorted(said, key=lambda u: u.intervals)
 
 
-def _found(problem: SelfProblem, *, skip: tuple[str, ...]) -> tuple[Outcome, Estimate]:
-    """Return what a search finds, and its fit."""
-    rows = problem.rows()
+def _found(problem: SelfProblem, rows: Rows, *, skip: tuple[str, ...]) -> tuple[Outcome, Estimate]:
+    """Return what a search finds, and its fit, where the problem has these rows to begin with."""
     problem.jolted = jolted(rows, skip=skip)
     problem.leaning = lean_share(rows if problem.jolted is None else problem.rows())
     outcome = search(problem, skip=skip)

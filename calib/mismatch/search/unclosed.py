@@ -63,9 +63,6 @@ they are alike."""
 TOGETHER, SELDOM = 3, 0.05
 """Odd turns that are said as one, at least, where so few would be as near each other by chance."""
 
-IN_A_ROW = "these "
-"""How what is said of such begins."""
-
 LEFT, NEAR = float(chdtri(3.0, 1e-3)), float(chdtri(2.0, 0.01))
 """What may be left of a turn's closures, squared, beside one reading at one moment, if that is what
 happened; and by how much more other moments and channels leave that may be it as well."""
@@ -90,7 +87,9 @@ def close_badly_in_a_row(rows: Rows) -> bool:
     """
     levels = find_levels(rows, fitted(rows, []), expected_levels(rows)).values
     bare = Outcome(rows, (), levels, contrast_variance(rows), 0.0, frozenset())
-    return any(turn.said.follows.startswith(IN_A_ROW) for turn in odd_turns(bare))
+    odd = odd_turns(bare)
+    # Those are said as one.
+    return len({turn.said for turn in odd}) < len(odd)
 
 
 def odd_turns(outcome: Outcome) -> list[OddTurn]:
@@ -149,7 +148,7 @@ def _gathered(rows: Rows, odd: list[OddTurn]) -> list[OddTurn]:
     )
     worst = min(order, key=lambda turn: turn.said.p_value)
     channels = tuple(c for c in CHANNELS if any(c in turn.said.channels for turn in order))
-    follows = f"{IN_A_ROW}{k} turns: they do not close, by up to {worst.size}, and the others do"
+    follows = f"these {k} turns: they do not close, by up to {worst.size}, and the others do"
     said = Unexplained(channels, ((start, stop),), follows, worst.said.p_value * chance)
     return [turn._replace(said=said) for turn in order]
 

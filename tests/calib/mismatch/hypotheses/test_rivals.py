@@ -44,7 +44,7 @@ def test_rivals_share_one_prior_and_a_window_is_the_same_column_wherever_it_come
     rows = made.rows()
     stack = make_stack(rows, skip=(), reference=False)
     assert sum(c.weight for c in stack if not c.physical) <= RIVAL + 1e-9
-    # Beside a truth alone does a sensor slip in its mount, or a channel come late for a while.
+    # Beside a truth alone does a sensor slip in its mount; what is late is looked at below.
     names = [name for name in WINDOWED if name not in (SLIPPED, DELAY)]
     longest = [max(rivals(stack, name), key=lambda c: len(c.index)) for name in names]
     assert {len(c.channels) for c in longest} == {1, 3}
