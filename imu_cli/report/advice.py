@@ -41,6 +41,10 @@ _STEPS = (
     ),
     ("in a window", "look for what was touched, moved or switched on then; repeat the recording"),
     ("gain in time", "repeat it after a warm-up of 15 min, at an even temperature and supply"),
+    (
+        "moves to another",
+        "look for what warms or creeps then (supply, mount, cable); repeat",
+    ),
     ("wave throughout", "look for what comes and goes in that time, as a heating does; repeat"),
     ("orientation", "look for magnets and iron nearby; record the same poses at other headings"),
 )

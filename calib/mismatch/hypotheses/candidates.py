@@ -24,6 +24,9 @@ GAIN_IN_TIME = "gain in time"
 
 GAINS = (GAIN, GAIN_IN_TIME)
 
+MOVING = "bias that moves to another level"
+"""What goes from one level to another in a while, and stays there."""
+
 DELAY = "delay in a window"
 """What follows the slope of a signal: a bus or a filter that holds a channel up for a while."""
 

@@ -22,6 +22,7 @@ from calib.mismatch.hypotheses.candidates import (
     GAIN,
     GAIN_IN_TIME,
     GAINS,
+    MOVING,
     Bank,
     Candidate,
 )
@@ -84,7 +85,8 @@ SIGN = "the sign of its output"
 """What is cut towards zero instead of rounded, or has a step or a dead zone there, follows that."""
 
 _KINDS = {
-    "bias in a window": 0.14,
+    "bias in a window": 0.12,
+    MOVING: 0.02,
     GAIN: 0.08,
     GAIN_IN_TIME: 0.02,
     FLUCTUATING: 0.14,
@@ -115,7 +117,8 @@ catalogue, or is drift: only odd shapes are left."""
 _OF_TRIADS = {
     "bias in a window": 0.02,
     GAIN: 0.02,
-    FLUCTUATING: 0.05,
+    FLUCTUATING: 0.04,
+    MOVING: 0.01,
     TURNED: 0.02,
     FROM_START: 0.015,
     SIGN: 0.01,

@@ -18,6 +18,7 @@ from calib.mismatch.hypotheses.candidates import (
     FLUCTUATING,
     GAIN,
     GAIN_IN_TIME,
+    MOVING,
     SHARE,
     Candidate,
 )
@@ -177,6 +178,8 @@ def in_windows(
         if b - a >= FLUCTUATION:
             ramp = function_of_time(RAMP, interval[a:b].mean(axis=1), start, stop)
             yield Local(GAIN, (a, b), (start, stop), dict(RAMP), ramp)
+            if a > 0:
+                yield _moving((a, b), interval, middle[first[a] :])
             if waves:
                 grows = function_of_time(RAMP, time, start, stop)
                 yield Local("bias in a window", (a, b), (start, stop), dict(RAMP), grows)
@@ -194,11 +197,22 @@ def in_windows(
                 yield Local("wave in a window", (a, b), (start, stop), shape, mixing)
 
 
+def _moving(window: tuple[int, int], interval: FloatArray, time: FloatArray) -> Local:
+    """Return a bias that goes to another level in a window, and stays there to the end."""
+    a, b = window
+    start, end = float(interval[a, 0]), float(interval[-1, 1])
+    shape = {"until": float(interval[b - 1, 1])}
+    mixing = function_of_time(shape, time, start, end)
+    return Local(MOVING, (a, len(interval)), (start, end), shape, mixing, f"{b - a} segments")
+
+
 def function_of_time(
     shape: Mapping[str, float], time: FloatArray, start: float, stop: float
 ) -> FloatArray:
     """Return the (n, k) functions of time that a window from `start` to `stop` holds."""
     since = time - start
+    if "until" in shape:
+        return np.clip(since / (shape["until"] - start), 0.0, 1.0)[:, None]
     if "ramp" in shape:
         return np.stack((np.ones(len(time)), 2 * since / (stop - start) - 1), axis=1)
     if "period" in shape:
