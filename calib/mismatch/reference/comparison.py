@@ -74,6 +74,7 @@ from calib.mismatch.reference.visible import catalogue_shapes
 from calib.mismatch.reference.windowed import make_rows, swayed_by
 from calib.mismatch.reference.witnessed import between, shared, witnessed
 from calib.mismatch.rows.rows import Rows
+from calib.mismatch.search.accepted import UNLIKE
 from calib.mismatch.twin.twin import baseline_column
 from calib.model import SensorModel
 from calib.recording import AXES, CHANNELS, Recording
@@ -462,30 +463,57 @@ class ComparisonProblem:
         gyro = self._late_gyro(state, lost) if self._gyro_delay() else predicted.gyro
         return np.asarray(self.measured - np.hstack((predicted.accel, gyro)))
 
-    def left(self) -> tuple[FloatArray, FloatArray] | None:
+    def left(self, filters: tuple[Term, ...] = ()) -> tuple[FloatArray, FloatArray] | None:
         """Return what is left of samples, relative to how they scatter: (m,) s, (m, 6).
 
         None where that is no noise: of a motion that samples, or a simulation, do not resolve. Of
-        channels that are coarse, as it steps in counts there, it is 0.
+        channels that are coarse, as it steps in counts there, it is 0. Samples of which ``filters``
+        take so much away that others of their kind would leave another noise are left out.
         """
         if self.judged is not None or self.unresolved or (self.noisy and not self.turned):
             return None
-        every = self.residual(self.state())
+        every, taken = self._behind(filters)
         seen = self.blur.see(every)
         time, known = self.time[self.blur.seen], np.ones(len(seen), bool)
         if self.unknown is not None:
             known = ~self.unknown[self.blur.seen]
         assert self.shapes is not None
+        noise = np.sqrt(np.median(self.shapes.noise, axis=0))
+        known &= (UNLIKE * np.abs(taken[self.blur.seen]) <= noise).all(axis=1)
         if self.noisy and (scatters := self.shapes.scatter) is not None:
             seen = seen / np.sqrt(scatters.variance[self.blur.seen] * scatters.seen)
         return time[known], np.where(self.coarse, 0.0, seen[known])
 
-    def slips(self) -> tuple[Unexplained, ...]:
-        """Return the corners about which the truth and the sensor turn by different angles."""
+    def slips(self, filters: tuple[Term, ...] = ()) -> tuple[Unexplained, ...]:
+        """Return the corners about which the truth and the sensor turn by different angles.
+
+        What ``filters`` hold back of a turn comes when it is over, and is no slip.
+        """
         if self.unknown is None:
             return ()
-        left = self.residual(self.state())[:, 3:] / self._gain()[3:]
-        return find_slips(self.time, left, self.measured[:, 3:], self.unknown, self.interval)
+        every, taken = (values[:, 3:] / self._gain()[3:] for values in self._behind(filters))
+        rate, unlike = self.measured[:, 3:], UNLIKE * taken
+        return find_slips(self.time, every, rate, self.unknown, self.interval, unlike)
+
+    def _behind(self, filters: tuple[Term, ...]) -> tuple[FloatArray, FloatArray]:
+        """Return the residual behind filters, and what they take away: (n, 6) each.
+
+        The model may have taken them up already, or not.
+        """
+        state, place, number = self.state(), self.setup, len(self.given)
+        if not filters:
+            left = self.residual(state)
+            return left, np.zeros_like(left)
+        found = {t.effect for t in filters}
+        others = [t for t in place.model.terms[number:] if t.effect not in found]
+        terms = (*place.model.terms[:number], *others)
+        each = []
+        for own in (terms, (*terms, *filters)):
+            self.setup = place._replace(model=replace(place.model, terms=own))
+            each.append(self.residual(state))
+        self.setup = place
+        plain, behind = each
+        return behind, plain - behind
 
     def _late_gyro(self, state: State, lost: Mapping[str, float]) -> FloatArray:
         """Return what a gyroscope that is late puts out: the motion before, as the truth has it.

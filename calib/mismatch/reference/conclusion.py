@@ -10,6 +10,7 @@ from typing import cast
 import numpy as np
 
 from calib.effects import effects, get_effect
+from calib.effects.base import Term
 from calib.mismatch.findings.diagnosis import (
     Diagnosis,
     Finding,
@@ -87,7 +88,7 @@ def conclude(
     begin = outcome.rows.interval[:, 0]
     findings = [f for f in findings if not any(_the_same(f, g, begin) for g in seen.findings)]
     findings = [*seen.findings, *found, *findings]
-    noisy = (*noisy, *_beside(problem, another=another))
+    noisy = (*noisy, *_beside(problem, outcome, another=another))
     unexplained = _all_unexplained(problem, seen, findings, unexplained, noisy)
     names, covariance = _of_model((*problem.names, *further), findings, *known)
     if another:
@@ -140,9 +141,13 @@ def _free_to_turn(problem: ComparisonProblem, outcome: Outcome) -> tuple[Estimat
     return with_any_angle(fit, slice(p + number - 3, p + number), alone)
 
 
-def _beside(problem: ComparisonProblem, *, another: bool) -> tuple[Unexplained, ...]:
+def _beside(
+    problem: ComparisonProblem, outcome: Outcome, *, another: bool
+) -> tuple[Unexplained, ...]:
     """Return what the truth itself does, and what samples show beside it."""
-    slips, left = problem.slips(), problem.left()
+    found = [a.candidate for a in outcome.accepted if a.candidate.present]
+    filters = tuple(Term(c.name, {**dict.fromkeys(c.parameters, 1.0), **c.shape}) for c in found)
+    slips, left = problem.slips(filters), problem.left(filters)
     if left is None:
         return tuple(slips)
     return (*slips, *look_beside(*left, exact=not problem.noisy and not another))

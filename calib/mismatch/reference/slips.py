@@ -26,7 +26,12 @@ SLIP = "a jump between two samples: reference and sensor turn by angles that dif
 
 
 def find_slips(
-    time: FloatArray, left: FloatArray, rate: FloatArray, unknown: BoolArray, interval: float
+    time: FloatArray,
+    left: FloatArray,
+    rate: FloatArray,
+    unknown: BoolArray,
+    interval: float,
+    unlike: FloatArray | float = 0.0,
 ) -> tuple[Unexplained, ...]:
     """Return where the angles differ, as unexplained.
 
@@ -38,15 +43,19 @@ def find_slips(
     unknown : (n,) array of bool
         Samples about corners.
     interval : float, s
+    unlike : (n, 3) array, rad/s
+        What filters that are taken into account may be wrong by.
     """
     if unknown.all():
         return ()
     known, lsb = left[~unknown], count_of(rate)
     noise = ROBUST * between_counts(np.abs(known - np.median(known, axis=0)), lsb, 0.5)
+    unlike = np.broadcast_to(unlike, left.shape)
     out = []
     for start, stop in zip(*runs(unknown), strict=True):
         angle = interval * left[start:stop].sum(axis=0)
         missed = interval * (np.ptp(rate[start:stop], axis=0) + 0.5 * lsb * (stop - start))
+        missed += interval * np.abs(unlike[start:stop].sum(axis=0))
         off = np.abs(angle) - missed - SURE * noise * interval * np.sqrt(stop - start)
         if (off > 0).any():
             axes = tuple(CHANNELS[3 + k] for k in np.flatnonzero(off > 0))
