@@ -64,8 +64,9 @@ LOST, LOWEST = (0.3, 0.5), (0.6, 0.8)
 """Cycles in a piece below which its mean, or its straight line, takes nearly all of a line away,
 and from which on one is looked for: of slower ones the means themselves tell."""
 
-EFFICIENCY = 2.0 / np.pi
-"""Of a median of many, relative to their mean."""
+EFFICIENCY, SIDES = 2.0 / np.pi, 2
+"""Of a median of many, relative to their mean; and of how many the larger is taken, which is at
+least as certain a floor as one median of all: far out, noise stands out of it more seldom."""
 
 BESIDE = 1.5
 """Times the highest frequency up to which a faster line spreads to it."""
@@ -74,8 +75,11 @@ FAINTEST = 0.003
 """Share of the noise power of samples that a line has which is reported: an amplitude of a twelfth
 of a sample's noise."""
 
-CHUNK, MANY = 64, 8192
-"""Frequencies that have one median where there are so many in all."""
+STEADY = 0.1
+"""Hz over which a line spreads, at most, that is no tremor: those of hands are wider than 1 Hz."""
+
+CHUNK, EVEN = 64, 256
+"""Frequencies that have one median, from which on: there a chunk is a quarter of an octave."""
 
 ALSO = 0.01
 """P-value below which another channel has the line of one."""
@@ -113,13 +117,14 @@ class _Signal(NamedTuple):
 
 
 class _Line(NamedTuple):
-    """What stands out at one frequency (Hz), on each channel, (6,).
+    """What stands out at one frequency (Hz), over a width (Hz), on each channel, (6,).
 
     That is its power, the floor that it stands out of, as it was in a block, and how rarely noise
     alone stands out so far.
     """
 
     frequency: float
+    width: float
     power: FloatArray
     floor: FloatArray
     chance: FloatArray
@@ -167,20 +172,29 @@ def _look(
     signal = _at_rest(recording, poses, block)
     if signal is None:
         return []
-    spectrum = _Spectrum(signal, slow=block > 1, above=above)
+    parts = [signal, *(_parts(signal) if block > 1 else ())]
+    spectra = [_Spectrum(part, slow=block > 1, above=above) for part in parts]
+    looks = sum(spectrum.looks for spectrum in spectra)
     gravity = float(np.linalg.norm(poses.accel, axis=1).mean())
     out = dict[float, Unexplained]()
     for c in channels:
-        line = spectrum.most(c)
-        if line is None or _moves(line, c, gravity):
+        each = [(line, s) for s in spectra if (line := s.most(c)) is not None]
+        if not each:
             continue
-        # What is as slow as a tremor, and too faint for the other triad, may be one.
-        least = SHARE if line.frequency <= HAND[1] else FAINTEST * block
-        if line.power[c] < least * spectrum.noise[c]:
+        line, spectrum = min(each, key=lambda one: float(one[0].chance[c]))
+        if _moves(line, c, gravity):
             continue
-        p = float(line.chance[c]) * spectrum.looks
+        # What is as slow as a tremor, and too faint for the other triad, may be one; but no hand
+        # keeps its pace for long.
+        may_tremble = line.frequency <= HAND[1] and line.width > STEADY
+        least = SHARE if may_tremble else FAINTEST * block
+        p = float(line.chance[c]) * looks
         if p < CLAIM:
             where = _where(recording, signal, line, c)
+            # All of its power is where it is.
+            power = line.power[c] / _share(signal, where)
+            if power < least * spectrum.noise[c]:
+                continue
             item = Unexplained((CHANNELS[c],), (where,), f"{LINE}{line.frequency:.3g} Hz", p)
             same = [f for f in out if abs(f - line.frequency) <= APART * spectrum.resolution]
             at = same[0] if same else line.frequency
@@ -233,6 +247,31 @@ def _at_rest(recording: Recording, poses: Poses, block: int) -> _Signal | None:
     length = step * np.bincount(piece, minlength=len(pieces)).astype(np.float64)
     ends = np.array([recording.time[part[[0, -1]]] for part in pieces])
     return _Signal(at - at[0], piece, values, step, length, np.array(cut), ends)
+
+
+def _parts(signal: _Signal) -> Iterator[_Signal]:
+    """Yield halves and quarters of a signal, each half over the next: a line may be in one alone.
+
+    Of a line in a quarter, a spectrum of the whole has a quarter of the height, in four bins.
+    """
+    number = len(signal.length)
+    for parts in (2, 4):
+        size = number // parts
+        for first in range(0, number - size + 1, max(size // 2, 1)) if size >= FEWEST else ():
+            own, pieces = (
+                slice(first, first + size),
+                np.searchsorted(signal.piece, [first, first + size]),
+            )
+            inside = slice(*pieces.tolist())
+            at = signal.at[inside]
+            yield signal._replace(
+                at=at - at[0],
+                piece=signal.piece[inside] - first,
+                values=signal.values[inside],
+                length=signal.length[own],
+                cut=signal.cut[own],
+                interval=signal.interval[own],
+            )
 
 
 def _means(values: FloatArray, which: IntArray, *, least: int = 1) -> FloatArray:
@@ -312,7 +351,7 @@ class _Spectrum:
             inside = np.isfinite(floor[:, 0])
             scatter = np.median(np.abs(np.log(np.maximum(ratio[inside], 1e-12))), axis=0) / 0.6745
             own = np.minimum(freedom, 2.0 / np.maximum(np.square(scatter), 1e-9) + 2.0)
-            of_floor = np.maximum(freedom * beside * EFFICIENCY, 1.0)
+            of_floor = np.maximum(freedom * SIDES * beside * EFFICIENCY, 1.0)
             chance = fdtrc(own, of_floor[:, None], ratio)
             middle = self._middle(np.arange(m), width)
             beyond = (middle < self._lowest) | (middle > BESIDE * self._highest)
@@ -343,7 +382,8 @@ class _Spectrum:
         if frequency > self._highest:
             return None  # what is left of one that is faster
         power = 2.0 * np.maximum(over, 0.0) / self._number
-        return _Line(frequency, power, scale.floor[k], scale.chance[k])
+        width = scale.width * self.resolution
+        return _Line(frequency, width, power, scale.floor[k], scale.chance[k])
 
 
 def _taken(cycles: FloatArray, *, line: bool) -> FloatArray:
@@ -359,11 +399,21 @@ def _taken(cycles: FloatArray, *, line: bool) -> FloatArray:
 def _floors(parts: FloatArray) -> tuple[FloatArray, IntArray]:
     """Return the median of neighbours on the side where it is larger, (m, 6); of how many, (m,).
 
-    Infinite where a side has too few.
+    Infinite where a side has too few. Where frequencies are a few per cent apart over more of them,
+    these are as many as a chunk has.
     """
+    near = _near_floors(parts[: EVEN + SIDE + APART])
+    if len(parts) <= EVEN + SIDE + APART:
+        return near
+    out = _coarse_floors(parts)
+    for whole, own in zip(out, near, strict=True):
+        whole[:EVEN] = own[:EVEN]
+    return out
+
+
+def _near_floors(parts: FloatArray) -> tuple[FloatArray, IntArray]:
+    """Return what `_floors` does, of few frequencies."""
     m = len(parts)
-    if m > MANY:
-        return _coarse_floors(parts)
     floor, number = np.full(parts.shape, np.inf), np.zeros(m, np.int64)
     side = min(SIDE, max((m - 2 * APART - 1) // 2, LEAST))
     reach = side + APART
@@ -398,6 +448,13 @@ def _moves(line: _Line, channel: int, gravity: float) -> bool:
     other = slice(3, 6) if channel < 3 else slice(0, 3)
     heavy = SWING * np.square(gravity / (2 * np.pi * line.frequency))
     return bool((line.chance[other] < ALSO).any() and accel > heavy * gyro)
+
+
+def _share(signal: _Signal, where: Interval) -> float:
+    """Return the share of a signal's length that is in an interval."""
+    middle = signal.interval.mean(axis=1)
+    inside = (middle >= where[0]) & (middle <= where[1])
+    return float(signal.length[inside].sum() / signal.length.sum()) or 1.0
 
 
 def _where(recording: Recording, signal: _Signal, line: _Line, channel: int) -> Interval:

@@ -106,6 +106,21 @@ def test_a_line_in_a_window_is_placed_there(seed: int) -> None:
     assert (min(b, 120.0) - max(a, 60.0)) / (max(b, 120.0) - min(a, 60.0)) > 0.7
 
 
+@pytest.mark.parametrize("frequency", [0.4, 0.9, 2.2])
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_faint_line_in_a_window_is_found_there(frequency: float, seed: int) -> None:
+    """A quarter of a sample's noise: of the whole recording it would have an eighth."""
+    time, values, poses = rests(seed, number=40)
+    start, stop = 0.45 * time[-1], 0.7 * time[-1]
+    inside = (time > start) & (time < stop)
+    values[:, 4] += 0.25 * NOISE[4] * inside * np.sin(2 * np.pi * frequency * time)
+    recording = Recording(time, values[:, :3], values[:, 3:], "device")
+    (found,) = look_for_swings(recording, poses, ())
+    assert found.channels == ("gyro.y",)
+    ((first, last),) = found.intervals
+    assert min(last, stop) - max(first, start) > 0.6 * (max(last, stop) - min(first, start))
+
+
 def test_a_line_that_wanders_is_one() -> None:
     time, values, poses = rests(5)
     pace = 1.1 + 0.05 * np.sin(2 * np.pi * time / 70.0)
