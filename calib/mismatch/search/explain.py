@@ -16,6 +16,7 @@ from calib.effects.base import Effect
 from calib.mismatch.findings.diagnosis import Finding, Interval, Rival, Unexplained, Verdict
 from calib.mismatch.findings.evidence import TIME, Regressor, gather
 from calib.mismatch.findings.heldout import LeftOut, leave_out
+from calib.mismatch.hypotheses.candidates import GAINS
 from calib.mismatch.hypotheses.places import joined
 from calib.mismatch.hypotheses.rivals import FROM_START
 from calib.mismatch.hypotheses.slipped import angle_of
@@ -34,9 +35,13 @@ from calib.mismatch.search.returned import THERE, returned
 from calib.mismatch.search.search import BEATEN, SHOWN, TIE, TWIN, Outcome
 from calib.mismatch.search.separate import to_separate
 from calib.mismatch.search.twins import AGES, UNSETTLED, is_straight, straight, too_fast
+from calib.mismatch.search.whole import DELAY
 from calib.mismatch.search.witness import is_resolved
 from calib.recording import CHANNELS, TRIADS
 from calib.types import FloatArray
+
+SOONEST = 0.1
+"""Quantile of the steps between points that is the interval of samples."""
 
 UNSURE = 0.05
 """P-value, all looks counted, above which a finding is not told from how windows scatter."""
@@ -297,7 +302,9 @@ def _left_by_filters(outcome: Outcome, fit: Estimate) -> set[int]:
 
     No filter is exactly of the forms that are tried. What another form or cut-off would explain
     better is that of one that was found first (or later, if it is better by far), and so is what
-    another explains nearly as well, if it is smaller than what filters are unlike by.
+    another explains nearly as well, or what is a gain of turns, if it is smaller than what filters
+    are unlike by. One that is worked out at the samples is earlier than its pole says, by up to
+    half of their interval.
     """
     rows, accepted = outcome.rows, outcome.accepted
     filters = [i for i, a in enumerate(accepted) if a.candidate.present]
@@ -308,15 +315,39 @@ def _left_by_filters(outcome: Outcome, fit: Estimate) -> set[int]:
     parts = [a.columns @ fit.step[fit.at[i] : fit.at[i + 1]] for i, a in enumerate(accepted)]
     power = np.square(whitener.whiten(np.stack(parts, axis=1))).sum(axis=0)
     for i, a in enumerate(accepted):
+        if _is_early(outcome, fit, i):
+            out.add(i)
+            continue
         own = a.posterior.get(a.candidate.group, 0.0)
         for k in filters:
             b = accepted[k]
+            small = power[i] < UNLIKE**2 * power[k]
+            if small and a.candidate.name in GAINS and _is_within(a, b):
+                out.add(i)
             other = a.posterior.get(b.candidate.group, 0.0)
             if b.candidate.group == a.candidate.group or (k > i and other < BEATEN * own):
                 continue
-            if other > own or (other > TIE * own and power[i] < UNLIKE**2 * power[k]):
+            if other > own or (other > TIE * own and small):
                 out.add(i)
     return out
+
+
+def _is_within(one: Accepted, other: Accepted) -> bool:
+    """Whether one finding is on no channel that another is not on."""
+    return set(one.candidate.channels) <= set(other.candidate.channels)
+
+
+def _is_early(outcome: Outcome, fit: Estimate, which: int) -> bool:
+    """Whether a finding has a triad earlier than the low-pass of it, by half a sample at most."""
+    a = outcome.accepted[which]
+    if a.candidate.name != DELAY or len(a.typical) > 1:
+        return False
+    # Points of turns are samples; of rests there are fewer.
+    interval = float(np.quantile(np.diff(outcome.rows.state.time), SOONEST))
+    early = -float(a.typical[0] * fit.step[fit.at[which]])
+    filters = (b.candidate for b in outcome.accepted if b.candidate.present)
+    alike = any(c.channels == a.candidate.channels for c in filters)
+    return alike and 0.0 < early < 0.5 * interval
 
 
 def _of_windows(fit: Estimate, which: int, a: Accepted, *, looks: int) -> tuple[float, float]:

@@ -470,12 +470,16 @@ def _posterior(
             i = stack.index(best[g])
             evidence[i] = max(evidence[i], evidence_near(rows, near, whitener, y) + weight[i])
     best, groups = grouped(stack, evidence)
+    if own.candidate.present:
+        # Its cut-off lies between those of the grid, which a strong one is far from.
+        value = _as_it_is(rows, own, whitener, y)
+        groups[own.candidate.group] = max(groups.get(own.candidate.group, -np.inf), value)
     if own.candidate.interval is not None and own.candidate.group in groups:
         # Its window lies between those of the grid.
         value = _as_it_is(rows, own, whitener, y)
         there = (groups[g] for g in groups if _is_there(best[g], own.candidate))
         groups[own.candidate.group] = max(groups[own.candidate.group], value, *there)
-    likely = {g: possible(stack, best[g], whitener, y) for g in groups}
+    likely = {g: possible(stack, best[g], whitener, y) if g in best else 0.0 for g in groups}
     groups = {
         g: v + max(likely[g], LEAST if g == own.candidate.group else -np.inf)
         for g, v in groups.items()

@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.signal import lfilter
 from scipy.spatial.transform import Rotation
 
-from calib.mismatch import diagnose_against
+from calib.mismatch import diagnose_against, diagnose_reference
 from calib.mismatch.reference.slips import find_slips
-from calib.recording import Recording
+from calib.model import SensorModel
+from calib.recording import CHANNELS, Recording
+from calib.simulate import simulate
+from calib.simulation.bench import bench_protocol
+from calib.simulation.noise import CONSUMER, NoiseModel
 from calib.types import FloatArray
 
 GRAVITY, RATE, REST, TURN, TURNS = 9.80665, 100.0, 3.0, 1.2, 24
@@ -70,6 +75,23 @@ def test_a_low_pass_is_all_that_is_said(course: tuple[Share, Share], cutoff: flo
     size = only.parameters["gyro_cutoff"]
     assert size.sigma is not None
     assert abs(size.value - cutoff) < 4.0 * size.sigma
+    assert not found.unexplained
+
+
+@pytest.mark.long
+def test_a_low_pass_that_is_worked_out_at_the_samples_is_one_beside_another_imu() -> None:
+    """It is earlier than its pole says, by up to half a sample: that is no delay besides."""
+    rng = np.random.default_rng(1)
+    base = bench_protocol(rng, poses=16, pose_duration=(2.0, 3.0), vibration=0.0)
+    other = simulate(base, SensorModel(), CONSUMER, rng=rng, rate=RATE)
+    real = simulate(base, SensorModel(), NoiseModel(), rng=rng, rate=RATE)
+    share = 1.0 - np.exp(-2.0 * np.pi * 15.0 / RATE)
+    gyro = lfilter([share], [1.0, share - 1.0], real.gyro, axis=0)
+    noise = rng.normal(size=(2, *gyro.shape)) * np.array([0.01, 1e-3])[:, None, None]
+    real = replace(real, accel=real.accel + noise[0], gyro=gyro + noise[1])
+    found = diagnose_reference(real, other, gravity=GRAVITY)
+    sensor = [f.effect for f in found.findings if set(f.channels) <= set(CHANNELS[3:])]
+    assert sensor == ["bandwidth"]
     assert not found.unexplained
 
 
