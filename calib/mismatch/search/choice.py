@@ -10,7 +10,7 @@ import numpy as np
 from scipy.special import log_ndtr, logsumexp
 
 from calib.effects import get_effect
-from calib.mismatch.hypotheses.candidates import Candidate
+from calib.mismatch.hypotheses.candidates import MOVING, Candidate
 from calib.mismatch.hypotheses.score import Stack
 from calib.mismatch.noise.noise import Whitener, range_basis
 from calib.mismatch.rows.rows import Rows
@@ -161,11 +161,13 @@ def _most_probable(
 def is_part(rows: Rows, candidate: Candidate, accepted: list[Accepted]) -> bool:
     """Whether a candidate is part of what was accepted, and no second cause.
 
-    So is an event in, or at the edge of, what is unexplained in one of its channels; and what is
-    left in the turn of an event that was linearised at its moment.
+    So is an event in, or at the edge of, what is unexplained in one of its channels, and a bias
+    that moves there; and what is left in the turn of an event that was linearised at its moment.
     """
     event = candidate.physical and get_effect(candidate.name).kind == "event"
     moment = candidate.shape.get("moment")
+    if candidate.name == MOVING and candidate.interval is not None:
+        event, moment = True, 0.5 * (candidate.interval[0] + candidate.shape["until"])
     for a in accepted:
         if not set(a.candidate.channels) & set(candidate.channels):
             continue
