@@ -79,7 +79,7 @@ STEADY = 0.1
 """Hz over which a line spreads, at most, that is no tremor: those of hands are wider than 1 Hz."""
 
 CHUNK, EVEN = 64, 256
-"""Frequencies that have one median, from which on: there a chunk is a quarter of an octave."""
+"""Frequencies that have one median, and from which on: there these are a third of an octave."""
 
 ALSO = 0.01
 """P-value below which another channel has the line of one."""
@@ -178,10 +178,14 @@ def _look(
     gravity = float(np.linalg.norm(poses.accel, axis=1).mean())
     out = dict[float, Unexplained]()
     for c in channels:
-        each = [(line, s) for s in spectra if (line := s.most(c)) is not None]
+        each = [
+            (line, spectrum, part)
+            for spectrum, part in zip(spectra, parts, strict=True)
+            if (line := spectrum.most(c)) is not None
+        ]
         if not each:
             continue
-        line, spectrum = min(each, key=lambda one: float(one[0].chance[c]))
+        line, spectrum, part = min(each, key=lambda one: float(one[0].chance[c]))
         if _moves(line, c, gravity):
             continue
         # What is as slow as a tremor, and too faint for the other triad, may be one; but no hand
@@ -191,8 +195,8 @@ def _look(
         p = float(line.chance[c]) * looks
         if p < CLAIM:
             where = _where(recording, signal, line, c)
-            # All of its power is where it is.
-            power = line.power[c] / _share(signal, where)
+            # All of its power in a part is where it is.
+            power = line.power[c] / _share(part, where)
             if power < least * spectrum.noise[c]:
                 continue
             item = Unexplained((CHANNELS[c],), (where,), f"{LINE}{line.frequency:.3g} Hz", p)
@@ -258,11 +262,8 @@ def _parts(signal: _Signal) -> Iterator[_Signal]:
     for parts in (2, 4):
         size = number // parts
         for first in range(0, number - size + 1, max(size // 2, 1)) if size >= FEWEST else ():
-            own, pieces = (
-                slice(first, first + size),
-                np.searchsorted(signal.piece, [first, first + size]),
-            )
-            inside = slice(*pieces.tolist())
+            own = slice(first, first + size)
+            inside = slice(*np.searchsorted(signal.piece, [first, first + size]).tolist())
             at = signal.at[inside]
             yield signal._replace(
                 at=at - at[0],
@@ -451,7 +452,7 @@ def _moves(line: _Line, channel: int, gravity: float) -> bool:
 
 
 def _share(signal: _Signal, where: Interval) -> float:
-    """Return the share of a signal's length that is in an interval."""
+    """Return the share of a signal's length that is in an interval; 1 where none is."""
     middle = signal.interval.mean(axis=1)
     inside = (middle >= where[0]) & (middle <= where[1])
     return float(signal.length[inside].sum() / signal.length.sum()) or 1.0

@@ -16,11 +16,11 @@ from calib.effects.base import Effect
 from calib.mismatch.findings.diagnosis import Finding, Interval, Rival, Unexplained, Verdict
 from calib.mismatch.findings.evidence import TIME, Regressor, gather
 from calib.mismatch.findings.heldout import LeftOut, leave_out
-from calib.mismatch.hypotheses.candidates import GAINS
+from calib.mismatch.hypotheses.candidates import GAIN_IN_TIME
 from calib.mismatch.hypotheses.places import joined
 from calib.mismatch.hypotheses.rivals import FROM_START
 from calib.mismatch.hypotheses.slipped import angle_of
-from calib.mismatch.hypotheses.windows import THROUGHOUT, touched
+from calib.mismatch.hypotheses.windows import APART, THROUGHOUT, touched
 from calib.mismatch.noise.noise import Whitener, make_whitener
 from calib.mismatch.rows.rows import Kind, Rows
 from calib.mismatch.search.accepted import UNLIKE, Accepted, fitted
@@ -302,9 +302,9 @@ def _left_by_filters(outcome: Outcome, fit: Estimate) -> set[int]:
 
     No filter is exactly of the forms that are tried. What another form or cut-off would explain
     better is that of one that was found first (or later, if it is better by far), and so is what
-    another explains nearly as well, or what is a gain of turns, if it is smaller than what filters
-    are unlike by. One that is worked out at the samples is earlier than its pole says, by up to
-    half of their interval.
+    another explains nearly as well, or what is another gain in every turn, if it is smaller than
+    what filters are unlike by. One that is worked out at the samples is earlier than its pole says,
+    by up to half of their interval.
     """
     rows, accepted = outcome.rows, outcome.accepted
     filters = [i for i, a in enumerate(accepted) if a.candidate.present]
@@ -322,7 +322,8 @@ def _left_by_filters(outcome: Outcome, fit: Estimate) -> set[int]:
         for k in filters:
             b = accepted[k]
             small = power[i] < UNLIKE**2 * power[k]
-            if small and a.candidate.name in GAINS and _is_within(a, b):
+            apart = a.candidate.name == GAIN_IN_TIME and a.candidate.shape == APART
+            if small and apart and _is_within(a, b):
                 out.add(i)
             other = a.posterior.get(b.candidate.group, 0.0)
             if b.candidate.group == a.candidate.group or (k > i and other < BEATEN * own):
