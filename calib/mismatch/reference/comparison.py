@@ -463,7 +463,7 @@ class ComparisonProblem:
         gyro = self._late_gyro(state, lost) if self._gyro_delay() else predicted.gyro
         return np.asarray(self.measured - np.hstack((predicted.accel, gyro)))
 
-    def left(self, filters: tuple[Term, ...] = ()) -> tuple[FloatArray, FloatArray] | None:
+    def left(self, filters: tuple[Term, ...]) -> tuple[FloatArray, FloatArray] | None:
         """Return what is left of samples, relative to how they scatter: (m,) s, (m, 6).
 
         None where that is no noise: of a motion that samples, or a simulation, do not resolve. Of
@@ -484,7 +484,7 @@ class ComparisonProblem:
             seen = seen / np.sqrt(scatters.variance[self.blur.seen] * scatters.seen)
         return time[known], np.where(self.coarse, 0.0, seen[known])
 
-    def slips(self, filters: tuple[Term, ...] = ()) -> tuple[Unexplained, ...]:
+    def slips(self, filters: tuple[Term, ...]) -> tuple[Unexplained, ...]:
         """Return the corners about which the truth and the sensor turn by different angles.
 
         What ``filters`` hold back of a turn comes when it is over, and is no slip.
