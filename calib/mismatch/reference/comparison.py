@@ -71,7 +71,7 @@ from calib.mismatch.reference.struck import struck
 from calib.mismatch.reference.truths import RecordingTruth
 from calib.mismatch.reference.unsmoothed import SLUG, smoothing
 from calib.mismatch.reference.visible import catalogue_shapes
-from calib.mismatch.reference.windowed import make_rows, swayed_by
+from calib.mismatch.reference.windowed import make_rows, seen_of, swayed_by
 from calib.mismatch.reference.witnessed import between, shared, witnessed
 from calib.mismatch.rows.rows import Rows
 from calib.mismatch.search.accepted import UNLIKE
@@ -326,31 +326,7 @@ class ComparisonProblem:
 
     def rows(self) -> Rows:
         """Return recording minus model of the truth."""
-        state = self.state()
-        left = noise = self.residual(state)
-        rate, mat = state.rate, state.mat_ns
-        said = lost_by(self.setup.model)
-        lost = completed(said, self.smoothed)
-        if lost != said:
-            # What is not said yet has been seen: columns are those of the motion as it was.
-            state = self._at(lost)
-            noise = self.residual(state, lost)
-        if self.known is not None:
-            gain = np.maximum(self._gain(), LEAST_GAIN)
-            state = witnessed(state, noise / gain, self.known)
-        elif self.still.densities is not None:
-            state = shared(state, self.measured)
-        elif self.white is not None:
-            state = between(state, left, self.white)
-        ramp = round(1.0 / (self.band * self.interval)) if self.band else 0
-        state = stilled(state, self.still.rests, ramp=ramp)
-        if lost and self.sharpened.sharpen is not None:
-            step = self.truth.recording.interval
-            seen = dulled(state, lost, band=self.band, interval=step)
-            state = replace(state, captured=seen)
-        # The sensor's errors act on what it feels where it is. Of a motion that is not resolved
-        # that is not known: it would be noise, and the same in many columns.
-        felt = state if self.unresolved else self.sharpened.sensor(self.setup.model).felt(state)
+        true, (state, felt, left, noise) = self.state(), self._seen()
         late = self._late()
         if self.shapes is None:
             columns = list(self._shape_columns(felt, left))
@@ -379,9 +355,9 @@ class ComparisonProblem:
         if known is not None:
             steady = steadied(
                 self.time,
-                rate,
+                true.rate,
                 self.still.settled,
-                mat,
+                true.mat_ns,
                 angle=known.angle,
                 interval=self.interval,
                 band=self.band,
@@ -423,6 +399,48 @@ class ComparisonProblem:
         for k, column in enumerate(further_columns(self.given, self.further, state), own):
             plain[:, k] = rows.column(column)
         return replace(rows, plain=plain)
+
+    def as_linearised(self, rows: Rows) -> Rows:
+        """Return rows with the residual and the motion of where the model stands now.
+
+        Between a clock or a delay and another all else is what it was: noise, windows, columns.
+        """
+        if self.known is not None:
+            return self.rows()  # at rest captured orientations are lines, which move with it
+        assert self.shapes is not None
+        _, felt, left, _ = self._seen()
+        return replace(rows.with_residual(seen_of(self.shapes, left)), state=felt)
+
+    def _seen(self) -> tuple[State, State, FloatArray, FloatArray]:
+        """Return the motion, as columns are of it; what the sensor feels of it; and what is left.
+
+        Last what is left beside a truth as it was before it was smoothed.
+        """
+        state = self.state()
+        left = noise = self.residual(state)
+        said = lost_by(self.setup.model)
+        lost = completed(said, self.smoothed)
+        if lost != said:
+            # What is not said yet has been seen: columns are those of the motion as it was.
+            state = self._at(lost)
+            noise = self.residual(state, lost)
+        if self.known is not None:
+            gain = np.maximum(self._gain(), LEAST_GAIN)
+            state = witnessed(state, noise / gain, self.known)
+        elif self.still.densities is not None:
+            state = shared(state, self.measured)
+        elif self.white is not None:
+            state = between(state, left, self.white)
+        ramp = round(1.0 / (self.band * self.interval)) if self.band else 0
+        state = stilled(state, self.still.rests, ramp=ramp)
+        if lost and self.sharpened.sharpen is not None:
+            step = self.truth.recording.interval
+            seen = dulled(state, lost, band=self.band, interval=step)
+            state = replace(state, captured=seen)
+        # The sensor's errors act on what it feels where it is. Of a motion that is not resolved
+        # that is not known: it would be noise, and the same in many columns.
+        felt = state if self.unresolved else self.sharpened.sensor(self.setup.model).felt(state)
+        return state, felt, left, noise
 
     def _known(self, accel: float, gyro: float) -> Known | None:
         """Return what is known of the noise of a captured motion once its colour is.

@@ -93,7 +93,7 @@ def make_rows(
             out += functional[CHANNELS.index(name)] @ values
         return out
 
-    residual = sum(f @ values for f, values in zip(samples, left.T, strict=True))
+    residual = _summed(samples, left)
     matrix, means = np.diag(variance[:dense]), variance[:dense]
     slow: tuple[Component, ...] = ()
     density = np.median(
@@ -139,6 +139,19 @@ def make_rows(
         return rows
     rows = rows.without((rows.channel < 3) & ~shapes.told[rows.segment])
     return replace(rows, components=tuple(c for c in rows.components if len(c.index)))
+
+
+def seen_of(shapes: Shapes, left: FloatArray) -> FloatArray:
+    """Return what rows see, (m,), of (n, 6) differences."""
+    seen = _summed(shapes.weights[0], left)
+    if shapes.told is None:
+        return seen
+    return seen[(shapes.channels >= 3) | shapes.told[shapes.segments]]
+
+
+def _summed(functional: tuple[sparse.csr_matrix, ...], left: FloatArray) -> FloatArray:
+    seen = [f @ values for f, values in zip(functional, left.T, strict=True)]
+    return np.asarray(np.sum(seen, axis=0))
 
 
 def swayed_by(

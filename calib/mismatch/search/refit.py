@@ -50,6 +50,10 @@ class Problem(Protocol):
         """Return recording minus model, linearised where the model stands."""
         ...
 
+    def as_linearised(self, rows: Rows) -> Rows:
+        """Return rows with the residual, and the motion, of where the model stands now."""
+        ...
+
     def move(
         self, baseline: Mapping[str, float], nuisance: FloatArray, terms: tuple[Term, ...]
     ) -> None:

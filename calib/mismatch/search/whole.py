@@ -284,9 +284,10 @@ class Judge:
             late = Accepted(candidate, np.zeros((0, 1)), np.ones(1), np.array([size]), True, 1.0)
             taken = [*taken, late]
         if family.is_delay or clock:
+            place = self.problem.place()
             take_up(self.problem, rows, taken, _of_clock(rows, clock))
-            rows = self.problem.rows()
-            take_up(self.problem, rows, self.accepted, _of_clock(rows, -clock))
+            rows = self.problem.as_linearised(rows)
+            self.problem.go_back(place)
         change = self.rows.residual - rows.residual
         if family.is_delay:
             return change

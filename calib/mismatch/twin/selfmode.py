@@ -249,6 +249,10 @@ class SelfProblem:
         twin = self.twin.moved(baseline, nuisance[: 2 * self.grid.n_poses].reshape(-1, 2))
         self.twin = replace(twin, model=replace(twin.model, terms=(*self.given, *terms)))
 
+    def as_linearised(self, rows: Rows) -> Rows:
+        """Return the rows where the twin stands now: each of its motions is linearised anew."""
+        return self.rows()
+
     def place(self) -> object:
         """Return where the twin stands."""
         return self.twin
