@@ -62,6 +62,9 @@ the fixed point of `SensorModel.correct` repeats it."""
 SLOPE_WINDOW, SLOPE_MEMORY = 20.0, 160.0
 """s through which the rate of temperature is fitted; and at most so many before a moment."""
 
+SOONEST = 0.1
+"""Quantile of the steps between times that is the interval of samples."""
+
 STEPS = 4
 """Changes of a thermometer's reading through which its rate is fitted, where that many are."""
 
@@ -157,6 +160,8 @@ class State:
         Time about each over which it is a mean; 0, and None, for what is a sample.
     captured : State or None
         The same as a reference showed it, where that was smoothed and this is what it lost.
+    sampling : float, s, or None
+        Interval of what the sensor puts out, where the times are fewer.
     """
 
     time: FloatArray
@@ -175,6 +180,7 @@ class State:
     known_gradient: FloatArray | None = None
     length: FloatArray | None = None
     captured: State | None = None
+    sampling: float | None = None
 
     def since(self, moment: float | FloatArray) -> FloatArray:
         """Return the share of each time, (n,), that is after a moment: 0 or 1 for samples."""
@@ -183,6 +189,13 @@ class State:
             return after.astype(float)
         share = (self.time - moment) / np.where(self.length > 0, self.length, 1.0) + 0.5
         return np.where(self.length > 0, np.clip(share, 0.0, 1.0), after)
+
+    @cached_property
+    def interval(self) -> float:
+        """Interval of what the sensor puts out, s. Of rests there may be fewer points."""
+        if self.sampling is not None or len(self.time) < 2:
+            return self.sampling or 1.0
+        return float(np.quantile(np.diff(self.time), SOONEST))
 
     def derivative(self, values: FloatArray) -> FloatArray:
         """Return the time derivative of (n, ...) values, of their cubic spline through all times.

@@ -194,6 +194,7 @@ class ComparisonProblem:
         self.noisy = raw is not None
         shaken = real if raw is None else raw
         self.thin = max(1, round(real.interval / shaken.interval))
+        self.sampling = shaken.interval
         self.still, self.struck = ALWAYS_MOVING, None
         # Its noise is that of orientations: rates of another sensor have noise of their own.
         self.captured = band > 0 and truth.quat is not None and other is None and white is None
@@ -285,6 +286,7 @@ class ComparisonProblem:
             reference_temperature=model.reference_temperature,
             power_on=self.power_on,
             gravity=self.gravity,
+            sampling=self.sampling,
             since_turn=None,
             turning=None,
             vibration=self.vibration,

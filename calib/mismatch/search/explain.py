@@ -40,9 +40,6 @@ from calib.mismatch.search.witness import is_resolved
 from calib.recording import CHANNELS, TRIADS
 from calib.types import FloatArray
 
-SOONEST = 0.1
-"""Quantile of the steps between points that is the interval of samples."""
-
 UNSURE = 0.05
 """P-value, all looks counted, above which a finding is not told from how windows scatter."""
 
@@ -343,12 +340,10 @@ def _is_early(outcome: Outcome, fit: Estimate, which: int) -> bool:
     a = outcome.accepted[which]
     if a.candidate.name != DELAY or len(a.typical) > 1:
         return False
-    # Points of turns are samples; of rests there are fewer.
-    interval = float(np.quantile(np.diff(outcome.rows.state.time), SOONEST))
     early = -float(a.typical[0] * fit.step[fit.at[which]])
     filters = (b.candidate for b in outcome.accepted if b.candidate.present)
     alike = any(c.channels == a.candidate.channels for c in filters)
-    return alike and 0.0 < early < 0.5 * interval
+    return alike and 0.0 < early < 0.5 * outcome.rows.state.interval
 
 
 def _of_windows(fit: Estimate, which: int, a: Accepted, *, looks: int) -> tuple[float, float]:

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.special import expit
 
 from calib.effects import get_effect
-from calib.effects.bandwidth import group_delay
+from calib.effects.bandwidth import cutoff_of, group_delay
 from calib.effects.base import TransformEffect
 from calib.mismatch.hypotheses.candidates import Candidate
 from calib.mismatch.hypotheses.families import candidate_columns
@@ -68,11 +68,13 @@ class Family:
     """Changes of one size: a delay, or the low-passes of one order on one triad.
 
     ``candidate`` is one of them in the stack, ``size`` the name of what is varied, within `within`.
+    Samples are ``step`` apart, s.
     """
 
     candidate: Candidate
     size: str
     within: tuple[float, float]
+    step: float
 
     @property
     def is_delay(self) -> bool:
@@ -88,8 +90,14 @@ class Family:
         """Return by how much the gyroscope comes late beside the accelerometer, s."""
         if self.is_delay:
             return size
-        delay = group_delay(size, _order(self.candidate))
+        delay = group_delay(size, _order(self.candidate), self.step)
         return delay if self.size.startswith("gyro") else -delay
+
+    def size_of(self, late: float) -> float:
+        """Return the size at which the triad comes late by so much, s."""
+        if self.is_delay:
+            return late
+        return cutoff_of(abs(late), _order(self.candidate), self.step)
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,6 +140,7 @@ class Judge:
         tried = any(c.name == LOW_PASS for c in stack.physics.values())
         self.noisy = problem.reference and not tried
         self.rows, self.mean = rows, fitted(rows, accepted)
+        self.step = rows.state.interval
         self._settle(levels, contrast_noise(rows, accepted))
 
     def settle(self, whole: Whole, *, unlike: float = UNLIKE) -> float:
@@ -202,8 +211,8 @@ class Judge:
         return power > CLEAR and gain > TILT * power
 
     def _value(self, whole: Whole) -> float:
-        """Return the log-likelihood that an explanation gains, two orders sharing what one has."""
-        return self.gain(whole.column) - (0.0 if whole.family.is_delay else float(np.log(2.0)))
+        """Return the log-likelihood that an explanation gains, orders sharing what one has."""
+        return self.gain(whole.column) - (0.0 if whole.family.is_delay else float(np.log(3.0)))
 
     def best(self, family: Family, starts: Iterable[float]) -> Whole:
         """Return the member of a family that gains most, near the best of some sizes."""
@@ -467,7 +476,7 @@ def _explanations(
     line = stack.of(delayed)[:, 0] / _typical(delayed)
     white = judge.whitener.project(line)
     straight = float(white @ judge.y) / max(float(white @ white), 1e-300)
-    family = Family(delayed, delayed.parameters[0], (-STILL, STILL))
+    family = Family(delayed, delayed.parameters[0], (-STILL, STILL), judge.step)
     # Beside a truth it is roughly known, or near, and low-passes tell where it may be.
     far = [judge.problem.late] if judge.problem.reference else [*-DELAYS, *DELAYS]
     delay = judge.best(family, [*far, straight])
@@ -478,8 +487,7 @@ def _explanations(
         triads |= set(chosen.parameters)
     found = [delay]
     for family in _low_passes(judge, stack, delay, triads):
-        order = int(family.candidate.shape["order"])
-        starts = [group_delay(abs(delay.size), order), family.candidate.shape[family.size]]
+        starts = [family.size_of(delay.size), family.candidate.shape[family.size]]
         found.append(judge.best(family, starts))
     # Levels that had to make up for it leave sizes free that those beside the best do not.
     first = max(found, key=lambda whole: judge.gain(whole.column))
@@ -495,9 +503,11 @@ def _low_passes(judge: Judge, stack: Stack, delay: Whole, triads: set[str]) -> I
         for c in stack.physics.values()
         if c.name == LOW_PASS and len(c.parameters) == 1 and c.parameters[0] in triads
     }
-    for order in (1, 2) if judge.noisy else ():
+    orders = next(item.codes for item in get_effect(LOW_PASS).shape if item.name == "order")
+    for order in orders if judge.noisy else ():
         for triad in sorted(triads):
-            shape = {f"{triad}_cutoff": group_delay(abs(delay.size), order), "order": float(order)}
+            size = cutoff_of(abs(delay.size), order, judge.step)
+            shape = {f"{triad}_cutoff": size, "order": float(order)}
             known[triad, float(order)] = replace(
                 delay.family.candidate,
                 name=LOW_PASS,
@@ -506,7 +516,7 @@ def _low_passes(judge: Judge, stack: Stack, delay: Whole, triads: set[str]) -> I
                 present=True,
             )
     for (triad, _), candidate in known.items():
-        yield Family(candidate, f"{triad}_cutoff", within[f"{triad}_cutoff"])
+        yield Family(candidate, f"{triad}_cutoff", within[f"{triad}_cutoff"], judge.step)
 
 
 def _anew(judge: Judge, found: list[Whole]) -> list[Whole]:
@@ -518,6 +528,5 @@ def _anew(judge: Judge, found: list[Whole]) -> list[Whole]:
     delay = judge.best(found[0].family, starts)
     out = [delay]
     for whole in found[1:]:
-        order = _order(whole.family.candidate)
-        out.append(judge.best(whole.family, [whole.size, group_delay(abs(delay.size), order)]))
+        out.append(judge.best(whole.family, [whole.size, whole.family.size_of(delay.size)]))
     return out

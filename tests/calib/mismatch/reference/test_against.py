@@ -660,7 +660,7 @@ def test_where_neither_turns_the_recording_is_judged_by_itself():
 @pytest.mark.long
 @pytest.mark.parametrize("make", ["continuous", "of samples"])
 def test_a_low_pass_of_any_make_is_one_finding(make: str):
-    """Smoothing of samples has less delay for what it takes away than any filter that is tried."""
+    """Smoothing of samples has less delay for what it takes away than a filter of the motion."""
     rng = np.random.default_rng(60)
     long = bench_protocol(rng, poses=30, pose_duration=(2.0, 3.0))
     true = simulate(long, SensorModel(), NoiseModel(), rng=rng, rate=100.0)
@@ -678,8 +678,8 @@ def test_a_low_pass_of_any_make_is_one_finding(make: str):
     assert item.effect == "bandwidth"
     q = item.parameters["gyro_cutoff"]
     assert q.sigma is not None
-    if make == "continuous":
-        assert abs(q.value - cutoff) < 3.0 * q.sigma < 0.02 * cutoff
+    assert abs(q.value - cutoff) < 3.0 * q.sigma < 0.02 * cutoff
+    assert item.parameters["order"].value == (1 if make == "continuous" else 0)
 
 
 @pytest.mark.long
