@@ -95,6 +95,10 @@ class Bandwidth(TransformEffect):
         whole = super().typical(span=span)
         return {name: value for name, value in whole.items() if name != "both_cutoff"}
 
+    def is_form(self, shape: Mapping[str, float]) -> bool:
+        """Return whether it is; of both triads orders 0 and 1 differ by a delay only."""
+        return not ("both_cutoff" in shape and shape.get("order") == AT_SAMPLES)
+
     def in_words(self, shape: Mapping[str, float]) -> str:
         if shape.get("order") == AT_SAMPLES:
             return "It is worked out at the samples, as firmware does."

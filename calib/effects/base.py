@@ -391,6 +391,10 @@ class Effect(ABC):
         """
         return False
 
+    def is_form(self, shape: Mapping[str, float]) -> bool:
+        """Return whether a shape's integers are a form that shows as none of the others does."""
+        return True
+
     def in_words(self, shape: Mapping[str, float]) -> str:
         """Return the sentence that states its form (the values of its integers); empty for none."""
         return ""

@@ -255,7 +255,9 @@ def _shapes(effect: Effect, rows: Rows) -> Iterator[Mapping[str, float]]:
         tried = [*fixed, *choice, *integers]
         grids = [shape_grid(item, rows, SHAPES) for item in tried]
         for values in product(*grids):
-            yield {item.name: float(v) for item, v in zip(tried, values, strict=True)}
+            shape = {item.name: float(v) for item, v in zip(tried, values, strict=True)}
+            if effect.is_form(shape):
+                yield shape
 
 
 def shape_grid(item: ShapeParameter, rows: Rows, count: int) -> FloatArray:
@@ -286,7 +288,7 @@ def forms(effect: Effect, shape: Mapping[str, float]) -> list[dict[str, float]]:
         if item.spacing == "integer" and item.name in shape:
             others = [float(v) for v in item.codes if v != shape[item.name]]
             out += [{**known, item.name: v} for known in out for v in others]
-    return out
+    return [own for own in out if effect.is_form(own)]
 
 
 def is_step(candidate: Candidate) -> bool:

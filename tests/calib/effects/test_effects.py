@@ -12,6 +12,7 @@ from calib.effects.accel_settling import FADING, NONE, WHOLE
 from calib.effects.bandwidth import cutoff_of, group_delay, low_pass
 from calib.effects.base import PRESENCE, Effect, Signals, State, Term, TransformEffect
 from calib.effects.text import parse_term
+from calib.mismatch.hypotheses.families import forms
 from calib.model import SensorModel, Triad
 from calib.recording import AXES, CHANNELS
 from calib.simulate import simulate
@@ -698,3 +699,18 @@ def test_an_earth_is_no_slower_than_it_turns() -> None:
         for slug, effect in effects().items()
         if slug != "earth_rate"
     )
+
+
+def test_forms_that_no_recording_tells_apart_are_not_both_tried() -> None:
+    effect = get_effect("bandwidth")
+    assert effect.is_form({"gyro_cutoff": 8.0, "order": 0.0})
+    assert not effect.is_form({"both_cutoff": 8.0, "order": 0.0})
+    assert [own["order"] for own in forms(effect, {"both_cutoff": 8.0, "order": 2.0})] == [2.0, 1.0]
+    time = np.arange(0.0, 8.0, 0.005)
+    wave = np.sin(2 * np.pi * 1.5 * time)[:, None] * np.ones(3)
+    state = State(time, wave, wave)
+    one, other = (
+        effect.columns(state, {"both_cutoff": 8.0, "order": order})["both"]["gyro.x"][200:-200]
+        for order in (0.0, 1.0)
+    )
+    assert np.abs(one - other).max() < 0.01 * np.abs(one).max()
