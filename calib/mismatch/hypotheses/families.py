@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
 from itertools import product
 
@@ -91,6 +92,8 @@ def _add(
             found.append((shape, columns))
     if not found:
         return
+    # As likely in one triad as in the other, or both, in however many forms each can be.
+    alike = Counter(frozenset(shape) for shape in shapes)
     number = _added(stack, rows, [v for _, columns in found for v in columns.values()])
     for shape, columns in found:
         index = dict(zip(columns, number, strict=False))
@@ -109,7 +112,7 @@ def _add(
                 Candidate(
                     name=effect.slug,
                     index=np.array([index[n] for n in names]),
-                    weight=weight * share / len(shapes),
+                    weight=weight * share / len(alike) / alike[frozenset(shape)],
                     physical=True,
                     channels=touched,
                     parameters=names,
