@@ -430,14 +430,14 @@ def test_bandwidth_is_undone_without_blowing_up_noise(order: int, triads: tuple[
     u = np.clip((TIME - 2.0) / 1.5, 0, 1)
     hump = (16 * u**2 * (1 - u) ** 2)[:, None]
     true = hump * (3.0 + 0.3 * np.sin(2 * np.pi * 7.0 * TIME)[:, None]) * [1.0, -0.5, 0.2]
-    noise = 0.01 * np.random.default_rng(order).normal(size=true.shape)
+    noise = 0.01 * np.random.default_rng(order or 3).normal(size=true.shape)
     seen = effect.transform(TIME, Signals(true, true), parameters)
     noisy = Signals(seen.accel + noise, seen.gyro + noise)
     back = effect.restorer(noisy, interval=0.01)(parameters)
     left = back.gyro - true
     # No wave grows to more than 1 / (2 GONE) = 10 times what it was.
     assert np.sqrt(np.mean(left**2)) < 10 * 0.01
-    assert np.abs((left - noise).mean(axis=0)).max() < 1e-3
+    assert np.abs(left.mean(axis=0)).max() < 1e-3
     smooth_left = effect.restorer(seen, interval=0.01)(parameters).gyro - true
     assert np.abs(smooth_left).max() < 0.015
     if triads == ("gyro",):
