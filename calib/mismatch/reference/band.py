@@ -101,7 +101,8 @@ class Matched(NamedTuple):
     """A recording and its truth, limited to what both know.
 
     ``blur`` is the standard deviation (s) of the Gaussian through which differences are seen,
-    ``band`` the frequency (Hz) up to which both passed `low_passed`; 0 is none. Where neither has
+    ``band`` the frequency (Hz) up to which both passed `low_passed`, and ``forces`` that up to
+    which forces agree, if it is lower; 0 is none. Where neither has
     noise, ``stuck`` is what rounding does (`calib.mismatch.reference.floor.Heard`). ``folded`` is
     the power (n, 2) of the motion beyond the band, of both triads: unlike samples fold unlike parts
     of it into the band. ``unknown`` (n,) are samples about corners that the truth does not follow.
@@ -115,12 +116,18 @@ class Matched(NamedTuple):
     spoilt: BoolArray
     blur: float = 0.0
     band: float = 0.0
+    forces: float = 0.0
     stuck: tuple[sparse.csr_matrix, ...] = ()
     folded: FloatArray | None = None
     unknown: BoolArray | None = None
     jumps: BoolArray | None = None
     exact: bool = False
     jerky: bool = False
+
+    @property
+    def bands(self) -> tuple[float, float]:
+        """Up to where forces and rates agree, Hz."""
+        return self.forces or self.band, self.band
 
     @property
     def limited(self) -> bool:
@@ -162,25 +169,27 @@ def matched(
             return Matched(real, truth, spoilt, unknown=unknown)
         resolved = RESOLVED / max(real.interval, other.interval)
         return _limited_beside(real, truth, alignment, resolved, spoilt)._replace(exact=True)
-    bandwidth = common_band(real, truth, alignment, mat, forces=forces)
-    if bandwidth is None:
+    bands = common_bands(real, truth, alignment, mat, forces=forces)
+    if min(bands) == np.inf:
         blur = BLUR * max(real.interval, other.interval)
         return Matched(real, truth, spoilt, blur=blur)
-    bandwidth = min(bandwidth, RESOLVED / max(real.interval, other.interval))
-    kept, seen = low_passed(real, bandwidth), replace(truth, recording=low_passed(other, bandwidth))
+    resolved = RESOLVED / max(real.interval, other.interval)
+    felt, bandwidth = min(*bands, resolved), min(bands[1], resolved)
+    kept = low_passed(real, bandwidth, forces=felt)
+    seen = replace(truth, recording=low_passed(other, bandwidth, forces=felt))
     state = seen.state(np.clip(alignment.times(real.time), *truth.span))
     jumps = shared_jumps(
         real,
         noise_of(real),
         np.hstack((kept.accel, kept.gyro)),
         np.hstack((state.force @ mat.T, state.rate @ mat.T)),
-        round(0.5 / bandwidth / real.interval),
+        round(0.5 / felt / real.interval),
     )
     jerky = jumps.sum() >= SELDOM * len(jumps)
     if jerky:
         jumps = np.zeros(len(jumps), bool)
     common = _limited_beside(real, truth, alignment, bandwidth, spoilt | jumps)
-    return common._replace(jumps=jumps, jerky=jerky)
+    return common._replace(forces=felt if felt < bandwidth else 0.0, jumps=jumps, jerky=jerky)
 
 
 def _limited_beside(
@@ -406,14 +415,15 @@ def widened(recording: Recording, bandwidth: float, spoilt: BoolArray | None) ->
     return np.asarray(count[at + 2 * reach + 1] > count[at])
 
 
-def common_band(
+def common_bands(
     real: Recording, truth: RecordingTruth, alignment: Alignment, mat: FloatArray, *, forces: bool
-) -> float | None:
-    """Return the frequency (Hz) up to which recording and truth agree, None if they do throughout.
+) -> tuple[float, float]:
+    """Return the frequencies (Hz) up to which forces and rates agree, infinite where throughout.
 
-    Derivatives of captured orientations and positions grow with frequency, and so does their
-    noise. The lower of what the rates and what the specific forces allow holds for both. Of a
-    recording whose samples show nothing above `NARROWEST` it is that.
+    Derivatives of captured orientations and positions grow with frequency, and so does their noise:
+    that of forces faster. Unless ``forces`` have a say, theirs is that of the rates. Of a recording
+    whose samples show nothing above `NARROWEST` it is that. Where orientations were captured, rates
+    agree up to the last frequency at which they do: between turns and tremor a hand hardly moves.
     """
     if truth.recording.interval < real.interval:
         # Its noise above what the recording resolves must not be folded down.
@@ -421,21 +431,21 @@ def common_band(
         truth = replace(truth, recording=narrow)
     at = alignment.times(real.time)
     state, known = truth.state(np.clip(at, *truth.span)), _known(real, truth, at)
-    rate = 1.0 / real.interval
-    found = []
-    for measured, true in ((real.gyro, state.rate), (real.accel, state.force))[
-        : 2 if forces else 1
-    ]:
-        spectra = spectra_of(measured, true @ mat.T, rate, known, "hann")
+
+    def band(measured: FloatArray, true: FloatArray, *, last: bool) -> float:
+        spectra = spectra_of(measured, true @ mat.T, 1.0 / real.interval, known, "hann")
         if spectra is None:
-            continue
+            return np.inf
         fast, shared = spectra.frequency > NARROWEST, spectra.coherence().max(axis=1)
+        if not fast.any():
+            return NARROWEST
+        if last:
+            shared = np.maximum.accumulate(shared[::-1])[::-1]
         above = np.flatnonzero(fast & (shared < COHERENT))
-        if len(above):
-            found.append(float(spectra.frequency[above[0]]))
-        elif not fast.any():
-            found.append(NARROWEST)
-    return max(min(found), NARROWEST) if found else None
+        return max(float(spectra.frequency[above[0]]), NARROWEST) if len(above) else np.inf
+
+    rates = band(real.gyro, state.rate, last=truth.quat is not None)
+    return (band(real.accel, state.force, last=False) if forces else rates), rates
 
 
 def _known(real: Recording, truth: RecordingTruth, at: FloatArray) -> BoolArray:

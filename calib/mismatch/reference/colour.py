@@ -54,10 +54,10 @@ class Blur(NamedTuple):
     """What signals are seen through: from n points to the m that are ``seen``.
 
     ``matrices`` (m, n) are those of accelerometer and gyroscope, ``power`` how many of the m points
-    are independent, as a share. Where the noise of the n points is white, it is not afterwards; if
-    the blur ``whitens``, it is the other way round: of white noise that comes on top (shaking) the
-    shares ``white`` are seen on accelerometer and gyroscope, and slow noise whole. What shakes at
-    one moment is ``heard`` around it, through the low-pass too: so its variance is spread. Where
+    are independent on either, as a share. Where the noise of the n points is white, it is not
+    afterwards; if the blur ``whitens``, it is the other way round: of white noise that comes on top
+    (shaking) the shares ``white`` are seen on either, and slow noise whole. What shakes at one
+    moment is ``heard`` around it, through the low-pass too: so its variance is spread. Where
     the truth knows forces at rest only, the accelerometer is ``judged`` at some of the m points.
 
     With orientations ``mat_ns`` (n, 3, 3) the gyroscope is seen in a frame that does not turn, and
@@ -66,7 +66,7 @@ class Blur(NamedTuple):
 
     matrices: tuple[sparse.csr_matrix, sparse.csr_matrix]
     seen: IntArray
-    power: float
+    power: tuple[float, float]
     whitens: bool = False
     white: tuple[float, float] = (1.0, 1.0)
     heard: tuple[FloatArray, FloatArray] = (np.ones(1), np.ones(1))
@@ -76,7 +76,7 @@ class Blur(NamedTuple):
     @property
     def clear(self) -> bool:
         """Whether points are seen as they are."""
-        return self.power == 1.0 and not self.whitens and self.judged is None
+        return self.power == (1.0, 1.0) and not self.whitens and self.judged is None
 
     @property
     def alike(self) -> list[list[int]]:
@@ -175,19 +175,20 @@ def gaussian(time: FloatArray, width: float, interval: float) -> Blur:
     reach = int(np.ceil(3.0 * width / interval))
     if not reach:
         same = sparse.identity(len(time), format="csr")
-        return Blur((same, same), np.arange(len(time)), 1.0)
+        return Blur((same, same), np.arange(len(time)), (1.0, 1.0))
     tap = np.exp(-0.5 * np.square(np.arange(-reach, reach + 1) * interval / width))
     tap /= tap.sum()
     seen = _away(time, reach, interval)
     matrix = _running(tap, seen, len(time))
-    return Blur((matrix, matrix), seen, float(tap @ tap))
+    power = float(tap @ tap)
+    return Blur((matrix, matrix), seen, (power, power))
 
 
 def whitening(
     time: FloatArray,
     colours: list[Colour],
     interval: float,
-    band: float,
+    bands: tuple[float, float],
     mat_ns: FloatArray | None = None,
 ) -> Blur:
     """Return what makes low-passed noise of these colours (accelerometer, gyroscope) flat.
@@ -197,18 +198,20 @@ def whitening(
     time : (n,) array, s
     colours : two of Colour
     interval : float, s
-    band : float, Hz
-        Cut-off of the low-pass.
+    bands : two floats, Hz
+        Up to where accelerometer and gyroscope are seen. The higher is the cut-off of the low-pass
+        that both have passed; the other passes its own here.
     mat_ns : (n, 3, 3) array, optional
         Orientations, where the gyroscope's colour is that in a frame that does not turn.
     """
     size = 2 * int(np.ceil(PART / interval))
     taps, heard = [], []
     frequency = np.asarray(fft.rfftfreq(size, interval), np.float64)
-    for colour in colours:
+    for colour, band in zip(colours, bands, strict=True):
         response = 1.0 / np.sqrt(colour.at(frequency))
-        taps.append(fft.irfft(response, size)[: size // 2])
-        both = np.square(fft.irfft(response / (1.0 + (frequency / band) ** 8), size))
+        passed = response / (1.0 + (frequency / band) ** 8)
+        taps.append(fft.irfft(passed if band < max(bands) else response, size)[: size // 2])
+        both = np.square(fft.irfft(passed, size))
         heard.append(np.roll(both, size // 2)[1:] / both.sum())
     # As far as anything of it is left.
     left = np.max([np.abs(t) / np.abs(t).max() for t in taps], axis=0)
@@ -218,13 +221,18 @@ def whitening(
     for half in taps:
         tap = np.concatenate((half[reach:0:-1], half[: reach + 1]))
         matrices.append(_running(tap / tap.sum(), seen, len(time)))
-    power = min(1.0, 2.0 * PASSED * band * interval)
-    inside = np.linspace(0.0, PASSED * band, 50)
-    accel, gyro = (float(np.mean(1.0 / colour.at(inside))) for colour in colours)
+    accel, gyro = (
+        float(np.mean(1.0 / colour.at(np.linspace(0.0, PASSED * band, 50))))
+        for colour, band in zip(colours, bands, strict=True)
+    )
+    each = (
+        min(1.0, 2.0 * PASSED * bands[0] * interval),
+        min(1.0, 2.0 * PASSED * bands[1] * interval),
+    )
     return Blur(
         (matrices[0], matrices[1]),
         seen,
-        power,
+        each,
         whitens=True,
         white=(accel, gyro),
         heard=(heard[0], heard[1]),
@@ -250,11 +258,13 @@ def find_colour(
     steepest: float = np.inf,
     least: float = 0.0,
     long: bool = False,
+    highest: float | None = None,
 ) -> Colour:
     """Return the colour of (n, k) differences that passed `filters.smoothed`.
 
     The median over parts counts little of what a few turns have of their own. ``steepest`` bounds
-    the rise with the square of the frequency, 1/Hz². Parts may be ``long``. Slow
+    the rise with the square of the frequency, 1/Hz². Parts may be ``long``. Only what is below the
+    ``highest`` frequency counts, the low-pass's ``band`` if it is not given. Slow
     noise has the density ``least`` (SI/√Hz) at least, unless all there is has less.
     """
     from scipy.optimize import nnls  # a fifth of a second to import
@@ -272,7 +282,7 @@ def find_colour(
     parts = (parts - parts.mean(axis=1, keepdims=True)) * window[:, None]
     density = np.median(np.square(np.abs(fft.rfft(parts, axis=1))), axis=0).mean(axis=1)
     frequency = fft.rfftfreq(length, interval)
-    own = (frequency >= SLOWEST) & (frequency <= 0.9 * band)
+    own = (frequency >= SLOWEST) & (frequency <= 0.9 * (highest or band))
     if own.sum() < 4:
         return WHITE
     f = frequency[own]

@@ -120,6 +120,8 @@ class ComparisonProblem:
     band : float, Hz
         Cut-off of the low-pass that both have passed; 0 is none. What it leaves of the noise of
         derivatives (a captured motion's) grows with frequency, and is made white again.
+    forces : float, Hz
+        Up to where the accelerometer is seen, if that is lower; 0 is none.
     raw : Recording, optional
         The recording before it was limited to what a truth with noise knows. It shows how the
         sensor vibrates, and when it is at rest: what effects are functions of is still then. Noise
@@ -163,6 +165,7 @@ class ComparisonProblem:
         spoilt: BoolArray | None = None,
         blur: float = 0.0,
         band: float = 0.0,
+        forces: float = 0.0,
         raw: Recording | None = None,
         stuck: tuple[sparse.csr_matrix, ...] = (),
         folded: FloatArray | None = None,
@@ -185,6 +188,7 @@ class ComparisonProblem:
         self.folded = None if folded is None else folded[self.index]
         self.unknown = None if unknown is None else unknown[self.index]
         self.band, self.interval, self.unresolved = band, real.interval, blur > 0
+        self.bands = forces or band, band
         self.judged: BoolArray | None = None
         self.measured = np.hstack((real.accel, real.gyro))[self.index]
         self.warmth = find_warmth(real, self.time)
@@ -200,11 +204,11 @@ class ComparisonProblem:
         self.captured = band > 0 and truth.quat is not None and other is None and white is None
         if raw is not None:
             self.still = find_stillness(raw, self.time, band=band if self.captured else 0.0)
-            self.struck = struck(raw, self.time, band) if self.captured else None
+            self.struck = struck(raw, self.time, self.bands) if self.captured else None
         if not truth.placed:
             self.judged = resting(self.time, shaken, felt=FELT / band if band else 0.0)
         self.blur = self._judging(
-            whitening(self.time, [WHITE, WHITE], self.interval, band)
+            whitening(self.time, [WHITE, WHITE], self.interval, self.bands)
             if band
             else gaussian(self.time, blur, real.interval)
         )
@@ -437,7 +441,7 @@ class ComparisonProblem:
         state = stilled(state, self.still.rests, ramp=ramp)
         if lost and self.sharpened.sharpen is not None:
             step = self.truth.recording.interval
-            seen = dulled(state, lost, band=self.band, interval=step)
+            seen = dulled(state, lost, bands=self.bands, interval=step)
             state = replace(state, captured=seen)
         # The sensor's errors act on what it feels where it is. Of a motion that is not resolved
         # that is not known: it would be noise, and the same in many columns.
@@ -686,7 +690,7 @@ class ComparisonProblem:
             state = self.state()
             left = self.residual(state)
         densities = self.still.densities or (0.0, 0.0)
-        seen = Differences(state, left, self.interval, self.band, densities, self.judged)
+        seen = Differences(state, left, self.interval, self.bands, densities, self.judged)
         felt = self.sharpened.sensor(self.setup.model).felt(state)
         columns = self._shape_columns(felt, left) if self.captured else None
         self.colours, blur = find_noise(seen, columns)

@@ -21,20 +21,23 @@ ABOUT = 31
 """Frequencies of a spectrum whose mean power is that of the one in their middle."""
 
 
-def low_passed(recording: Recording, bandwidth: float) -> Recording:
-    """Return the recording through the low-pass of `smoothed`."""
-    signals = smoothed(recording.time, np.hstack((recording.accel, recording.gyro)), bandwidth)
+def low_passed(recording: Recording, bandwidth: float, *, forces: float | None = None) -> Recording:
+    """Return the recording through the low-pass of `smoothed`; its forces may have their own."""
+    cutoff = np.repeat([bandwidth if forces is None else forces, bandwidth], 3)
+    signals = smoothed(recording.time, np.hstack((recording.accel, recording.gyro)), cutoff)
     return replace(recording, accel=signals[:, :3], gyro=signals[:, 3:])
 
 
-def smoothed(time: FloatArray, values: FloatArray, bandwidth: float) -> FloatArray:
-    """Return (n, k) values at (n,) times through ``1 / (1 + (f / bandwidth)**8)``.
+def smoothed(time: FloatArray, values: FloatArray, bandwidth: float | FloatArray) -> FloatArray:
+    """Return (n, k) values at (n,) times through ``1 / (1 + (f / bandwidth)**8)``, all or each.
 
     That is a Butterworth low-pass of fourth order there and back, of the same response at any rate:
     a digital one is warped, and two sampled at unlike rates would differ by their filters. Gaps are
     bridged by straight lines.
     """
-    return filtered(time, values, lambda f: 1.0 / (1.0 + (f / bandwidth) ** 8), bandwidth)
+    cutoff = np.broadcast_to(bandwidth, (values.shape[1],))
+    slowest = float(cutoff.min())
+    return filtered(time, values, lambda f: 1.0 / (1.0 + (f[:, None] / cutoff) ** 8), slowest)
 
 
 def filtered(

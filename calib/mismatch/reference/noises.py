@@ -44,7 +44,7 @@ class Differences(NamedTuple):
     state: State
     left: FloatArray
     interval: float
-    band: float
+    bands: tuple[float, float]
     least: tuple[float, float] = (0.0, 0.0)
     judged: BoolArray | None = None
 
@@ -58,16 +58,22 @@ def find_noise(
     each in its typical size.
     """
     time, left = differences.state.time, differences.left
-    interval, band = differences.interval, differences.band
+    interval, bands = differences.interval, differences.bands
     at = slice(None) if differences.judged is None else differences.judged
     steep = steepest_beside(differences.state.rate)
     accel = find_colour(
-        time[at], left[at, :3], interval, band, steepest=steep, least=differences.least[0]
+        time[at],
+        left[at, :3],
+        interval,
+        max(bands),
+        steepest=steep,
+        least=differences.least[0],
+        highest=bands[0],
     )
     found = None if columns is None else _in_one_frame(differences, columns, accel)
     if found is None:
-        gyro = find_colour(time, left[:, 3:], interval, band, steepest=steep)
-        found = gyro, whitening(time, [accel, gyro], interval, band)
+        gyro = find_colour(time, left[:, 3:], interval, bands[1], steepest=steep)
+        found = gyro, whitening(time, [accel, gyro], interval, bands)
     return [accel, found[0]], found[1]
 
 
@@ -79,7 +85,7 @@ def _in_one_frame(
     What captured angles err by rates err by there, however a body turns. None if that is not what
     most of the noise is.
     """
-    state, left, interval, band = differences[:4]
+    state, left, interval, bands = differences[:4]
     time, mat = state.time, state.mat_ns
     assert mat is not None
     own = [(name, values) for name, values in columns if name.startswith("gyro")]
@@ -87,8 +93,10 @@ def _in_one_frame(
     def seen(noise: FloatArray, steepest: float) -> tuple[Colour, Blur]:
         rate = np.einsum("nij,nj->ni", mat, noise[:, 3:])
         least = differences.least[1]
-        gyro = find_colour(time, rate, interval, band, steepest=steepest, least=least, long=True)
-        return gyro, whitening(time, [accel, gyro], interval, band, mat)
+        gyro = find_colour(
+            time, rate, interval, bands[1], steepest=steepest, least=least, long=True
+        )
+        return gyro, whitening(time, [accel, gyro], interval, bands, mat)
 
     for steepest in STEEP:
         _, rough = seen(left, steepest)
@@ -96,7 +104,7 @@ def _in_one_frame(
         # Of what is fast a column of the truth has the noise of the differences.
         slow = smoothed(time, explained_by(left, own, rough), HAND)
         gyro, blur = seen(left - slow, steepest)
-        if gyro.square * band**2 < 1.0:
+        if gyro.square * bands[1] ** 2 < 1.0:
             return None
         if len(blur.seen) > (1.0 - TORN) * len(time):
             break

@@ -212,12 +212,12 @@ class ReferenceMotion:
         self,
         *,
         gravity: float,
-        bandwidth: float | None = None,
+        bands: tuple[float, float] | None = None,
         sharper: Callable[[FloatArray], FloatArray] | None = None,
     ) -> RecordingTruth:
         """Return what a perfect sensor at its point, in its frame, would have recorded.
 
-        With ``bandwidth`` (Hz) orientations and positions pass a low-pass before all else, and then
+        With ``bands`` (Hz) positions and orientations pass low-passes before all else, and then
         what makes them ``sharper``, a response to frequencies (m,), Hz: (m, 2) of both.
         """
         # A third of a second to import.
@@ -241,8 +241,9 @@ class ReferenceMotion:
             holes = ~good & near(time[good], time, HOLE)
             values[holes] = make_interp_spline(time[good], values[good], k=DEGREE)(time[holes])
             good = good | holes
-        if bandwidth is not None:
-            values = smoothed(time, values, bandwidth)
+        if bands is not None:
+            cutoff = np.repeat(bands[::-1], [4, values.shape[1] - 4])
+            values = smoothed(time, values, cutoff)
         if sharper is not None:
             of_each = [0] * 4 + [1] * (values.shape[1] - 4)
             values = filtered(time, values, lambda f: sharper(f)[:, of_each])
@@ -411,7 +412,7 @@ def compared(
         notes[JUMPS] = _left_out(real.time, common.jumps, common.jumps)
     sharpen: Sharpen | None = None
     if isinstance(reference, ReferenceMotion) and common.band and not _commanded(reference):
-        sharpen = partial(_sharpened, reference, gravity, common.band)
+        sharpen = partial(_sharpened, reference, gravity, common.bands)
     compare = partial(
         ComparisonProblem,
         common.real,
@@ -423,6 +424,7 @@ def compared(
         spoilt=common.spoilt,
         blur=common.blur,
         band=common.band,
+        forces=common.bands[0],
         raw=real if common.limited else None,
         stuck=common.stuck,
         folded=common.folded,
@@ -470,11 +472,13 @@ def _captured(
         reference, truth, alignment, mat, _ = _placed(real, seen, gravity)
     forces = reference.position is not None
     common = matched(real, truth, alignment, mat, spoilt=spoilt, forces=forces)
-    if common.band and BEYOND * common.band < 0.5 / truth.recording.interval:
-        truth = reference.truth(gravity=gravity, bandwidth=BEYOND * common.band)
+    if common.band and BEYOND * common.bands[0] < 0.5 / truth.recording.interval:
+        truth = reference.truth(gravity=gravity, bands=_beyond(common.bands))
         spoilt = spoilt if common.jumps is None else spoilt | common.jumps
         kept = limited(real, truth, common.band, spoilt)
-        common = kept._replace(folded=common.folded, jumps=common.jumps, jerky=common.jerky)
+        common = kept._replace(
+            forces=common.forces, folded=common.folded, jumps=common.jumps, jerky=common.jerky
+        )
     return common, alignment, mat, notes, reference
 
 
@@ -484,13 +488,20 @@ def _commanded(reference: ReferenceMotion) -> bool:
 
 
 def _sharpened(
-    reference: ReferenceMotion, gravity: float, band: float, sizes: Mapping[str, float]
+    reference: ReferenceMotion,
+    gravity: float,
+    bands: tuple[float, float],
+    sizes: Mapping[str, float],
 ) -> RecordingTruth:
-    """Return a captured motion in a band, with what a smoothing of these sizes took put back."""
+    """Return a captured motion in these bands, with what such a smoothing took put back."""
     interval = float(np.median(np.diff(reference.time)))
-    response = partial(sharpening, sizes=sizes, band=band, interval=interval)
-    truth = reference.truth(gravity=gravity, bandwidth=BEYOND * band, sharper=response)
-    return narrowed(truth, band)
+    response = partial(sharpening, sizes=sizes, bands=bands, interval=interval)
+    truth = reference.truth(gravity=gravity, bands=_beyond(bands), sharper=response)
+    return narrowed(truth, bands[1])
+
+
+def _beyond(bands: tuple[float, float]) -> tuple[float, float]:
+    return BEYOND * bands[0], BEYOND * bands[1]
 
 
 def _refuse_misread(real: Recording, truth: RecordingTruth, alignment: Alignment) -> None:

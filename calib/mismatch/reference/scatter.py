@@ -113,7 +113,7 @@ def scatter(
             knock = _spread(struck[:, c // 3], blur.heard[c // 3])
         knocks = knock[blur.seen] if blur.whitens else matrix.power(2) @ knock
         share = _of_parts(
-            seen[counts], y[counts], design[counts], blur.power, white * knocks[counts]
+            seen[counts], y[counts], design[counts], blur.power[c // 3], white * knocks[counts]
         )
         known = seen @ share + white * knocks
         share[1:] /= white

@@ -206,7 +206,7 @@ def find_shapes(
     noise, free = np.empty((len(first), 6)), np.empty((len(first), 6))
     size = _sizes(scatter, blur)
     seen_of = np.ones_like(size) if scatter is None else scatter.seen
-    independent = blur.power * np.array(
+    independent = np.repeat(blur.power, 3) * np.array(
         [seen_of[a:b].sum(axis=0) for a, b in zip(first, last, strict=True)]
     )
     judged &= independent >= 1.0  # all of a window may say nothing

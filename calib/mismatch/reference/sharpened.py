@@ -98,7 +98,11 @@ def completed(said: Mapping[str, float], seen: Mapping[str, float]) -> dict[str,
 
 
 def sharpening(
-    frequency: FloatArray, sizes: Mapping[str, float], *, band: float, interval: float
+    frequency: FloatArray,
+    sizes: Mapping[str, float],
+    *,
+    bands: tuple[float, float],
+    interval: float,
 ) -> FloatArray:
     """Return what undoes a smoothing of these sizes at frequencies (m,), Hz: of both, (m, 2).
 
@@ -106,8 +110,8 @@ def sharpening(
     ----------
     frequency, sizes : (m,) array, Hz; mapping
         Sizes of angles and positions, as `reference_smoothing` has them.
-    band : float, Hz
-        Cut-off of what is compared.
+    bands : two floats, Hz
+        Cut-offs of what is compared, of forces and rates.
     interval : float, s
         Between the samples that were smoothed.
     """
@@ -115,11 +119,13 @@ def sharpening(
     within = np.pi * np.minimum(frequency * interval, RESOLVED)
     warped = (2.0 * np.tan(within) / interval) ** 4
     lost = [sizes.get(a, 0.0) * square + sizes.get(b, 0.0) * warped for a, b in (ANGLES, PLACES)]
-    kept = 1.0 / (1.0 + (frequency / (REACH * band)) ** 8)
-    return 1.0 + kept[:, None] * np.stack(lost, axis=1)
+    felt, turned = (1.0 / (1.0 + (frequency / (REACH * band)) ** 8) for band in bands)
+    return 1.0 + np.stack((turned * lost[0], felt * lost[1]), axis=1)
 
 
-def dulled(state: State, sizes: Mapping[str, float], *, band: float, interval: float) -> State:
+def dulled(
+    state: State, sizes: Mapping[str, float], *, bands: tuple[float, float], interval: float
+) -> State:
     """Return what a capture that was smoothed by so much shows of a motion.
 
     By force and rate in the room: what they are the derivatives of was smoothed there.
@@ -128,7 +134,7 @@ def dulled(state: State, sizes: Mapping[str, float], *, band: float, interval: f
     assert mat is not None
 
     def response(frequency: FloatArray) -> FloatArray:
-        angles, places = 1.0 / sharpening(frequency, sizes, band=band, interval=interval).T
+        angles, places = 1.0 / sharpening(frequency, sizes, bands=bands, interval=interval).T
         return np.stack([places] * 3 + [angles] * 3, axis=1)
 
     room = np.hstack([np.einsum("nij,nj->ni", mat, own) for own in (state.force, state.rate)])

@@ -25,7 +25,7 @@ STANDS_OUT = 9.0
 has as much by chance."""
 
 
-def struck(recording: Recording, time: FloatArray, band: float) -> FloatArray:
+def struck(recording: Recording, time: FloatArray, bands: tuple[float, float]) -> FloatArray:
     """Return the variance that knocks have in samples through a low-pass, (n, 2), of both triads.
 
     Where power just below half of the rate stands out of the noise, what is folded is as noise of
@@ -37,12 +37,15 @@ def struck(recording: Recording, time: FloatArray, band: float) -> FloatArray:
         As it was sampled.
     time : (n,) array, s
         Where it is asked for, on the recording's clock.
-    band : float, Hz
-        Cut-off of the low-pass, `calib.mismatch.reference.filters.smoothed`.
+    bands : two floats, Hz
+        Cut-offs of the low-passes of both, `calib.mismatch.reference.filters.smoothed`.
     """
     power = np.stack([fast_power(x, ORDER) for x in (recording.accel, recording.gyro)], axis=1)
     power[power < STANDS_OUT * np.median(power, axis=0)] = 0.0
     reach = max(1, round(float(np.median(np.diff(time))) / recording.interval))
-    window = np.full(reach, 2.0 * PASSED * band * recording.interval / reach)
-    near = [np.convolve(own, window, mode="same") for own in power.T]
+    window = np.full(reach, 2.0 * PASSED * recording.interval / reach)
+    near = [
+        np.convolve(own, band * window, mode="same")
+        for own, band in zip(power.T, bands, strict=True)
+    ]
     return np.stack([np.interp(time, recording.time, own) for own in near], axis=1)

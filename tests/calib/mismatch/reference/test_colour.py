@@ -29,7 +29,7 @@ def turning(n: int) -> np.ndarray:
 
 
 def blur(n: int, mat: np.ndarray | None) -> Blur:
-    return whitening(STEP * np.arange(n), [WHITE, Colour(4.0, 0.0)], STEP, BAND, mat)
+    return whitening(STEP * np.arange(n), [WHITE, Colour(4.0, 0.0)], STEP, (BAND, BAND), mat)
 
 
 def test_one_frame_is_that_of_the_room() -> None:
@@ -55,6 +55,26 @@ def test_rows_of_what_is_seen_are_rows_of_the_signals(framed: bool) -> None:
         parts = own.seen_by(weights, channel)
         found = sum(part @ signals[:, c] for c, part in parts.items())
         np.testing.assert_allclose(found, weights @ own.see(signals)[:, channel], atol=1e-12)
+
+
+def test_forces_may_be_seen_less_far_up_than_rates() -> None:
+    """Noise beyond is in neither what is seen nor its level, and what is slow is as it was."""
+    rng, n = np.random.default_rng(7), 6000
+    time, noise = STEP * np.arange(n), rng.normal(size=(n, 6))
+    passed = smoothed(time, noise, BAND)
+    both = whitening(time, [WHITE, WHITE], STEP, (BAND, BAND))
+    own = whitening(time, [WHITE, WHITE], STEP, (0.4 * BAND, BAND))
+    seen = own.see(passed)
+    same = both.see(passed)[np.isin(both.seen, own.seen), 3:]
+    np.testing.assert_allclose(seen[:, 3:], same, atol=1e-3)
+    np.testing.assert_allclose(
+        seen[:, :3], smoothed(time, passed, 0.4 * BAND)[own.seen, :3], atol=0.02
+    )
+    for triad, power in zip((seen[:, :3], seen[:, 3:]), own.power, strict=True):
+        assert np.square(triad).mean() == pytest.approx(power, rel=0.05)
+    assert own.power[0] == pytest.approx(0.4 * own.power[1])
+    slow = np.sin(2 * np.pi * 0.3 * time)
+    np.testing.assert_allclose(own.matrices[0] @ slow, slow[own.seen], atol=2e-3)
 
 
 def test_what_captured_angles_err_by_is_white_in_one_frame() -> None:

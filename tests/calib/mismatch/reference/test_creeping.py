@@ -51,7 +51,7 @@ def beside(truth: str, seed: int) -> Diagnosis:
 @pytest.mark.long
 @pytest.mark.parametrize("truth", ["a simulation", "motion capture", "another IMU"])
 def test_glue_that_creeps_turns_one_triad(truth: str) -> None:
-    found = beside(truth, seed=3)
+    found = beside(truth, seed=4)
     assert not {f.effect for f in found.findings} - {"time_offset"}
     (item,) = found.unexplained
     assert item.follows == TURNED

@@ -44,14 +44,18 @@ def test_a_butterworth_both_ways_is_undone(cutoff: float, rate: float) -> None:
     # As slow as that it is 1 - m (2 pi f)^4.
     size = (2.0 * rate * np.tan(np.pi * cutoff / rate)) ** -4
     sizes = {"orientation_fourth": size}
-    angles, places = sharpening(frequency, sizes, band=2.0 * BAND, interval=1.0 / rate).T
+    angles, places = sharpening(
+        frequency, sizes, bands=(2.0 * BAND, 2.0 * BAND), interval=1.0 / rate
+    ).T
     assert np.abs(once) ** 2 * angles == pytest.approx(1.0, rel=1e-3)
     assert (places == 1.0).all()
 
 
 def test_what_is_faster_than_the_comparison_is_not_put_back() -> None:
     sizes = {"orientation_fourth": 2.5e-6, "position": 2e-3}
-    within, beyond = sharpening(np.array([BAND, 20.0 * BAND]), sizes, band=BAND, interval=1e-3) - 1
+    within, beyond = (
+        sharpening(np.array([BAND, 20.0 * BAND]), sizes, bands=(BAND, BAND), interval=1e-3) - 1
+    )
     square = (2.0 * np.pi * BAND) ** 2
     assert within == pytest.approx([2.5e-6 * square**2, 2e-3 * square], rel=0.01)
     assert (beyond < 0.01 * within).all()
@@ -59,7 +63,7 @@ def test_what_is_faster_than_the_comparison_is_not_put_back() -> None:
 
 def test_a_dull_motion_is_what_sharpening_makes_the_motion_of() -> None:
     true = moved()
-    way = {"band": BAND, "interval": STEP}
+    way = {"bands": (BAND, BAND), "interval": STEP}
     seen = dulled(true, SMOOTHED.parameters, **way)
     room = [np.einsum("nij,nj->ni", true.mat_ns, own.force) for own in (true, seen)]
     spectra = [np.fft.rfft(own * np.hanning(len(own))[:, None], axis=0) for own in room]
@@ -73,7 +77,7 @@ def test_a_dull_motion_is_what_sharpening_makes_the_motion_of() -> None:
 def test_what_a_smoothing_takes_is_that_of_the_captured_motion() -> None:
     """Steps of its size are then in proportion: a sharper motion would have more to lose."""
     true = moved()
-    seen = dulled(true, SMOOTHED.parameters, band=BAND, interval=STEP)
+    seen = dulled(true, SMOOTHED.parameters, bands=(BAND, BAND), interval=STEP)
     effect = get_effect(SMOOTHED.effect)
     beside = effect.columns(replace(true, captured=seen), {})
     for name in ("orientation_fourth", "position_fourth"):

@@ -32,13 +32,13 @@ def test_a_blur_passes_slow_signals_and_skips_what_is_near_a_gap():
     assert np.allclose(blur.matrices[0] @ slow, damped * np.sin(2 * np.pi * seen), atol=1e-3)
     assert not ((seen > 193.5 * STEP) & (seen < 215.5 * STEP)).any()
     noise = np.random.default_rng(1).normal(size=(len(time), 400))
-    assert np.isclose((blur.matrices[1] @ noise).var(), blur.power, rtol=0.02)
+    assert np.isclose((blur.matrices[1] @ noise).var(), blur.power[1], rtol=0.02)
 
 
 def test_no_blur_leaves_every_point():
     blur = gaussian(STEP * np.arange(50), 0.0, STEP)
     assert len(blur.seen) == 50
-    assert blur.power == 1.0
+    assert blur.power == (1.0, 1.0)
 
 
 def rows_of(
@@ -182,7 +182,7 @@ def test_what_a_low_pass_leaves_of_noise_has_the_variance_that_rows_say(derivati
     common = limited(raw, RecordingTruth(raw, 9.8), band, np.zeros(n, bool))
     left, time = np.hstack((common.real.accel, common.real.gyro)), common.real.time
     colours = [find_colour(time, left[:, a : a + 3], common.real.interval, band) for a in (0, 3)]
-    blur = whitening(time, colours, common.real.interval, common.band)
+    blur = whitening(time, colours, common.real.interval, common.bands)
     rows = rows_of(left, step=common.real.interval, blur=blur)
     variance = np.append(np.diag(rows.white), rows.white_diagonal)
     for kind in (Kind.MEAN, Kind.CONTRAST):
