@@ -32,7 +32,9 @@ def above(power: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     A line stands above both sides: motion of a hand, whose power falls with frequency, does not.
     """
     bins, number = power.shape
-    mean = power.mean(axis=1)
+    # Each counts by its own noise: one rest that shakes would be all of the mean, and tell as one.
+    level = np.median(power, axis=0)
+    mean = power @ (level.mean() / np.maximum(level, np.finfo(float).tiny)) / number
     # At low frequencies it goes on as it falls; half the sampling rate mirrors every spectrum.
     padded = np.pad(np.log(mean), (NEIGHBOURS, 0), mode="reflect", reflect_type="odd")
     padded = np.pad(padded, (0, NEIGHBOURS), mode="symmetric")

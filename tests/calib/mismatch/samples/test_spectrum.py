@@ -378,3 +378,18 @@ def test_a_line_that_hands_have_in_a_window_is_motion() -> None:
 def test_noise_has_no_line_in_any_window(count: float, flicker: float, brief: bool) -> None:
     for seed in range(15):
         assert look_at_spectrum(*many_rests(seed, brief=brief, count=count, flicker=flicker)) == ()
+
+
+@pytest.mark.parametrize("louder", [1.0, 500.0])
+def test_where_one_rest_is_all_of_the_mean_it_tells_no_more_than_one(louder: float) -> None:
+    """A shaken one was said to have a line, by a p-value as of all of the rests."""
+    rng = np.random.default_rng(12)
+    least = []
+    for _ in range(400):
+        power = rng.exponential(size=(LENGTH // 2 - 2, 40))
+        power[:, 7] *= louder**2
+        least.append(above(power)[2].min() / 6)  # of six channels
+    assert np.mean(np.array(least) < 0.01) < 0.02
+    # A line that is in all of them is found, be it the one that shakes or not.
+    power[20] *= 20.0
+    assert int(np.argmin(above(power)[2])) == 20
