@@ -5,12 +5,14 @@ from functools import cache
 
 import numpy as np
 import pytest
+from scipy.interpolate import make_interp_spline
 from scipy.ndimage import gaussian_filter1d
 from scipy.signal import butter, sosfiltfilt
 
 from calib.calibration import Gravity
 from calib.effects.base import Term
 from calib.mismatch import ReferenceMotion, diagnose_reference
+from calib.mismatch.findings.diagnosis import Finding
 from calib.mismatch.reference.referencemode import compare_reference
 from calib.mismatch.samples.samples import look_at_samples
 from calib.model import SensorModel
@@ -117,6 +119,45 @@ def test_a_butterworth_both_ways_is_smoothing_and_nothing_else(cutoff: float) ->
     # What positions lost shows less: a hand that turns a sensor hardly moves it.
     size = item.parameters["orientation_fourth"].value
     assert size == pytest.approx((2 * np.pi * cutoff) ** -4, rel=0.2)
+
+
+@pytest.mark.long
+def test_smoothing_shows_in_a_tremor_beyond_frequencies_at_which_nothing_moves() -> None:
+    """Compared was up to where hand and markers first disagreed, between turns and tremor."""
+    rate, cutoff = 100.0, 15.0
+    time = np.arange(0.0, 60.0, 0.25 / rate)
+    rng = np.random.default_rng(21)
+    tremor = sosfiltfilt(
+        butter(3, [6.0, 10.0], "band", fs=4 * rate, output="sos"),
+        rng.normal(size=(len(time), 6)),
+        axis=0,
+    )
+    tremor *= np.clip(2.0 * np.sin(np.pi * time / 7.5), 0.0, 1.0)[:, None] / tremor.std()
+    _, slow, turning, path = swung()
+    quat, place = (make_interp_spline(slow, own, k=5)(0.4 * time) for own in (turning, path))
+    quat /= np.linalg.norm(quat, axis=1, keepdims=True)
+    quat = quat_multiply(quat, quat_from_rotvec(np.radians(0.3) * tremor[:, :3]))
+    place = place + 5e-4 * tremor[:, 3:]
+    motion = motion_from_reference(time, quat, place, gravity=GRAVITY)
+    real = simulate(motion, SensorModel(), CONSUMER, rng=rng, rate=rate)
+    shake = quat_from_rotvec(rng.normal(0.0, np.radians(0.15), (len(time[::4]), 3)))
+    seen = np.hstack((quat_multiply(quat[::4], shake), place[::4]))
+    seen[:, 4:] += rng.normal(0.0, 2e-4, seen[:, 4:].shape)
+
+    def found(values: np.ndarray) -> dict[str, Finding]:
+        unit = values[:, :4] / np.linalg.norm(values[:, :4], axis=1, keepdims=True)
+        reference = ReferenceMotion(time[::4], unit, values[:, 4:])
+        diagnosis = diagnose_reference(real, reference, gravity=GRAVITY)
+        assert not diagnosis.unexplained
+        return {f.effect: f for f in diagnosis.findings}
+
+    assert set(found(seen)) <= {"time_offset"}
+    named = found(sosfiltfilt(butter(2, cutoff, fs=rate, output="sos"), seen, axis=0))
+    assert set(named) <= {"reference_smoothing", "time_offset"}
+    size = named["reference_smoothing"].parameters["orientation_fourth"]
+    warped = np.tan(np.pi * cutoff / rate) * rate / np.pi
+    assert size.sigma is not None
+    assert size.value == pytest.approx((2 * np.pi * warped) ** -4, abs=4 * size.sigma)
 
 
 @pytest.mark.long
