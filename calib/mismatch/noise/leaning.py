@@ -15,8 +15,7 @@ import numpy as np
 
 from calib.mismatch.noise.contrast import contrast_variance, telling
 from calib.mismatch.noise.noise import (
-    expected_levels,
-    find_levels,
+    bare_levels,
     level_penalty,
     make_whitener,
 )
@@ -45,19 +44,27 @@ def lean_share(rows: Rows) -> float:
 
 
 def leaning(rows: Rows, share: float) -> Rows:
-    """Return rows of which a share of the variance is expected that is of a lean otherwise."""
+    """Return rows of which a share of the variance is expected that is of a lean otherwise.
+
+    The last are kept: what was found of them holds where they are asked for again.
+    """
     if share == 1.0:
         return rows
-    components = tuple(
-        replace(c, expected=share * c.expected, spread=SPREAD) if c.group == LEAN else c
-        for c in rows.components
-    )
-    return replace(rows, components=components)
+    of, known, leant = rows.kept.get("leaning", (None, None, None))
+    if of is not rows.residual or known != share:
+        components = tuple(
+            replace(c, expected=share * c.expected, spread=SPREAD) if c.group == LEAN else c
+            for c in rows.components
+        )
+        leant = replace(rows, components=components)
+        rows.kept["leaning"] = rows.residual, share, leant
+    assert isinstance(leant, Rows)
+    return leant
 
 
 def _likelihood(rows: Rows, mean: FloatArray, contrast: FloatArray) -> float:
     """Return the log-likelihood of all rows at the likeliest levels, and of these."""
-    levels = find_levels(rows, mean, expected_levels(rows)).values
+    levels = bare_levels(rows).values
     whitener = make_whitener(rows, levels, contrast, mean)
     y = whitener.project(rows.residual)
     return -0.5 * (float(y @ y) + whitener.log_det) - level_penalty(rows, levels)

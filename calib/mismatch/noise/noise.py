@@ -391,6 +391,20 @@ def find_levels(
     return best
 
 
+def bare_levels(rows: Rows) -> Levels:
+    """Return what `find_levels` finds from what is expected, beside what is always fitted alone.
+
+    They are kept: several questions are asked of the rows before anything else is in the mean.
+    """
+    known, levels = rows.kept.get("bare levels", (None, None))
+    if known is not rows.residual:
+        mean = np.hstack((rows.baseline, rows.nuisance))
+        levels = find_levels(rows, mean, expected_levels(rows))
+        rows.kept["bare levels"] = rows.residual, levels
+    assert isinstance(levels, Levels)
+    return levels
+
+
 def level_basis(rows: Rows, mean: FloatArray, beside: FloatArray | None = None) -> FloatArray:
     """Return the `range_basis` of (m, p) columns on the rows that tell of levels.
 

@@ -20,6 +20,7 @@ from calib.mismatch.hypotheses.windows import has_ends
 from calib.mismatch.noise.noise import (
     Levels,
     Whitener,
+    bare_levels,
     estimate_levels,
     expected_levels,
     make_whitener,
@@ -167,7 +168,7 @@ def _start(problem: Problem, *, skip: tuple[str, ...]) -> _State:
     accepted: list[Accepted] = []
     rows = problem.rows()
     stack, seen = make_stack(rows, skip=skip, reference=problem.reference), fitted(rows, [])
-    ranking = rank(rows, stack, accepted, expected_levels(rows))
+    ranking = rank(rows, stack, accepted, expected_levels(rows), base=bare_levels(rows))
     if not ranking.claims and ranking.pair is not None:
         (value, first), every = ranking.pair, ranking.every
         accepted.append(accept(stack, first, float(np.exp(value))))

@@ -32,9 +32,9 @@ from scipy.special import chdtri, comb, fdtrc
 from calib.mismatch.findings.diagnosis import Interval, Unexplained
 from calib.mismatch.noise.contrast import contrast_variance
 from calib.mismatch.noise.noise import (
+    bare_levels,
     estimate_levels,
     expected_levels,
-    find_levels,
     make_whitener,
 )
 from calib.mismatch.rows.rows import SAMPLING, Rows
@@ -85,7 +85,7 @@ def close_badly_in_a_row(rows: Rows) -> bool:
 
     A channel that is late in a few would explain most of that, whatever it comes from.
     """
-    levels = find_levels(rows, fitted(rows, []), expected_levels(rows)).values
+    levels = bare_levels(rows).values
     bare = Outcome(rows, (), levels, contrast_variance(rows), 0.0, frozenset())
     odd = odd_turns(bare)
     # Those are said as one.

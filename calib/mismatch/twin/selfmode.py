@@ -81,6 +81,8 @@ class SelfProblem:
         """Whether the gyroscope is judged by its turns alone."""
         self._last: tuple[Twin, FloatArray, Rows] | None = None
         """The last twin, noise, and rows of these."""
+        self._judged: tuple[tuple[object, ...], bool, Rows] | None = None
+        """What the last rows were made of, whether `restless`, and these, before `leaning`."""
 
     def rounded(self, coarse: Mapping[int, Rounding], *, restless: bool) -> None:
         """Take channels as rounded to coarse counts, and a gyroscope as ``restless``.
@@ -110,7 +112,22 @@ class SelfProblem:
             self.twin = fit_twin(self.grid, self.twin, self.noise, drop=drop)
 
     def rows(self) -> Rows:
-        """Return recording minus twin; the given model's own terms are fitted along with it."""
+        """Return recording minus twin; the given model's own terms are fitted along with it.
+
+        The last rows are kept, and with them what was found of them.
+        """
+        made_of = self.twin, self.noise, self.drop, self.coarse, self.jolted
+        last = self._judged
+        if (
+            last is None
+            or last[1] != self.restless
+            or any(a is not b for a, b in zip(made_of, last[0], strict=True))
+        ):
+            self._judged = last = made_of, self.restless, self._judging()
+        return leaning(last[2], self.leaning)
+
+    def _judging(self) -> Rows:
+        """Return the rows where a lean is as it is expected to be."""
         rows = self._built()
         further = {
             f"{term.effect}.{name}": rows.column(signals)
@@ -137,7 +154,6 @@ class SelfProblem:
         stuck = [c for c, rounding in self.coarse.items() if not rounding.hidden]
         out |= (rows.kind == Kind.CONTRAST) & np.isin(rows.channel, stuck)
         rows = rows if self.jolted is None else rows.jolted(self.jolted)
-        rows = leaning(rows, self.leaning)
         rows = replace(rows, prior=self._prior(rows.nuisance.shape[1]))
         return rows.without(out) if out.any() else rows
 
