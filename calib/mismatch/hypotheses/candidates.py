@@ -170,6 +170,38 @@ class Sums:
         return Sums(self.which[own], self.columns[used], pick[:, used])
 
 
+@dataclass(frozen=True, eq=False)
+class Courses:
+    """Candidates ``which`` of one course in time, of which each axis has a size of its own.
+
+    Parameters
+    ----------
+    which : (n,) array of int
+    columns : (axes u,) array of int
+        Those of one axis after those of the other.
+    axes : int
+    pick : (n, u) array
+        What counts how much on any of them.
+    """
+
+    which: IntArray
+    columns: IntArray
+    axes: int
+    pick: FloatArray
+
+    def chosen(self, own: BoolArray) -> Courses:
+        """Return those that are marked in `own`, (n,) bool."""
+        if own.all():
+            return self
+        pick = self.pick[own]
+        used = pick.any(axis=0)
+        columns = self.columns.reshape(self.axes, -1)[:, used].ravel()
+        return Courses(self.which[own], columns, self.axes, pick[:, used])
+
+
+Make = Alike | Sums | Courses
+
+
 class Bank:
     """Candidates, one by one and as arrays.
 
@@ -220,7 +252,7 @@ class Bank:
         known = self._moved.items() if self._by else enumerate(self._candidates)
         return next((i for i, c in known if c is candidate), None)
 
-    def made(self, own: BoolArray) -> Iterator[Alike | Sums]:
+    def made(self, own: BoolArray) -> Iterator[Make]:
         """Yield the candidates that are marked in `own`, those of one make side by side."""
         for make in self._makes if own.any() else ():
             marked = own[make.which]
@@ -235,9 +267,7 @@ def _numbered(values: Iterable[T]) -> tuple[list[T], IntArray]:
     return list(known), np.array(code, np.int64)
 
 
-def _makes(
-    candidates: Sequence[Candidate], group: IntArray, channel: IntArray
-) -> Iterator[Alike | Sums]:
+def _makes(candidates: Sequence[Candidate], group: IntArray, channel: IntArray) -> Iterator[Make]:
     alike: dict[tuple[int, ...], list[int]] = {}
     joint: dict[tuple[int, str], dict[tuple[int, ...], list[int]]] = {}
     for i, c in enumerate(candidates):
@@ -257,6 +287,7 @@ def _makes(
         # Those of the same channels share their columns, and the Gram matrix of these.
         every = [candidates[i].index for which in shapes.values() for i in which]
         columns = np.unique(np.concatenate(every))
+        courses: list[Courses] = []
         for size, which in shapes.items():
             marked = [candidates[i].index for i in which]
             if not size:
@@ -267,10 +298,35 @@ def _makes(
                 yield Sums(np.array(which), columns, pick)
                 continue
             index = np.searchsorted(columns, np.stack(marked))
-            mixing = narrowed(
-                np.stack([m for i in which if (m := candidates[i].mixing) is not None])
-            )
-            yield Alike(np.array(which), columns, index, mixing, np.zeros(len(which), bool))
+            mixing = np.stack([m for i in which if (m := candidates[i].mixing) is not None])
+            axes = len(candidates[which[0]].channels)
+            pick = _course(columns, axes, index, mixing) if axes > 1 else None
+            if pick is not None:
+                courses.append(Courses(np.array(which), columns, axes, pick))
+                continue
+            none = np.zeros(len(which), bool)
+            yield Alike(np.array(which), columns, index, narrowed(mixing), none)
+        if courses:
+            whole = np.concatenate([same.pick for same in courses])
+            numbers = np.concatenate([same.which for same in courses])
+            yield replace(courses[0], which=numbers, pick=whole)
+
+
+def _course(columns: IntArray, axes: int, index: IntArray, mixing: FloatArray) -> FloatArray | None:
+    """Return what `Courses` pick, of mixings (n, k, r); None if they are no single courses."""
+    n, k, r = mixing.shape
+    if r != axes or k % axes or len(columns) % axes:
+        return None
+    apart = mixing.reshape(n, axes, -1, axes)
+    course, first = apart[:, 0, :, 0], index[:, : k // axes]
+    if not (apart == np.eye(axes)[:, None] * course[:, None, :, None]).all():
+        return None
+    later = len(columns) // axes * np.arange(axes)
+    if not (index.reshape(n, axes, -1) == first[:, None] + later[:, None]).all():
+        return None
+    pick = np.zeros((n, len(columns) // axes))
+    np.put_along_axis(pick, first, course, axis=1)
+    return pick
 
 
 def _weights(candidate: Candidate) -> FloatArray:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from itertools import chain
+from itertools import chain, combinations_with_replacement
 
 import numpy as np
 
-from calib.mismatch.hypotheses.candidates import Alike, Bank, Candidate, Sums
+from calib.mismatch.hypotheses.candidates import Alike, Bank, Candidate, Courses, Make, Sums
 from calib.mismatch.hypotheses.columns import LOST, Columns, Seen
 from calib.mismatch.hypotheses.factors import (
     log_bayes_factors,
@@ -148,7 +148,7 @@ class Stack:
         """
         which = np.ones(len(self), bool) if which is None else which
         out = np.full(len(which), -np.inf)
-        at, makes = 0, list[tuple[int, Alike | Sums]]()
+        at, makes = 0, list[tuple[int, Make]]()
         for bank in self.banks:
             makes += [(at, make) for make in bank.made(which[at : at + len(bank)])]
             at += len(bank)
@@ -176,7 +176,10 @@ class Stack:
             if isinstance(make, Sums):
                 out[own] = _sums(make, grams[key], seen, columns)
                 continue
-            inner, along = _mixed(make, grams[key], seen.match[columns])
+            if isinstance(make, Courses):
+                inner, along = _on_axes(make, grams[key], seen.match[columns])
+            else:
+                inner, along = _mixed(make, grams[key], seen.match[columns])
             joint.setdefault(along.shape[1], []).append((own, inner, along))
         for k, alike in plain.items():
             own, index, present = map(np.concatenate, zip(*alike, strict=True))
@@ -228,6 +231,16 @@ def _mixed(make: Alike, gram: FloatArray, match: FloatArray) -> tuple[FloatArray
                 both[part] = found.reshape(k, stop - start, r).transpose(1, 0, 2)
         inner[first:last] = mine.transpose(0, 2, 1) @ both
     return inner, along[:, 0]
+
+
+def _on_axes(make: Courses, gram: FloatArray, match: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return what `_mixed` does, of candidates that have one course on several axes."""
+    (n, u), axes = make.pick.shape, make.axes
+    inner, parts = np.empty((n, axes, axes)), gram.reshape(axes, u, axes, u)
+    for i, j in combinations_with_replacement(range(axes), 2):
+        both = np.einsum("nu,nu->n", make.pick @ parts[i, :, j], make.pick)
+        inner[:, i, j] = inner[:, j, i] = both
+    return inner, make.pick @ match.reshape(axes, u).T
 
 
 def _within(gram: FloatArray, index: IntArray) -> FloatArray:
