@@ -444,14 +444,16 @@ def _put_back(
     fresh = time[at - 1, None] + step * np.arange(1, most + 1)
     # Near the ends of a turn there is less to interpolate from.
     width = high - low
+    wanted = np.arange(most) < count[:, None]
     for points in np.unique(width):
         own = np.flatnonzero(width == points)
         near = low[own, None] + np.arange(points)
         true = time[near] + longer[own, None] * (near >= at[own, None])
         slopes = spline_slopes(true, both[near])
-        gap = np.repeat(points * np.arange(len(own)) + at[own] - 1 - low[own], most)
+        gap = np.repeat(points * np.arange(len(own)) + at[own] - 1 - low[own], count[own])
         flat = (true.ravel(), both[near.ravel()], slopes.reshape(near.size, -1))
-        put[own] = spline_between(*flat, gap, fresh[own].ravel()).reshape(len(own), most, -1)
+        mine = wanted & (width == points)[:, None]
+        put[mine] = spline_between(*flat, gap, fresh[mine])
     first = np.append(0, np.cumsum(width + count))
     case = np.repeat(np.arange(len(at)), width + count)
     index = low[case] + np.arange(first[-1]) - first[case]

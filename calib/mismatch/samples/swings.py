@@ -424,12 +424,20 @@ def _near_floors(parts: FloatArray) -> tuple[FloatArray, IntArray]:
         k = np.arange(reach, m - reach)
         floor[k] = np.maximum(middle[k - reach], middle[k + APART + 1])
         number[k] = side
-    for k in (*range(LEAST + APART, min(reach, m)), *range(max(m - reach, reach), m)):
-        below = parts[max(k - reach, 0) : k - APART]
-        above = parts[k + APART + 1 : k + reach + 1]
+        # One side is whole there, and known.
+        for i in range(LEAST + APART, reach):
+            floor[i] = np.maximum(np.median(parts[: i - APART], axis=0), middle[i + APART + 1])
+            number[i] = i - APART
+        for i in range(m - reach, m - LEAST - APART):
+            floor[i] = np.maximum(middle[i - reach], np.median(parts[i + APART + 1 :], axis=0))
+            number[i] = m - i - APART - 1
+        return floor, number
+    for i in range(LEAST + APART, m):
+        below = parts[max(i - reach, 0) : i - APART]
+        above = parts[i + APART + 1 : i + reach + 1]
         if min(len(below), len(above)) >= LEAST:
-            floor[k] = np.maximum(np.median(below, axis=0), np.median(above, axis=0))
-            number[k] = min(len(below), len(above))
+            floor[i] = np.maximum(np.median(below, axis=0), np.median(above, axis=0))
+            number[i] = min(len(below), len(above))
     return floor, number
 
 
