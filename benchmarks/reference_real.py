@@ -25,6 +25,7 @@ from calib.mismatch import ReferenceMotion, diagnose_reference
 from calib.mismatch.reference.alignment import Alignment
 from calib.mismatch.reference.carried import ARM, arm_term
 from calib.mismatch.reference.comparison import ComparisonProblem
+from calib.mismatch.reference.filters import smoothed
 from calib.mismatch.reference.referencemode import compare_reference
 from calib.mismatch.reference.setup import Setup
 from calib.mismatch.samples.samples import look_at_samples
@@ -101,8 +102,9 @@ def second_half(
 ) -> list[float]:
     """Return the RMS of accelerometer samples about what the first half says of the second.
 
-    With the baseline and the alignment of the first half, with all that was found there, and, where
-    there is a drawing, with the arm of that in place of the one that was found.
+    In the band in which forces agree. With the baseline and the alignment of the first half, with
+    all that was found there, and, where there is a drawing, with the arm of that in place of the
+    one that was found.
     """
     speed = np.linalg.norm(real.gyro, axis=1)
     fast = np.flatnonzero(speed > FAST * np.quantile(speed, 0.999))
@@ -127,7 +129,11 @@ def second_half(
     out = []
     for setup in setups:
         whole.setup = setup
-        left = whole.residual(whole.state())[unseen, :3]
+        left = whole.residual(whole.state())[:, :3]
+        if whole.bands[0] < whole.band:
+            # Above, markers show noise of forces.
+            left = smoothed(whole.time, left, whole.bands[0])
+        left = left[unseen]
         out.append(float(np.sqrt(np.mean(np.square(left)))))
     return out
 

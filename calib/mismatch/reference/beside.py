@@ -68,7 +68,7 @@ def motion_beside(
     assert isinstance(used, ReferenceMotion)
     time = problem.setup.alignment.moments(used.time)
     part = real.slice(*np.searchsorted(real.time, time[used.known][[0, -1]]).tolist())
-    bandwidth = bandwidth or problem.band or None
+    bandwidth = bandwidth or problem.bands[0] or None
     motion = motion_from_reference(
         time,
         quat_multiply(used.quat, quat_from_mat(problem.setup.mat_sr.T)),
