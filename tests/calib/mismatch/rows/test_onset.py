@@ -1,5 +1,7 @@
 """What begins at a moment has the columns that its signals have, at any moment."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -34,8 +36,7 @@ def test_every_effect_of_a_moment_alone_says_so() -> None:
 
 def test_rows_that_feel_another_segment_are_told() -> None:
     rows = problem()[1].rows()
-    object.__setattr__(rows, "segment", np.roll(rows.segment, 1))
-    assert not rows.confined
+    assert not replace(rows, segment=np.roll(rows.segment, 1)).confined
 
 
 def test_a_mean_at_rest_has_the_part_of_a_step_that_came_within_it() -> None:
