@@ -294,6 +294,11 @@ def forms(effect: Effect, shape: Mapping[str, float]) -> list[dict[str, float]]:
     return [own for own in out if effect.is_form(own)]
 
 
+def settles(candidate: Candidate) -> bool:
+    """Whether it is what is over in a time of its own, as a warm-up."""
+    return candidate.physical and not candidate.present and "tau" in candidate.shape
+
+
 def is_step(candidate: Candidate) -> bool:
     """Whether it is a bias that steps: what acts from a moment on, and is no loss of samples."""
     effect = get_effect(candidate.name) if candidate.physical else None

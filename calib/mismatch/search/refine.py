@@ -119,12 +119,12 @@ def refined(
                 return try_shape({**placed, "moment": moment})
 
             close_in(try_moment, placed["moment"], value, length / (NEAR - 1) ** 2)
-    if candidate.present:
-        # How strong it is is in its shape alone, whatever its form.
-        sizes = [i for i in effect.shape if i.spacing == "log" and i.name in candidate.shape]
-        for shape in forms(effect, best[0].shape):
-            for item in sizes:
-                _climb(try_shape, shape, item.name)
+    # How strong a filter is is in its shape alone, whatever its form. And of what settles in a time
+    # that is near to its own, enough is left to look like something that follows temperature.
+    sizes = [i for i in effect.shape if i.spacing == "log" and i.name in candidate.shape]
+    for shape in forms(effect, best[0].shape) if candidate.present else [dict(best[0].shape)]:
+        for item in sizes:
+            _climb(try_shape, shape, item.name)
     return best
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from calib.effects import get_effect
 from calib.effects.base import PRESENCE, Term, TransformEffect
 from calib.mismatch.hypotheses.candidates import Candidate
-from calib.mismatch.hypotheses.families import candidate_columns, is_step, neighbours
+from calib.mismatch.hypotheses.families import candidate_columns, is_step, neighbours, settles
 from calib.mismatch.hypotheses.slipped import TURN, angle_of, slip_columns, turned_on
 from calib.mismatch.noise.noise import estimate_levels, find_levels, make_whitener
 from calib.mismatch.rows.rows import Rows
@@ -128,7 +128,10 @@ def refit(
         accepted = [_renew(a, rows, reference=problem.reference) for a in accepted]
         rows, accepted, steps, off = _stepped(problem, rows, accepted, levels, contrast)
         straight = straight and steps == 1 and off < BENT
-    if rough and (moved := _moments_anew(problem, rows, accepted, levels, contrast)) is not None:
+    moved = None
+    if refine:
+        moved = _shapes_anew(problem, rows, accepted, levels, contrast, steps=bool(rough))
+    if moved is not None:
         rows = put_back(problem, rows, moved)
         accepted = [_renew(a, rows, reference=problem.reference) for a in moved]
         levels = estimate_levels(rows, fitted(rows, accepted), levels).values
@@ -142,21 +145,24 @@ def _is_felt(a: Accepted) -> bool:
     return a.in_model and get_effect(a.candidate.name).kind == "setup"
 
 
-def _moments_anew(
+def _shapes_anew(
     problem: Problem,
     rows: Rows,
     accepted: list[Accepted],
     levels: FloatArray,
     contrast: FloatArray,
+    *,
+    steps: bool,
 ) -> list[Accepted] | None:
-    """Return the findings with steps of a bias where they are beside those that were found later.
+    """Return the findings with their shapes as they are beside all that was found since.
 
-    What a turn lacks a moment in it makes up for: that of another cause, if it is the first that is
-    found. None if no step moves.
+    What a turn lacks the moment of a step in it makes up for: that of another cause, if it is the
+    first that is found. And on one axis, beside noise that holds what the others do, it hardly
+    shows in which time something settles. None if nothing moves; of ``steps`` unless they may.
     """
     moved = list(accepted)
     for i, a in enumerate(accepted):
-        if not is_step(a.candidate):
+        if not (settles(a.candidate) or (steps and is_step(a.candidate))):
             continue
         whitener = make_whitener(
             rows, levels, contrast, fitted(rows, accepted[:i] + accepted[i + 1 :])
