@@ -62,6 +62,24 @@ def test_columns_are_what_they_were_where_a_fit_went_straight():
     assert small < 0.01 < large
 
 
+def test_in_which_time_it_settles_is_refined_though_the_model_has_a_warm_up() -> None:
+    """As it was found on one axis, beside noise that held the others, it was left."""
+    size = {"kx": -0.18, "ky": 0.33, "kz": 0.22, "tau": 51.5}
+    real = recording(Term("accel_warm_up", size), rate=100.0)
+    grid = make_grid(real, find_poses(real))
+    self_mode = SelfProblem(grid, None, gravity=GRAVITY, full_gyro=False)
+    rows = self_mode.rows()
+    stack = make_stack(rows, skip=(), reference=False)
+    every = [c for c in stack if c.name == "accel_warm_up" and len(c.parameters) == 3]
+    own = min(every, key=lambda c: abs(np.log(c.shape["tau"] / 30.0)))
+    levels = expected_levels(rows)
+    first = refit(self_mode, rows, [accept(stack, own, 100.0)], levels, refine=False)
+    assert first.accepted[0].in_model
+    assert first.accepted[0].candidate.shape == own.shape
+    (found,) = refit(self_mode, first.rows, first.accepted, first.levels).accepted
+    assert found.candidate.shape["tau"] == pytest.approx(51.5, rel=0.1)
+
+
 @pytest.mark.long
 def test_what_turns_by_a_tenth_is_fitted_as_well_as_what_turns_by_a_thousandth():
     """One step of the linearised fit would leave fifty standard errors."""
