@@ -11,7 +11,14 @@ from calib.effects import get_effect
 from calib.effects.base import TransformEffect
 from calib.mismatch.hypotheses.candidates import Candidate
 from calib.mismatch.hypotheses.ends import Told, place_window, tune_wave
-from calib.mismatch.hypotheses.families import NEAR, candidate_columns, forms, neighbours
+from calib.mismatch.hypotheses.families import (
+    NEAR,
+    SHAPES,
+    candidate_columns,
+    forms,
+    neighbours,
+    shape_grid,
+)
 from calib.mismatch.hypotheses.peak import close_in
 from calib.mismatch.hypotheses.slipped import angle_of, slip_columns
 from calib.mismatch.hypotheses.windows import THROUGHOUT, has_ends, window_columns
@@ -124,16 +131,27 @@ def refined(
     sizes = [i for i in effect.shape if i.spacing == "log" and i.name in candidate.shape]
     for shape in forms(effect, best[0].shape) if candidate.present else [dict(best[0].shape)]:
         for item in sizes:
-            _climb(try_shape, shape, item.name)
+            within = (0.0, np.inf)
+            if not candidate.present:
+                # What lasts much longer than the recording is a straight line, however long.
+                grid = shape_grid(item, rows, SHAPES)
+                within = float(grid[0]), float(grid[-1])
+            _climb(try_shape, shape, item.name, within)
     return best
 
 
-def _climb(gain: Callable[[dict[str, float]], float], shape: dict[str, float], name: str) -> None:
-    """Call `gain` with values of one shape parameter, closing in on its maximum."""
+def _climb(
+    gain: Callable[[dict[str, float]], float],
+    shape: dict[str, float],
+    name: str,
+    within: tuple[float, float],
+) -> None:
+    """Call `gain` with values of one shape parameter in a range, closing in on its maximum."""
+    low, high = within
     step, here, value = 0.08, shape[name], gain(shape)
     while step > 1e-4:
-        up, down = here * (1 + step), here / (1 + step)
-        new, at = max((gain({**shape, name: x}), x) for x in (up, down))
+        beside = [x for x in (here * (1 + step), here / (1 + step)) if low <= x <= high]
+        new, at = max(((gain({**shape, name: x}), x) for x in beside), default=(-np.inf, here))
         if new > value:
             value, here = new, at
         else:
