@@ -92,11 +92,12 @@ def refit(
 ) -> Refit:
     """Fit everything jointly, move the model there, and linearise anew.
 
-    ``refine`` is whether the shape of the last finding is one of the grid's, and yet to be refined.
+    ``refine`` is whether shapes may move: that of the last finding, if it is one of the grid's and
+    yet to be refined, and of all in which time they settle.
     """
     contrast = contrast_noise(rows, accepted)
     levels = find_levels(rows, fitted(rows, accepted), levels).values
-    rough = refine and accepted and not accepted[-1].in_model
+    rough = refine and bool(accepted) and not accepted[-1].in_model
     for _ in range(REFINED if rough else 0):
         before = accepted[-1].candidate
         accepted[-1] = refine_last(rows, accepted, levels, contrast, reference=problem.reference)
@@ -128,9 +129,7 @@ def refit(
         accepted = [_renew(a, rows, reference=problem.reference) for a in accepted]
         rows, accepted, steps, off = _stepped(problem, rows, accepted, levels, contrast)
         straight = straight and steps == 1 and off < BENT
-    moved = None
-    if refine:
-        moved = _shapes_anew(problem, rows, accepted, levels, contrast, steps=bool(rough))
+    moved = _shapes_anew(problem, rows, accepted, levels, contrast, steps=rough) if refine else None
     if moved is not None:
         rows = put_back(problem, rows, moved)
         accepted = [_renew(a, rows, reference=problem.reference) for a in moved]
